@@ -1,44 +1,57 @@
-"""``python -m attacks``: list the attacks, check a plug-in, or begin one of your own."""
+"""``python -m attacks``: list the attacks, check a plug-in, or begin your own."""
 
 import keyword
 import re
 import shlex
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
 
+if TYPE_CHECKING:
+    from attacks.testing import CheckResult
+
 KINDS: dict[str, dict[str, str]] = {
-    kind: {
-        "noun": noun,
-        "one_check": check,
-        "idea": idea,
-        "parameter": name,
-        "another": value,
-    }
-    for kind, noun, check, idea, name, value in (
-        ("reconstruction", "attack", "null_stays_at_chance", "smooth", "tau_s", "0.1"),
-        ("linkage", "attack", "null_stays_at_chance", "describe", "bin_s", "0.5"),
-        ("mechanism", "mechanism", "sigma_is_declared", "how_much", "d_sigma", "0.2"),
-        (
-            "predictor",
-            "predictor",
-            "odd_tracks_are_predicted",
-            "ahead",
-            "window_s",
-            "0.5",
-        ),
-    )
+    "reconstruction": {
+        "noun": "attack",
+        "one_check": "null_stays_at_chance",
+        "idea": "smooth",
+        "parameter": "tau_s",
+        "another": "0.1",
+    },
+    "linkage": {
+        "noun": "attack",
+        "one_check": "null_stays_at_chance",
+        "idea": "describe",
+        "parameter": "bin_s",
+        "another": "0.5",
+    },
+    "mechanism": {
+        "noun": "mechanism",
+        "one_check": "sigma_is_declared",
+        "idea": "how_much",
+        "parameter": "d_sigma",
+        "another": "0.2",
+    },
+    "predictor": {
+        "noun": "predictor",
+        "one_check": "odd_tracks_are_predicted",
+        "idea": "ahead",
+        "parameter": "window_s",
+        "another": "0.5",
+    },
 }
-"""What the packages of the kinds differ in, beside the template of the module."""
+"""The words that the templates fill in for each kind of plug-in."""
 _IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}
-"""Classes that the generated file imports; its own must be called otherwise."""
+"""Classes that the generated file imports; its own class needs another name."""
+_STATUS = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
 _EPILOG = """\
 exit codes: 0 done, 1 a check failed, 2 wrong usage, 130 interrupted
 
@@ -113,24 +126,25 @@ def parser() -> Parser:
 
 
 def _list() -> int:
-    from attacks.testing import adversaries_of  # noqa: PLC0415 - `--help` stays quick
+    from attacks.testing import list_adversaries  # noqa: PLC0415 - `--help` stays quick
     from isac_track import plugins  # noqa: PLC0415 - as above
-    from isac_track.protocols import kind_of  # noqa: PLC0415 - it needs numpy, as above
+    from isac_track.protocols import attack_kind  # noqa: PLC0415 - it needs numpy, as above
 
     lines = [("attack", "kind", "adversaries", "", "")]
     skipped = []
     for name in plugins.names("attacks"):
         try:
             attack = plugins.parse("attacks", name)[0].instance
-            adversaries = ", ".join(adversaries_of(attack))
+            adversaries = ", ".join(list_adversaries(attack))
         except IsacTrackError as error:
             skipped.append(f"skipped {name}: {error}")
             continue
         slow = "slow" if getattr(attack, "slow", False) else ""
         summary = (type(attack).__doc__ or "").strip().partition("\n")[0]
         if summary.startswith(f"{type(attack).__name__}("):
-            summary = ""  # a dataclass without a docstring gets its signature for one
-        lines.append((name, kind_of(attack), adversaries, slow, summary))
+            # A dataclass without a docstring gets its signature as docstring.
+            summary = ""
+        lines.append((name, attack_kind(attack), adversaries, slow, summary))
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
         padded = zip(line, widths, strict=True)
@@ -142,31 +156,32 @@ def _list() -> int:
 
 def _check(spec: str) -> int:
     from attacks.testing import (  # noqa: PLC0415 - `--help` stays quick
-        adversaries_of,
         checks_for,
-        noun_of,
+        list_adversaries,
+        plugin_noun,
     )
     from isac_track import plugins  # noqa: PLC0415 - as above
     from isac_track.testing import engine  # noqa: PLC0415 - as above
 
-    words = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
     passed = True
-    for plugin in plugins.parse(plugins.kind_named(spec), spec):
-        checks, noun = checks_for(plugin.instance), noun_of(plugin.instance)
+    for plugin in plugins.parse(plugins.find_kind(spec), spec):
+        checks, noun = checks_for(plugin.instance), plugin_noun(plugin.instance)
         width = max(map(len, checks))
-        who = (
-            ", ".join(adversaries_of(plugin.instance))
-            if noun == "attack"
-            else f"a {noun}"
-        )
-        print(f"{plugin.spec} as {who}:")
+        role = f"a {noun}"
+        if noun == "attack":
+            role = ", ".join(list_adversaries(plugin.instance))
+        print(f"{plugin.spec} as {role}:")
         passed &= engine.report(
             engine.outcomes(checks.values(), plugin.instance),
-            line=lambda one: (
-                f"  {words[one.status]}  {one.name:<{width}}  {one.message}"  # noqa: B023 - called at once
-            ),
+            line=partial(_outcome_line, width=width),
         )
     return DONE if passed else LIMIT_NOT_MET
+
+
+def _outcome_line(outcome: "CheckResult", *, width: int) -> str:
+    """Return the line of one check, its name padded to `width` columns."""
+    status = _STATUS[outcome.status]
+    return f"  {status}  {outcome.name:<{width}}  {outcome.message}"
 
 
 def _new(name: str, *, kind: str, into: Path) -> int:
@@ -179,15 +194,18 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix --{noun} +{name}",
     }
-    is_what = f"{kind} attack" if noun == "attack" else noun
-    words = (
-        KINDS[kind] | commands | {"is": is_what, "name": name, "class_name": class_name}
-    )
-    written = {f"{name}.py": f"{kind}.py", f"test_{name}.py": "test_plugin.py"}
-    written |= {source: source for source in ("pyproject.toml", "README.md")}
+    description = f"{kind} attack" if noun == "attack" else noun
+    words = KINDS[kind] | commands
+    words |= {"is": description, "name": name, "class_name": class_name}
+    sources = {
+        f"{name}.py": f"{kind}.py",
+        f"test_{name}.py": "test_plugin.py",
+        "pyproject.toml": "pyproject.toml",
+        "README.md": "README.md",
+    }
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for target, source in written.items():
+        for target, source in sources.items():
             template = files("attacks") / "templates" / f"{source}.tmpl"
             text = Template(template.read_text(encoding="utf-8")).substitute(words)
             (folder / target).write_text(text, encoding="utf-8")
@@ -195,15 +213,17 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         raise SettingsError(
             f"cannot write {error.filename}: {error.strerror}"
         ) from error
-    works = (
-        f"a{'n' * (noun == 'attack')} {noun} that works; edit {folder / name}.py, then:"
-    )
+    works = f"{_with_article(noun)} that works; edit {folder / name}.py, then:"
     print(f"wrote {folder}: {works}", *commands.values(), sep="\n  ")
     return DONE
 
 
+def _with_article(noun: str) -> str:
+    return f"an {noun}" if noun == "attack" else f"a {noun}"
+
+
 def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> None:
-    """Raise SettingsError for a name that would clash with something or cannot be imported."""
+    """Raise SettingsError for a name that clashes or that Python cannot import."""
     from isac_track import plugins  # noqa: PLC0415 - `--help` stays quick
 
     wrong, way_out = "", "take another name"
@@ -221,8 +241,8 @@ def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> Non
             f"{folder} is there already; take another name, or --into DIR"
         )
     elif name in plugins.names(cast("plugins.Kind", f"{noun}s")):
-        wrong = f"is the name of a{'n' * (noun == 'attack')} {noun} already"
-    # A folder without a module, such as an empty one of that name, is in nobody's way.
+        wrong = f"is the name of {_with_article(noun)} already"
+    # A folder without a module, such as an empty folder of that name, does no harm.
     elif (
         name in sys.stdlib_module_names
         or getattr(find_spec(name), "origin", None) is not None

@@ -1,4 +1,8 @@
-"""What several attacks make of one release, or one attack for several adversaries, is made once."""
+"""Memoise what is computed from a release, across attacks and adversaries.
+
+Several attacks smooth the same release, and several adversaries run one attack. Each
+result is held for as long as its release is alive; nobody has to empty anything.
+"""
 
 from collections.abc import Callable
 from functools import wraps
@@ -13,98 +17,105 @@ from isac_track.types import Floats, Ints, Release
 
 _Rest = ParamSpec("_Rest")
 _Source = TypeVar("_Source")
-_Found = TypeVar("_Found")
-_Made = TypeVar("_Made", bound=Callable[..., Any])
+_Result = TypeVar("_Result")
+_Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
-def remembered(
-    function: Callable[Concatenate[_Source, _Rest], _Found],
-) -> Callable[Concatenate[_Source, _Rest], _Found]:
-    """Return a function that keeps what it makes of a release for as long as that is alive.
+def memoised(
+    function: Callable[Concatenate[_Source, _Rest], _Result],
+) -> Callable[Concatenate[_Source, _Rest], _Result]:
+    """Memoise a function of a release for as long as that release is alive.
 
-    What else it takes can be hashed: numbers, functions, other releases. Of these it
-    keeps nobody alive: two that are compared with each other, or one with itself, would
-    live on for ever.
+    Further arguments must be hashable: numbers, functions, other releases. Other
+    releases are held by weak references: two that are compared with each other, or one
+    with itself, would otherwise live for ever.
     """
-    known: WeakKeyDictionary[_Source, dict[object, _Found]] = WeakKeyDictionary()
+    results: WeakKeyDictionary[_Source, dict[object, _Result]] = WeakKeyDictionary()
 
     @wraps(function)
     def recalled(
         source: _Source, /, *rest: _Rest.args, **named: _Rest.kwargs
-    ) -> _Found:
-        of_this = known.setdefault(source, {})
+    ) -> _Result:
+        by_arguments = results.setdefault(source, {})
         key = (
-            *(ref(one) if isinstance(one, Release) else one for one in rest),
+            *(ref(value) if isinstance(value, Release) else value for value in rest),
             *named.items(),
         )
-        if key not in of_this:
-            of_this[key] = function(source, *rest, **named)
-        return of_this[key]
+        if key not in by_arguments:
+            by_arguments[key] = function(source, *rest, **named)
+        return by_arguments[key]
 
     return recalled
 
 
-_PARTS: WeakKeyDictionary[Release, tuple[Release, Ints]] = WeakKeyDictionary()
+_ORIGINS: WeakKeyDictionary[Release, tuple[Release, Ints]] = WeakKeyDictionary()
+"""For each part of a release, while it is alive: the release, and the part's tracks."""
 
 
-def part(release: Release, rows: Ints) -> Release:
-    """Return some tracks of a release, of which `whole` tells where they are from."""
-    some = release.tracks(rows)
-    origin, among = whole(release)
-    _PARTS[some] = origin, among[rows]
-    return some
+def select_tracks(release: Release, rows: Ints) -> Release:
+    """Return some tracks of a release; `find_origin` leads back to the release."""
+    selected = release.tracks(rows)
+    origin, origin_rows = find_origin(release)
+    _ORIGINS[selected] = origin, origin_rows[rows]
+    return selected
 
 
-def whole(release: Release) -> tuple[Release, Ints]:
-    """Return the release that one is a part of, or itself, and which of its tracks are in it."""
-    known = _PARTS.get(release)
-    return (release, np.arange(len(release))) if known is None else known
+def find_origin(release: Release) -> tuple[Release, Ints]:
+    """Return the release that a part was selected from, and the part's tracks in it.
+
+    A release that is no part of another is its own origin.
+    """
+    origin = _ORIGINS.get(release)
+    return (release, np.arange(len(release))) if origin is None else origin
 
 
 _SHARED: WeakKeyDictionary[Release, Release] = WeakKeyDictionary()
-"""By reconstructed release, for as long as that is alive, the release that it was made from."""
+"""For each reconstructed release, while it is alive: the shared release behind it."""
 
 
-def reconstructed_from(release: Release, shared: Release) -> Release:
-    """Return a release with reconstructed positions, of which `as_shared` tells the shared ones."""
+def record_shared(release: Release, shared: Release) -> Release:
+    """Record the shared release behind a reconstructed one; return the latter."""
     _SHARED[release] = shared
     return release
 
 
 def as_shared(release: Release) -> Release:
-    """Return a release with the positions as they were shared: itself, if nothing smoothed it.
+    """Return a release with its positions as shared: itself, if nothing smoothed it.
 
-    Whoever smooths positions still has them. A smoother takes out the noise, and with
-    it how much there was.
+    An adversary who smooths positions still has the shared ones. A smoother takes out
+    the noise, and with it how much noise there was.
     """
-    origin, rows = whole(release)
+    origin, rows = find_origin(release)
     shared = _SHARED.get(origin)
     if shared is None:
         return release
-    return shared if origin is release else part(shared, rows)
+    return shared if origin is release else select_tracks(shared, rows)
 
 
-def by_track(take: Callable[[Any, Ints], Any] = getitem) -> Callable[[_Made], _Made]:
-    """Return what remembers what is made track by track: of a part it is made of the whole, once.
+def memoised_by_track(
+    take: Callable[[Any, Ints], Any] = getitem,
+) -> Callable[[_Function], _Function]:
+    """Memoise a function that treats every track by itself.
 
-    `take` takes what belongs to some tracks from what was made of all.
+    For a part of a release, compute the result of the whole release once, and let
+    `take` select the rows of the part from it.
     """
 
-    def decorate(function: _Made) -> _Made:
-        @remembered
+    def decorate(function: _Function) -> _Function:
+        @memoised
         @wraps(function)
-        def made(release: Release, /, *rest: object) -> Any:  # noqa: ANN401 - as the function
-            origin, rows = whole(release)
+        def recalled(release: Release, /, *rest: object) -> Any:  # noqa: ANN401 - as the function
+            origin, rows = find_origin(release)
             if origin is release:
                 return function(release, *rest)
-            return take(made(origin, *rest), rows)
+            return take(recalled(origin, *rest), rows)
 
-        return cast("_Made", made)
+        return cast("_Function", recalled)
 
     return decorate
 
 
-@by_track()
+@memoised_by_track()
 def noise_m2(release: Release) -> Floats:
-    """Return the error variance per axis of each track, (N,) m^2, as its innovations have it."""
+    """Return the error variance per axis of each track, (N,) m^2, by innovations."""
     return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)

@@ -1,4 +1,4 @@
-"""Side by side with what a user would take instead: ``python -m benchmarks.beside --json FILE``.
+"""Compare with other packages: ``python -m benchmarks.beside --json FILE``.
 
 Filters and smoothers, warping, pairwise distances, the scorecard of a linkage attack,
 and a whole cell (release, attack, scorecard) against a plain script of the same
@@ -32,8 +32,8 @@ import numpy as np
 from attacks.linkage.alignment import Shape
 from attacks.linkage.behaviour import FEATURES, Behaviour, features
 from attacks.linkage.dtw import DTW, warped_costs
-from attacks.linkage.histogram import one_source
-from attacks.linkage.signals import STEP_S, motion_of
+from attacks.linkage.histogram import same_source_ratio
+from attacks.linkage.signals import STEP_S, release_motion
 from benchmarks import smoothers
 from benchmarks.default_run import calibration_s
 from benchmarks.linkage import windows
@@ -47,10 +47,10 @@ from isac_track.sharing import Fixed
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from isac_track.types import Floats, Release, Sensed
+    from isac_track.types import Floats, Ints, Release, Sensed
 
     Row = tuple[str, str, Callable[[], Any], Callable[[], Any]]
-    """What; whose package; ours and theirs: what either returns must be equal."""
+    """Work, package, our and their function: both results must be equal."""
 
 N_PEOPLE = 140
 LEVEL_M = 0.5
@@ -81,37 +81,43 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     kalman.prepare()
     before_s, load = calibration_s(), os.getloadavg()[0]
-    found: list[dict[str, Any]] = []
-    for what, package, ours, theirs in (*smoothers.rows(), *linkage_rows()):
+    rows: list[dict[str, Any]] = []
+    for work, package, ours, theirs in (*smoothers.rows(), *linkage_rows()):
         try:
             name = f"{package} {version(package)}"
         except PackageNotFoundError:
             print(
-                f"{what}: {package} is missing; `pip install {package}`",
+                f"{work}: {package} is missing; `pip install {package}`",
                 file=sys.stderr,
             )
             continue
         worst = difference(ours(), theirs())
         ours_s, theirs_s = best(ours, repeats=20), best(theirs, repeats=3)
-        times = (1e3 * ours_s, 1e3 * theirs_s, theirs_s / ours_s)
-        found.append(dict(zip(COLUMNS, (what, name, *times, worst), strict=True)))
+        rows.append(
+            {
+                "what": work,
+                "theirs": name,
+                "ours_ms": 1e3 * ours_s,
+                "theirs_ms": 1e3 * theirs_s,
+                "ratio": theirs_s / ours_s,
+                "largest_difference": worst,
+            }
+        )
     shown = [
-        [*(row[key] for key in COLUMNS[:2]), *map(_shown, [*row.values()][2:])]
-        for row in found
+        [*(row[key] for key in COLUMNS[:2]), *(_shown(row[key]) for key in COLUMNS[2:])]
+        for row in rows
     ]
     print("\n".join(aligned([COLUMNS, *shown], left={0, 1})))
-    about = {
+    conditions = {
         "python": python_version(),
         "calibration_s": (before_s + calibration_s()) / 2,
         "load": [load, os.getloadavg()[0]],
     }
-    print(", ".join(f"{name} {value}" for name, value in about.items()))
+    print(", ".join(f"{name} {value}" for name, value in conditions.items()))
     if options.json is not None:
-        held = json.dumps(about | {"rows": found}, indent=1) + "\n"
-        options.json.write_text(held, encoding="utf-8")
-    differ = [
-        row["what"] for row in found if not row["largest_difference"] <= TOLERANCE
-    ]
+        text = json.dumps(conditions | {"rows": rows}, indent=1) + "\n"
+        options.json.write_text(text, encoding="utf-8")
+    differ = [row["what"] for row in rows if not row["largest_difference"] <= TOLERANCE]
     if differ:
         print(f"error: results differ: {', '.join(differ)}", file=sys.stderr)
     return 1 if differ else 0
@@ -122,7 +128,7 @@ def _shown(value: float) -> str:
 
 
 def difference(ours: Sequence[Floats], theirs: Sequence[Floats]) -> float:
-    """Return the largest difference of two results, as a share of the largest number of each."""
+    """Return the largest difference of two results, relative to the largest number."""
     return max(
         float(np.abs(np.subtract(a, b)).max()) / max(1.0, float(np.abs(a).max()))
         for a, b in zip(ours, theirs, strict=True)
@@ -130,7 +136,7 @@ def difference(ours: Sequence[Floats], theirs: Sequence[Floats]) -> float:
 
 
 def best(run: Callable[[], object], *, repeats: int) -> float:
-    """Return the shortest of several wall times, s; of work of seconds, one is enough."""
+    """Return the shortest of several wall times, s; long work is repeated less."""
     times: list[float] = []
     while len(times) < repeats and sum(times) < 10.0:
         start = perf_counter()
@@ -140,18 +146,18 @@ def best(run: Callable[[], object], *, repeats: int) -> float:
 
 
 def linkage_rows() -> Iterator[Row]:
-    """Yield what links and what scores."""
+    """Yield the rows of linkage attacks and of scorecards."""
     sensed = windows(n=N_PEOPLE)
-    probe, gallery = (share(one).without_sigma() for one in sensed)
+    probe, gallery = (share(side).without_sigma() for side in sensed)
     context = AttackContext(
         rng=stream(0, "benchmark"), epsilon_m=0.3, granted=frozenset()
     )
     shape, behaviour = Shape().fit(context), Behaviour().fit(context)
-    each = f"{N_PEOPLE} x {N_PEOPLE} walks of 12 s"
-    p, g = (motion_of(one, 1.0) for one in (probe, gallery))
+    size = f"{N_PEOPLE} x {N_PEOPLE} walks of 12 s"
+    p, g = (release_motion(release, 1.0) for release in (probe, gallery))
     law = {"band": DTW().band, "penalty": 0.1, "floor": DTW().floor}
     yield (
-        f"warping of speed and turning, {each}",
+        f"warping of speed and turning, {size}",
         "dtaidistance",
         lambda: [warped_costs(p, g, **law)],
         lambda: [warped(p, g, **law)],
@@ -159,7 +165,7 @@ def linkage_rows() -> Iterator[Row]:
     metric = np.diag(1.0 / np.array(list(FEATURES.values())) ** 2)
     a, b = features(probe), features(gallery)
     yield (
-        f"distances of features, {each}",
+        f"distances of features, {size}",
         "scipy",
         lambda: [behaviour(probe, gallery)],
         lambda: [squared_distances(a, b, metric)],
@@ -168,11 +174,11 @@ def linkage_rows() -> Iterator[Row]:
         stream(0, "benchmark", side).multinomial(96, np.full(60, 1 / 60), 700)
         for side in "pg"
     ]
-    c, d = (each.astype(np.float64) for each in counts)
+    c, d = (histograms.astype(np.float64) for histograms in counts)
     yield (
         "distances of histograms, 700 x 700",
         "scipy",
-        lambda: [one_source(c, d)],
+        lambda: [same_source_ratio(c, d)],
         lambda: [divergences(c, d)],
     )
     weights = cluster_weights(n_clusters=N_PEOPLE, n_replicates=1000, seed=0)
@@ -185,18 +191,18 @@ def linkage_rows() -> Iterator[Row]:
     )
 
     def cell() -> list[Floats]:
-        found = shape(*(share(one).without_sigma() for one in sensed))
-        return [found, *scored(found, weights)]
+        own = shape(*(share(side).without_sigma() for side in sensed))
+        return [own, *scored(own, weights)]
 
     def script() -> list[Floats]:
-        found = plain_shape(*(plain_walks(one) for one in sensed))
-        return [found, *plainly_scored(found, weights)]
+        own = plain_shape(*(plain_walks(side) for side in sensed))
+        return [own, *plainly_scored(own, weights)]
 
-    yield f"release, `shape` and scorecard, {each}", "numpy", cell, script
+    yield f"release, `shape` and scorecard, {size}", "numpy", cell, script
 
 
 def share(sensed: Sensed) -> Release:
-    """Return one release, as a cell has it."""
+    """Return a release as in a cell."""
     return Fixed(LEVEL_M).share(sensed, stream(0, "benchmark", "share"))
 
 
@@ -211,8 +217,8 @@ def scored(scores: Floats, weights: Floats) -> list[Floats]:
         no_match_score=None,
         rng=stream(0, "card"),
     )
-    found = (card.estimates[name] for name in METRICS)
-    return [np.array([one.value, *one.replicates]) for one in found]
+    estimates = (card.estimates[name] for name in METRICS)
+    return [np.array([estimate.value, *estimate.replicates]) for estimate in estimates]
 
 
 def warped(
@@ -223,23 +229,24 @@ def warped(
     penalty: float,
     floor: float,
 ) -> Floats:
-    """Return `warped_costs` of walks of about one length by dtaidistance's compiled loops."""
+    """Return `warped_costs` by dtaidistance's compiled loops."""
     from dtaidistance import dtw_ndim
 
     walks = [
-        np.ascontiguousarray(one.values[:, row, :n:2].T)
-        for one in (probe, gallery)
-        for row, n in enumerate(one.sizes)
+        np.ascontiguousarray(signals.values[:, row, :n:2].T)
+        for signals in (probe, gallery)
+        for row, n in enumerate(signals.sizes)
     ]
-    length, n_probe = np.array([len(one) for one in walks]), probe.sizes.size
-    (reach,) = {round(band * n) for n in length}  # nor is it cut where a walk is short
+    length, n_probe = np.array([len(samples) for samples in walks]), probe.sizes.size
+    # The band must be the same for all walks.
+    (reach,) = {round(band * n) for n in length}
     block = ((0, n_probe), (n_probe, len(walks)))
     law = {"window": reach + 1, "psi": reach, "penalty": penalty}
-    found = dtw_ndim.distance_matrix(
+    distances = dtw_ndim.distance_matrix(
         walks, 2, block=block, use_c=True, parallel=False, **law
     )
     shorter = np.minimum.outer(length[:n_probe], length[n_probe:])
-    costs: Floats = (found[:n_probe, n_probe:] ** 2 / shorter + floor) * (
+    costs: Floats = (distances[:n_probe, n_probe:] ** 2 / shorter + floor) * (
         24 / shorter
     ) ** 3
     return costs
@@ -253,7 +260,10 @@ def squared_distances(a: Floats, b: Floats, metric: Floats) -> Floats:
 
 
 def divergences(a: Floats, b: Floats) -> Floats:
-    """Return the log likelihood ratio of one source to two by scipy; both have as many counts."""
+    """Return log likelihood ratios of a common source by scipy.
+
+    All histograms have the same number of counts.
+    """
     from scipy.spatial.distance import cdist
 
     squares: Floats = cdist(a, b, "jensenshannon") ** 2
@@ -261,65 +271,69 @@ def divergences(a: Floats, b: Floats) -> Floats:
 
 
 def plainly_scored(scores: Floats, weights: Floats) -> list[Floats]:
-    """Return `scored` from scikit-learn's curves and a loop over draws; shuffle as often."""
+    """Return `scored` by scikit-learn's curves and a loop over draws, with shuffles."""
     from scipy.optimize import linear_sum_assignment
+
+    n = len(scores)
+    rank = 1 + (scores > np.diag(scores)[:, None]).sum(axis=1)
+    assigned = linear_sum_assignment(scores, maximize=True)[1] == np.arange(n)
+    rank_metrics = [
+        np.array([np.average(values, weights=draw) for draw in (np.ones(n), *weights)])
+        for values in (rank == 1, 1.0 / rank, assigned)
+    ]
+    value = np.unique(scores, return_inverse=True)[1].ravel()
+    edges = np.linspace(scores.min(), scores.max(), n // 10 + 1)
+    draws = (np.ones(n), *weights[: linkability.SCORE_REPLICATES])
+    score_metrics = [_score_metrics(scores, value, edges, draw) for draw in draws]
+    # The p-value of the shuffles is not compared: it depends on the draws.
+    log_rank = np.log(scores.argsort(axis=1)[:, ::-1].argsort(axis=1) + 1.0)
+    rng = stream(0, "plain")
+    for _ in range(999):
+        log_rank[np.arange(n), rng.permutation(n)].mean()
+    return [*rank_metrics, *np.array(score_metrics).T]
+
+
+def _score_metrics(
+    scores: Floats, value: Ints, edges: Floats, draw: Floats
+) -> list[float]:
+    """Return the last five of `METRICS` for the weights of people in a draw, (N,).
+
+    `value` are the scores, (N, N), by rank in a line; `edges` those of the bins.
+    """
     from sklearn.isotonic import IsotonicRegression
     from sklearn.metrics import auc, roc_curve
 
     n = len(scores)
     is_mate = np.eye(n, dtype=bool)
-    rank = 1 + (scores > np.diag(scores)[:, None]).sum(axis=1)
-    assigned = linear_sum_assignment(scores, maximize=True)[1] == np.arange(n)
-    found = [
-        np.array([np.average(one, weights=draw) for draw in (np.ones(n), *weights)])
-        for one in (rank == 1, 1.0 / rank, assigned)
-    ]
-    label, value = is_mate.ravel(), np.unique(scores, return_inverse=True)[1].ravel()
-    edges = np.linspace(scores.min(), scores.max(), n // 10 + 1)
-    columns = []
-    for draw in (np.ones(n), *weights[: linkability.SCORE_REPLICATES]):
-        mass = np.where(is_mate, draw[:, None], np.outer(draw, draw)).ravel()
-        fpr, tpr, _ = roc_curve(
-            label, value, sample_weight=mass, drop_intermediate=False
-        )
-        own, other = (np.where(one, mass, 0.0) for one in (label, ~label))
-        own, other = own / own.sum(), other / other.sum()
-        some = mass > 0
-        fitted = IsotonicRegression(y_min=0, y_max=1)
-        p = fitted.fit_transform(
-            value[some], label[some], sample_weight=(own + other)[some]
-        )
-        hull = roc_curve(
-            label[some], p, sample_weight=mass[some], drop_intermediate=False
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            nats = np.where(
-                label[some], own[some] * -np.log(p), other[some] * -np.log1p(-p)
-            )
-            bins = [
-                np.histogram(scores, edges, weights=one.reshape(n, n))[0]
-                for one in (own, other)
-            ]
-            share = np.where(
-                bins[0] > bins[1], (bins[0] - bins[1]) / (bins[0] + bins[1]), 0.0
-            )
-        columns.append(
-            [
-                auc(fpr, tpr),
-                _crossing(hull[0], hull[1]),
-                np.nansum(nats) / (2 * np.log(2)),
-                tpr[fpr <= ALPHA * (1 + 1e-12)].max(),
-                (bins[0] * share).sum(),
-            ]
-        )
-    # Of shuffles the p-value is not compared: it hangs on the draws.
-    log_rank, rng = (
-        np.log(scores.argsort(axis=1)[:, ::-1].argsort(axis=1) + 1.0),
-        stream(0, "plain"),
+    label = is_mate.ravel()
+    mass = np.where(is_mate, draw[:, None], np.outer(draw, draw)).ravel()
+    fpr, tpr, _ = roc_curve(label, value, sample_weight=mass, drop_intermediate=False)
+    own, other = np.where(label, mass, 0.0), np.where(~label, mass, 0.0)
+    own, other = own / own.sum(), other / other.sum()
+    is_drawn = mass > 0
+    fitted = IsotonicRegression(y_min=0, y_max=1)
+    p = fitted.fit_transform(
+        value[is_drawn], label[is_drawn], sample_weight=(own + other)[is_drawn]
     )
-    for _ in range(999):
-        log_rank[np.arange(n), rng.permutation(n)].mean()
-    return [*found, *np.array(columns).T]
+    hull = roc_curve(
+        label[is_drawn], p, sample_weight=mass[is_drawn], drop_intermediate=False
+    )
+    with np.errstate(divide="ignore", invalid="ignore"):
+        nats = np.where(
+            label[is_drawn], own[is_drawn] * -np.log(p), other[is_drawn] * -np.log1p(-p)
+        )
+        mates, others = (
+            np.histogram(scores, edges, weights=part.reshape(n, n))[0]
+            for part in (own, other)
+        )
+        share = np.where(mates > others, (mates - others) / (mates + others), 0.0)
+    return [
+        auc(fpr, tpr),
+        _crossing(hull[0], hull[1]),
+        np.nansum(nats) / (2 * np.log(2)),
+        tpr[fpr <= ALPHA * (1 + 1e-12)].max(),
+        (mates * share).sum(),
+    ]
 
 
 def _crossing(fpr: Floats, tpr: Floats) -> float:
@@ -328,14 +342,15 @@ def _crossing(fpr: Floats, tpr: Floats) -> float:
 
 
 def plain_walks(sensed: Sensed) -> list[Floats]:
-    """Return the cells of each walk as complex numbers, shared with `LEVEL_M` more error."""
+    """Return the resampled steps of each walk as complex numbers, with added noise.
+
+    The noise is that of `LEVEL_M`.
+    """
     xy = sensed.xy + LEVEL_M * sensed.unit_error
     walks = []
     for low, high in zip(sensed.offsets[:-1], sensed.offsets[1:], strict=True):
-        t, z = (
-            sensed.t[low:high] - sensed.t[low],
-            (xy[low:high] - xy[low]) @ [1.0, 1.0j],
-        )
+        t = sensed.t[low:high] - sensed.t[low]
+        z = (xy[low:high] - xy[low]) @ [1.0, 1.0j]
         count = int(t[-1] / STEP_S + 1e-6)
         edges = np.minimum(
             (t[-1] - count * STEP_S) / 2 + STEP_S * np.arange(count + 1), t[-1]
@@ -348,9 +363,9 @@ def plain_walks(sensed: Sensed) -> list[Floats]:
 
 
 def plain_shape(probe: list[Floats], gallery: list[Floats]) -> Floats:
-    """Return the blind scores of `attacks.linkage.alignment.Shape`, walk by walk and lag by lag."""
+    """Return the blind scores of the linker `shape`, walk by walk and lag by lag."""
     least = np.full((len(probe), len(gallery)), np.inf)
-    lengths = np.array([one.size for one in gallery])
+    lengths = np.array([walk.size for walk in gallery])
     for i, own in enumerate(probe):
         for size in np.unique(lengths):
             rows = np.flatnonzero(lengths == size)

@@ -1,4 +1,4 @@
-"""Do the closed forms foretell what a smoother reaches? `python -m benchmarks.closed_form`.
+"""Closed forms beside the results of a smoother: `python -m benchmarks.closed_form`.
 
 Students03, 250 scenes, isotropic sensing errors, white noise on top: PLR after
 `kalman_rts`, with its interval, beside the closed form of the added noise alone and of
@@ -43,8 +43,10 @@ def main() -> int:
             out=Path(folder) / "run",
         )
         summary = evaluation.run(settings, pictures=False).summary
-    is_it = (summary["consumer"] == "kalman_rts") & (summary["knowledge"] == "informed")
-    measured = summary[is_it & (summary["metric"] == "plr")].set_index("level")
+    is_attack = (summary["consumer"] == "kalman_rts") & (
+        summary["knowledge"] == "informed"
+    )
+    measured = summary[is_attack & (summary["metric"] == "plr")].set_index("level")
 
     tracks = cut(datasets.load(NAME).tracks, settings=stages, seed=SEED)
     agents = stages.scenes.agents
@@ -56,15 +58,17 @@ def main() -> int:
     rest = {"dt_s": steady.INTERVAL_S, "q": Q, "epsilon_m": stages.privacy.epsilon_m}
     print(f"raw std per axis, median: {np.sqrt(np.median(raw_m2)):.2f} m")
     for std_m in STDS_M:
-        alone = steady.attacked_plr(variance_m2=std_m**2, **rest)
+        added_only = steady.attacked_plr(variance_m2=std_m**2, **rest)
         # Variances vary little along a track and much between tracks: the mean over all
         # samples.
-        each = np.quantile(raw_m2, (np.arange(200) + 0.5) / 200) + std_m**2
-        whole = np.mean([steady.attacked_plr(variance_m2=one, **rest) for one in each])
+        variances = np.quantile(raw_m2, (np.arange(200) + 0.5) / 200) + std_m**2
+        total = np.mean(
+            [steady.attacked_plr(variance_m2=m2, **rest) for m2 in variances]
+        )
         row = measured.loc[std_m]
         low, high = 100 * row["ci_low"], 100 * row["ci_high"]
-        found = f"{100 * row['value']:.1f} [{low:.1f}, {high:.1f}]"
-        print(f"| {std_m:g} | {found} | {100 * whole:.1f} | {100 * alone:.1f} |")
+        value = f"{100 * row['value']:.1f} [{low:.1f}, {high:.1f}]"
+        print(f"| {std_m:g} | {value} | {100 * total:.1f} | {100 * added_only:.1f} |")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""Are the trackers' covariances honest? NIS and NEES on data: `python -m benchmarks.consistency`.
+"""NIS and NEES of the trackers on data: `python -m benchmarks.consistency`.
 
 Both have two degrees of freedom: their mean is 2 where model and noise are right, more
 where the tracker is too sure of itself. NIS is that of the filter's one-step
@@ -30,9 +30,8 @@ N_SCENES = 100
 
 def main() -> int:
     """Print the table; return 0."""
-    print(
-        f"{'data':<11}{'sharing':<30}{'tracker':<12}{'NIS':>6}{'NEES now':>10}{'at 0.92 s':>11}"
-    )
+    head = f"{'data':<11}{'sharing':<30}{'tracker':<12}"
+    print(f"{head}{'NIS':>6}{'NEES now':>10}{'at 0.92 s':>11}")
     stages = StageSettings()
     for name in ("plaza", "students03", "zara01"):
         try:
@@ -55,11 +54,9 @@ def main() -> int:
                 nees: Floats = np.einsum(
                     "nha,nhab,nhb->nh", gap, np.linalg.inv(cov), gap
                 )
-                nis = (
-                    ""
-                    if isinstance(tracker, KalmanIMM)
-                    else f"{_nis(tracker, shared):.2f}"
-                )
+                nis = ""
+                if not isinstance(tracker, KalmanIMM):
+                    nis = f"{_nis(tracker, shared):.2f}"
                 print(
                     f"{name:<11}{level.spec:<30}{type(tracker).__name__:<12}{nis:>6}"
                     f"{nees[:, 0].mean():>10.2f}{nees[:, -1].mean():>11.2f}"
@@ -68,10 +65,10 @@ def main() -> int:
 
 
 def _nis(tracker: KalmanCV, shared: Release) -> float:
-    """Return the mean NIS behind the start-up of 32 samples."""
+    """Return the mean NIS after the start-up of 32 samples."""
     batch, d = tracker.batch(shared), tracker.states
     sizes = np.diff(batch.offsets)
-    found = []
+    parts = []
     for k in range(32, int(sizes.max(initial=0))):
         now = batch.offsets[:-1][sizes > k] + k
         rows = (now[:, None] - k + np.arange(k)).ravel()
@@ -85,8 +82,8 @@ def _nis(tracker: KalmanCV, shared: Release) -> float:
         grown = tracker.q * step ** (2 * d - 1) / (3.0 if d == 2 else 20.0)
         spread = np.einsum("nd,nde,ne->n", h, last.cov, h) + grown + batch.variance[now]
         gap = batch.xy[now] - np.einsum("nd,nad->na", h, last.mean)
-        found.append((gap**2).sum(axis=1) / spread)
-    return float(np.concatenate(found).mean())
+        parts.append((gap**2).sum(axis=1) / spread)
+    return float(np.concatenate(parts).mean())
 
 
 if __name__ == "__main__":

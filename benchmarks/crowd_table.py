@@ -1,6 +1,6 @@
 """The simulated plaza beside real crowds: ``python -m benchmarks.crowd_table``.
 
-Prints the table of ``docs/plaza.md``. Real recordings take part where they are found in
+Prints the table of ``docs/explanation/plaza.md``. Real recordings take part where they are found in
 ``ISAC_TRACK_DATA`` or the cache; nothing is downloaded.
 """
 
@@ -21,8 +21,10 @@ COLUMNS = ("plaza", "plaza-session2", "students03", "zara01")
 MOVING_MPS = 0.2
 """A step or a turn counts as moving from this speed on."""
 TURN_SPAN_S = 0.8
-"""Heading is the direction of the displacement over this span: over a single 0.4 s step of a
-slow walker it is mostly the jitter of the annotation."""
+"""Heading is the direction of the displacement over this span.
+
+Over a single 0.4 s step of a slow walker it is mostly the jitter of the annotation.
+"""
 _WINDOW = 16
 _STEPS_AHEAD = 11
 _HISTORY_RATIO = 0.7
@@ -54,7 +56,10 @@ def turn_rates_dps(tracks: Tracks) -> Floats:
 
 
 def moving_speeds_mps(tracks: Tracks) -> Floats:
-    """Return each track's mean speed over its moving steps, in m/s: (N,), NaN if it never moves."""
+    """Return each track's mean speed over its moving steps, in m/s: (N,).
+
+    NaN for a track that never moves.
+    """
     means = np.full(len(tracks), np.nan)
     for row, track in enumerate(tracks):
         speeds = np.hypot(*np.diff(track.xy, axis=0).T) / np.diff(track.t)
@@ -64,10 +69,12 @@ def moving_speeds_mps(tracks: Tracks) -> Floats:
 
 
 def neighbour_distances_m(tracks: Tracks) -> tuple[Floats, Ints]:
-    """Return nearest-neighbour distances in m, (K,), and the number of people per frame, (F,)."""
-    frames, frame_of = np.unique(np.round(tracks.t, _TIME_DIGITS), return_inverse=True)
-    order = np.argsort(frame_of, kind="stable")
-    present = np.bincount(frame_of, minlength=frames.size)
+    """Return nearest-neighbour distances in m, (K,), and people per frame, (F,)."""
+    frames, frame_rows = np.unique(
+        np.round(tracks.t, _TIME_DIGITS), return_inverse=True
+    )
+    order = np.argsort(frame_rows, kind="stable")
+    present = np.bincount(frame_rows, minlength=frames.size)
     nearest = []
     for xy in np.split(tracks.xy[order], np.cumsum(present)[:-1]):
         if len(xy) > 1:
@@ -109,9 +116,8 @@ def line_errors_m(tracks: Tracks, *, seed: int = 0, everywhere: bool = False) ->
         t, xy = dense.t[samples], dense.xy[samples]
         ahead_s = t[:, -1] + _STEPS_AHEAD * np.diff(t, axis=1).mean(axis=1)
         centred = t - t.mean(axis=1, keepdims=True)
-        slope = (xy * centred[:, :, None]).sum(axis=1) / (centred**2).sum(axis=1)[
-            :, None
-        ]
+        squares = (centred**2).sum(axis=1)
+        slope = (xy * centred[:, :, None]).sum(axis=1) / squares[:, None]
         predicted = xy.mean(axis=1) + slope * (ahead_s - t.mean(axis=1))[:, None]
         errors.append(np.hypot(*(predicted - walk(track)(ahead_s)).T))
     return np.concatenate(errors)
@@ -162,7 +168,7 @@ def _within_track(
 
 
 def _durations(tracks: Tracks, *, lag: int) -> Floats:
-    """Return the time over `lag` samples, (M - lag,) s; meaningless across two tracks."""
+    """Return the time over `lag` samples, (M - lag,) s; void across two tracks."""
     return np.asarray(tracks.t[lag:] - tracks.t[:-lag])
 
 

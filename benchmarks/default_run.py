@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from benchmarks.processes import check_memory_is_told, tree_pss_mb
+from benchmarks.processes import check_memory_is_known, tree_pss_mb
 from evaluation.reporting.terminal import aligned
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import DataError
@@ -81,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def calibration_s() -> float:
-    """Return the CPU seconds of a fixed piece of work: an interpreter's loop, a sort, a product."""
+    """Return the CPU seconds of fixed work: a Python loop, a sort, a product."""
     rng = np.random.default_rng(0)
     values, square = rng.random(2_000_000), rng.random((400, 400))
     started, total = process_time(), 0
@@ -94,7 +94,7 @@ def calibration_s() -> float:
 
 
 def _measure_all(options: argparse.Namespace) -> int:
-    check_memory_is_told()
+    check_memory_is_known()
     results = []
     for tree in options.tree:
         for dataset in options.dataset:
@@ -152,7 +152,7 @@ def _shown(value: Any) -> str:  # noqa: ANN401 - a cell of a table
 def measure(
     arguments: Sequence[str], *, tree: Path, cache: Path | None = None
 ) -> dict[str, Any]:
-    """Run Python on a command of a checkout, whose last argument is the folder that it makes.
+    """Run a command of a checkout; its last argument is the folder that it makes.
 
     Compiled loops are cached in the folder `cache`, by default where numba puts them.
 
@@ -166,7 +166,7 @@ def measure(
     Raises
     ------
     DataError
-        If it fails; the message ends in the last line of what it complained about.
+        If it fails; the message ends in its last line on standard error.
     """
     folder, load = Path(arguments[-1]), os.getloadavg()[0]
     environment = {**os.environ, "PYTHONPATH": str(tree.resolve())}
@@ -199,25 +199,27 @@ def measure(
         raise DataError(
             f"`{' '.join(arguments)}` ended with {process.returncode}: {last}"
         )
-    files = [one for one in folder.rglob("*") if one.is_file()]
+    files = [path for path in folder.rglob("*") if path.is_file()]
     return {
         "wall_s": wall_s,
         "cpu_s": after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime,
         "peak_mb": peak[0],
         "files": len(files),
-        "disk_mb": sum(one.stat().st_size for one in files) / 1e6,
+        "disk_mb": sum(path.stat().st_size for path in files) / 1e6,
         "load": load,
         "stages": _stages(folder, began=began, ended=began + wall_s),
     }
 
 
 def _stages(folder: Path, *, began: float, ended: float) -> dict[str, float]:
-    """Return how long each stage of a run took, s, by when its files were written."""
-    first = min((one.stat().st_mtime for one in folder.glob("cells/*")), default=began)
+    """Return the duration of each stage of a run, s, from the times of its files."""
+    cells = [path.stat().st_mtime for path in folder.glob("cells/*")]
+    first = min(cells, default=began)
     stages, last = {"start": first - began}, first
     for name, pattern in STAGES.items():
-        times = [one.stat().st_mtime for one in folder.glob(pattern)]
-        stages[name], last = max([last, *times]) - last, max([last, *times])
+        times = [path.stat().st_mtime for path in folder.glob(pattern)]
+        end = max([last, *times])
+        stages[name], last = end - last, end
     return stages | {"end": ended - last}
 
 

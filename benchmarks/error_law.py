@@ -1,8 +1,8 @@
-"""Does `radial_rts` see the error law, and what is that worth? `python -m benchmarks.error_law`.
+"""How well `radial_rts` infers the error law: `python -m benchmarks.error_law`.
 
-For either recording and law: of twenty releases of each level (half the people of 250
-scenes, ten seeds) the share whose law is told rightly; then PLR in 500 scenes with the
-radial law built in, as inferred blind and as learnt, and what ten passes gain, with
+For each recording and law: the share of twenty releases of each level (half the people
+of 250 scenes, ten seeds) whose law it infers rightly. Then PLR in 500 scenes with the
+radial law built in, inferred blind, and learnt, and the gain of ten passes, with
 intervals over people.
 """
 
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Release
 
-LEVELS = (*SMOKE_LEVELS, *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]))
+LEVELS = (*SMOKE_LEVELS, *(f"{level},adding=independent" for level in SMOKE_LEVELS[1:]))
 BUILT_IN = "radial_rts:passes=5"
 N_SEEDS, N_SCENES = 10, 250
 
@@ -56,8 +56,8 @@ def main() -> int:
             rights: dict[str, list[bool]] = {}
             for seed in range(N_SEEDS):
                 for level, release in _releases(settings, seed):
-                    told = looks_radial(release) == (law == "radial")
-                    rights.setdefault(level.spec, []).append(told)
+                    is_right = looks_radial(release) == (law == "radial")
+                    rights.setdefault(level.spec, []).append(is_right)
             _show(settings, rights)
     return 0
 
@@ -65,7 +65,7 @@ def main() -> int:
 def _releases(
     settings: evaluation.Settings, seed: int
 ) -> Iterator[tuple[Plugin, Release]]:
-    """Yield both halves of what is shared at every level."""
+    """Yield both halves of the release of every level."""
     stages = settings.stages
     tracks = cut(datasets.load(settings.dataset).tracks, settings=stages, seed=seed)
     agents = stages.scenes.agents
@@ -93,23 +93,27 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         manifest = evaluation.run(replace(settings, out=out), pictures=False).manifest
-        found = estimates(out, manifest)[0]
+        by_key = estimates(out, manifest)[0]
     for level in axes(settings).mechanisms:
 
-        def plr(attack: str, knowledge: str, at: Plugin = level) -> Key:
-            return Key(at.name, at.level, attack, EXPOSURE, knowledge)
+        def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Key:
+            return Key(mechanism.name, mechanism.level, attack, EXPOSURE, knowledge)
 
-        sources = ("kalman_rts", "blind"), (BUILT_IN, "blind"), ("radial_rts", "blind")
-        values = [found[plr(*one)] for one in (*sources, ("radial_rts", "informed"))]
-        learnt = [found[plr(one, "informed")] for one in (BUILT_IN, "radial_rts")]
+        sources = (
+            ("kalman_rts", "blind"),
+            (BUILT_IN, "blind"),
+            ("radial_rts", "blind"),
+            ("radial_rts", "informed"),
+        )
+        values = [by_key[plr(*source)] for source in sources]
+        learnt = [by_key[plr(spec, "informed")] for spec in (BUILT_IN, "radial_rts")]
         low, high = percentile_interval(learnt[1].replicates - learnt[0].replicates)
         gain = 100 * (learnt[1].value - learnt[0].value)
         ends = f"{gain:+.1f} [{100 * low:+.1f}, {100 * high:+.1f}]"
         right = f"{sum(rights[level.spec])}/{len(rights[level.spec])}"
         cells = [str(settings.dataset), law, level.spec, right]
-        print(
-            f"| {' | '.join([*cells, *(f'{100 * one.value:.1f}' for one in values), ends])} |"
-        )
+        cells += [f"{100 * estimate.value:.1f}" for estimate in values]
+        print(f"| {' | '.join([*cells, ends])} |")
 
 
 if __name__ == "__main__":

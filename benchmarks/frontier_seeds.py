@@ -1,9 +1,8 @@
-"""What is left at a price, over seeds: ``python -m benchmarks.frontier_seeds OUT OUT ...``.
+"""The frontier over seeds: ``python -m benchmarks.frontier_seeds OUT OUT ...``.
 
-Every number of a level is averaged over the runs, person by person: the people are
-drawn once for all seeds, so that an interval is that of people, and an error that is
-constant over a track has been drawn as often as there are runs. Linkage is left out.
-One run is that run.
+Every number of a level is averaged over the runs, person by person. The people are
+drawn once for all seeds, so that an interval is over people. An error that is constant
+over a track is drawn in each run. Linkage is left out.
 """
 
 import sys
@@ -28,70 +27,65 @@ SHOWN = ["mechanism", "target", "level", "consumer", "value", "ci_low", "ci_high
 
 
 def pooled(outs: Sequence[Path]) -> pd.DataFrame:
-    """Return the frontier of runs that differ in their seeds alone.
+    """Return the frontier of runs that differ only in their seeds.
 
-    ValueError if they are not of one recording.
+    Raises ValueError if they are not of the same recording.
     """
     manifests: list[dict[str, Any]] = [read_manifest(out) for out in outs]
-    if len({one["identity"]["sha256"] for one in manifests}) != 1:
+    if len({manifest["identity"]["sha256"] for manifest in manifests}) != 1:
         raise ValueError("the runs are not of one recording")
-    groups = sorted({group for one in manifests for group in one["groups"]})
+    groups = sorted({group for manifest in manifests for group in manifest["groups"]})
     runs = []
-    for out, one in zip(outs, manifests, strict=True):
-        same = one | {"groups": groups, "identity": one["identity"] | {"seed": 0}}
-        found, scored, attacked = estimates(out, same)
-        decided = decisions(scored, same, found, dataset=same["dataset"]["name"])
-        runs.append((found | decided[2], attacked, same))
-    shared = set.intersection(*(set(of) for of, _, _ in runs))
-    found = {
-        key: _mean([of[key] for of, _, _ in runs])
+    for out, manifest in zip(outs, manifests, strict=True):
+        identity = manifest["identity"] | {"seed": 0}
+        same = manifest | {"groups": groups, "identity": identity}
+        numbers, scored, attacked = estimates(out, same)
+        decided = decisions(scored, same, numbers, dataset=same["dataset"]["name"])
+        runs.append((numbers | decided[2], attacked, same))
+    shared = set.intersection(*(set(numbers) for numbers, _, _ in runs))
+    means = {
+        key: _mean([numbers[key] for numbers, _, _ in runs])
         for key in runs[0][0]
         if key in shared
     }
-    sums = {
-        # Each seed draws people of its own into its scenes.
-        key: one._replace(
-            sums=np.mean([of[key].whole() for _, of, _ in runs], axis=0), used=ALL
-        )
-        for key, one in runs[0][1].items()
-        if key in shared
-    }
-    known = families_in(runs[0][2]["cells"])
+    sums = {}
+    for key, first in runs[0][1].items():
+        if key in shared:
+            # Each seed draws people of its own into its scenes.
+            totals = [attacked[key].whole() for _, attacked, _ in runs]
+            sums[key] = first._replace(sums=np.mean(totals, axis=0), used=ALL)
+    mechanisms = {key.mechanism for key in means}
     known = {
-        name: of
-        for name, of in known.items()
-        if any(key.mechanism == name for key in found)
+        name: family
+        for name, family in families_in(runs[0][2]["cells"]).items()
+        if name in mechanisms
     }
     predictors = manifests[0]["settings"]["predictors"]
     dataset = manifests[0]["dataset"]["name"]
     return frontier(
-        Sweeps(found, known), predictors=predictors, dataset=dataset, sums=sums
+        Sweeps(means, known), predictors=predictors, dataset=dataset, sums=sums
     )
 
 
-def _mean(of: Sequence[Estimate]) -> Estimate:
-    drawn = np.mean([one.replicates for one in of], axis=0)
-    return replace(
-        of[0], value=float(np.mean([one.value for one in of])), replicates=drawn
-    )
+def _mean(estimates: Sequence[Estimate]) -> Estimate:
+    """Return the mean of the estimates of several seeds, with mean replicates."""
+    replicates = np.mean([estimate.replicates for estimate in estimates], axis=0)
+    value = float(np.mean([estimate.value for estimate in estimates]))
+    return replace(estimates[0], value=value, replicates=replicates)
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print the attacked PLR of every family at every target, for the robot that is aware."""
-    table = pooled([Path(one) for one in arguments])
-    of = table[
+    """Print attacked PLR of every family at every target, for the aware robot."""
+    table = pooled([Path(out) for out in arguments])
+    is_shown = (
         (table["criterion"] == "missed_at_equal_false_alarms")
         & (table["metric"] == "plr")
-    ]
-    of = of[
-        of["robot"].str.contains("aware") & of["knowledge"].isin(["blind", "informed"])
-    ]
+        & table["robot"].str.contains("aware")
+        & table["knowledge"].isin(["blind", "informed"])
+    )
+    columns = [*SHOWN, "vs_white", "vs_white_low", "vs_white_high", "n"]
     with pd.option_context("display.width", 200, "display.max_rows", None):
-        print(
-            of[[*SHOWN, "vs_white", "vs_white_low", "vs_white_high", "n"]].to_string(
-                index=False
-            )
-        )
+        print(table.loc[is_shown, columns].to_string(index=False))
 
 
 if __name__ == "__main__":

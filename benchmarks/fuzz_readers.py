@@ -1,4 +1,4 @@
-"""Throw bytes at the readers of recordings: `python -m benchmarks.fuzz_readers --minutes 10`.
+"""Fuzz the readers of recordings: `python -m benchmarks.fuzz_readers --minutes 10`.
 
 Needs atheris (libFuzzer for Python), which is no part of the test extra. Every format
 gets an equal share of the time, in a process of its own, from the small files in
@@ -33,7 +33,10 @@ LARGEST_BYTES = 4096
 
 
 def main() -> int:
-    """Fuzz and print a line for each format; return 0, 1 with findings, 2 without atheris."""
+    """Fuzz and print a line for each format.
+
+    Returns 0, 1 with findings, or 2 without atheris.
+    """
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks.fuzz_readers", description=__doc__
     )
@@ -69,7 +72,7 @@ def main() -> int:
 
 
 def _run(format_name: str, *, seconds: float, out: Path) -> int:
-    """Fuzz one format in a process of its own, which libFuzzer ends; print what came of it."""
+    """Fuzz a format in a process of its own, which libFuzzer ends; print the result."""
     with tempfile.TemporaryDirectory() as folder:
         seeds = Path(folder) / "corpus"
         seeds.mkdir()
@@ -96,13 +99,11 @@ def _run(format_name: str, *, seconds: float, out: Path) -> int:
         next(iter(re.findall(rf"stat::{name}:\s+(\d+)", done.stderr)), "?")
         for name in ("number_of_executed_units", "peak_rss_mb")
     )
-    edges, corpus = [("?", "?"), *re.findall(r"cov: (\d+).*?corp: (\d+)", done.stderr)][
-        -1
-    ]
-    kept = re.findall(r"Test unit written to (\S+)", done.stderr)
-    finding = ", ".join(kept) or (
-        "" if done.returncode == 0 else done.stderr.strip()[-300:]
-    )
+    coverage = re.findall(r"cov: (\d+).*?corp: (\d+)", done.stderr)
+    edges, corpus = coverage[-1] if coverage else ("?", "?")
+    finding = ", ".join(re.findall(r"Test unit written to (\S+)", done.stderr))
+    if not finding and done.returncode != 0:
+        finding = done.stderr.strip()[-300:]
     print(
         f"{format_name:<12}{inputs:>10}{edges:>8}{corpus:>8}{memory:>6}  {finding}",
         flush=True,
@@ -121,7 +122,7 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
     warnings.simplefilter("error")
     file = Path(arguments[0]).with_name("file")
 
-    def one_input(data: bytes) -> None:
+    def read_input(data: bytes) -> None:
         for fps in (None, 25.0):
             try:
                 datasets.read(data=data, path=str(file), format=format_name, fps=fps)
@@ -131,8 +132,9 @@ def _fuzz(format_name: str, arguments: list[str]) -> None:
                     raise AssertionError(message) from error
 
     for seed in Path(arguments[0]).iterdir():
-        one_input(seed.read_bytes())  # what is imported late counts for no input's time
-    atheris.Setup([sys.argv[0], *arguments], one_input)
+        # Late imports must not count for the time of an input.
+        read_input(seed.read_bytes())
+    atheris.Setup([sys.argv[0], *arguments], read_input)
     atheris.Fuzz()
 
 

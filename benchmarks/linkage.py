@@ -1,4 +1,4 @@
-"""What it costs to link, and how that grows with the gallery: ``python -m benchmarks.linkage``.
+"""Cost of linkage over the size of the gallery: ``python -m benchmarks.linkage``.
 
 Probes and candidates are 12 s of simulated walks, shared at fid:1 and linked as they
 come. The gallery is searched in blocks, so that memory does not grow with it; a
@@ -88,16 +88,16 @@ def fit(name: str) -> Any:  # noqa: ANN401 - from two releases to scores
 
 
 def search_s(fitted: Any, probe: Release, gallery: Release) -> float:  # noqa: ANN401 - a fitted attack
-    """Return how long it takes to find the best candidate of every probe, s."""
+    """Return the time of the search for the best candidate of every probe, s."""
     started = perf_counter()
     best = np.full(len(probe), -np.inf)
-    who = np.full(len(probe), -1)
+    candidate = np.full(len(probe), -1)
     for rows, scores in blocks(fitted, probe, gallery):
         column = scores.argmax(axis=1)
-        found = scores[np.arange(len(probe)), column]
-        who = np.where(found > best, rows[column], who)
-        best = np.maximum(found, best)
-    assert (who >= 0).all()
+        block_best = scores[np.arange(len(probe)), column]
+        candidate = np.where(block_best > best, rows[column], candidate)
+        best = np.maximum(block_best, best)
+    assert (candidate >= 0).all()
     return perf_counter() - started
 
 
@@ -110,52 +110,49 @@ def blocks(fitted: Any, probe: Release, gallery: Release) -> Any:  # noqa: ANN40
 
 def check_blocks(fitted: Any, probe: Release, gallery: Release) -> None:  # noqa: ANN401 - a fitted attack
     """Assert that a block's scores are those of the whole gallery."""
-    whole = fitted(probe, gallery)
+    all_scores = fitted(probe, gallery)
     half = np.arange(len(gallery) // 2)
-    spread = float(whole.std()) or 1.0
-    assert np.allclose(
-        fitted(probe, gallery.tracks(half)), whole[:, half], atol=1e-6 * spread
-    )
+    spread = float(all_scores.std()) or 1.0
+    half_scores = fitted(probe, gallery.tracks(half))
+    assert np.allclose(half_scores, all_scores[:, half], atol=1e-6 * spread)
 
 
 def released(*, n: int, side: str) -> Release:
-    """Return n windows of simulated walks as they are shared; people come more than once."""
+    """Return the release of n windows of simulated walks; people may repeat."""
     rng = stream(0, "benchmark", side)
     tracks = datasets.load("plaza").tracks
-    start_s, end_s = (
-        tracks.t[tracks.offsets[:-1]],
-        tracks.t[tracks.offsets[1:] - 1] - WINDOW_S,
-    )
+    start_s = tracks.t[tracks.offsets[:-1]]
+    end_s = tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
     rows = rng.choice(np.flatnonzero(end_s >= start_s), n)
     (mechanism,) = plugins.parse("mechanisms", LEVEL)
-    held = sensed(tracks, rows, rng.uniform(start_s[rows], end_s[rows]), side=side)
-    release: Release = mechanism.instance.share(held, rng)
+    starts_s = rng.uniform(start_s[rows], end_s[rows])
+    windows_sensed = sensed(tracks, rows, starts_s, side=side)
+    release: Release = mechanism.instance.share(windows_sensed, rng)
     return release.without_sigma()
 
 
 def windows(*, n: int) -> tuple[Sensed, Sensed]:
-    """Return the first and the last window of n simulated people, as they are sensed."""
+    """Return the first and the last window of n simulated people, as sensed."""
     tracks = datasets.load("plaza").tracks
-    start_s, end_s = (
-        tracks.t[tracks.offsets[:-1]],
-        tracks.t[tracks.offsets[1:] - 1] - WINDOW_S,
-    )
+    start_s = tracks.t[tracks.offsets[:-1]]
+    end_s = tracks.t[tracks.offsets[1:] - 1] - WINDOW_S
     rows = np.flatnonzero(end_s >= start_s + WINDOW_S)[:n]
-    first, last = (
-        sensed(tracks, rows, at[rows], side=side)
-        for at, side in ((start_s, "first"), (end_s, "last"))
-    )
+    first = sensed(tracks, rows, start_s[rows], side="first")
+    last = sensed(tracks, rows, end_s[rows], side="last")
     return first, last
 
 
 def sensed(tracks: Tracks, rows: Ints, start_s: Floats, *, side: str) -> Sensed:
-    """Return what a network holds of the windows of some tracks from `start_s` on."""
+    """Return the windows of some tracks from `start_s` on, as sensed."""
     stages, rng = StageSettings(), stream(0, "benchmark", side, "times")
     t_parts = [
         sampling_times(
-            start_s=at, end_s=at + WINDOW_S, settings=stages.resample, rng=rng
+            start_s=begin_s,
+            end_s=begin_s + WINDOW_S,
+            settings=stages.resample,
+            rng=rng,
         )
-        for at in start_s
+        for begin_s in start_s
     ]
     xy_parts = [walk(tracks[int(row)])(t) for row, t in zip(rows, t_parts, strict=True)]
     sizes = np.array([[part.size for part in t_parts]])

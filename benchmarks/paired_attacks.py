@@ -1,4 +1,4 @@
-"""How much more do attacks rebuild than others? ``python -m benchmarks.paired_attacks ATTACK...``.
+"""Compare attacks by person: ``python -m benchmarks.paired_attacks ATTACK...``.
 
 PLR after an attack less that of the usual smoothers, in points, paired by person (95 %
 intervals), and its cost. An informed adversary learns on the recording's other half or
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from isac_track.protocols import Reconstructor
 
 LEVELS = ("fid:1", "fid:10", "fid:1000", "fixed:0.7", "fixed:1")
-MECHANISMS = (*LEVELS, *(f"{one},adding=independent" for one in LEVELS), "ou:0.3")
+MECHANISMS = (*LEVELS, *(f"{level},adding=independent" for level in LEVELS), "ou:0.3")
 OTHERS = ("radial_rts", "kalman_rts")
 STAGES = StageSettings()
 INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
@@ -41,7 +41,10 @@ INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 def walks(
     tracks: Cut, people: Ints, mechanism: Plugin, *, first: int, seed: int
 ) -> tuple[TrainingSet, Ints]:
-    """Share each of some walks once, as the only agent of a scene; return who they are, too."""
+    """Share each of some walks once, as the only agent of a scene.
+
+    Returns the releases with their truth, and the number of each person, (N,).
+    """
     scenes = make_scenes(
         tracks, order=people[:, None], first=first, settings=STAGES, seed=seed
     )
@@ -51,10 +54,10 @@ def walks(
     return TrainingSet(release.without_sigma(), scenes.xy), person
 
 
-def timed(what: Callable[..., Any], *given: object) -> tuple[Any, float]:
-    """Return what a function returns, and how long it took, s."""
+def timed(function: Callable[..., Any], *arguments: object) -> tuple[Any, float]:
+    """Return the result of a function, and the time that it took, s."""
     began = time.perf_counter()
-    return what(*given), time.perf_counter() - began
+    return function(*arguments), time.perf_counter() - began
 
 
 def fitted(
@@ -63,7 +66,7 @@ def fitted(
     mechanism: Plugin,
     adversary: frozenset[Knowledge],
 ) -> Reconstructor:
-    """Return the attack of an adversary, ready."""
+    """Return the fitted attack of an adversary."""
     context = AttackContext(
         rng=stream(0, "paired attacks", attack.spec),
         epsilon_m=STAGES.privacy.epsilon_m,
@@ -78,18 +81,18 @@ def fitted(
 def plr(attack: Reconstructor, seen: TrainingSet) -> Floats:
     """Return the PLR of each track after an attack, (N,)."""
     release = seen.release
-    found = privacy.described(
+    described_tracks = privacy.described(
         xy=attack(release).xy,
         truth=seen.truth,
         t=release.t,
         offsets=release.offsets,
         settings=STAGES.privacy,
     )
-    return np.asarray(found[0])
+    return np.asarray(described_tracks[0])
 
 
 def means(rows: Floats, person: Ints) -> list[intervals.Estimate]:
-    """Return the mean of each row, (K, N), with replicates that all share."""
+    """Return the mean of each row, (K, N), with the same replicates for all."""
     n = int(person.max()) + 1
     sums = np.stack(
         [
@@ -136,59 +139,60 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     seed = options.seed
     attacks = plugins.parse_all("attacks", (*options.attack, *(options.over or OTHERS)))
-    over = [
-        one.spec for one in plugins.parse_all("attacks", tuple(options.over or OTHERS))
-    ]
+    rivals = plugins.parse_all("attacks", tuple(options.over or OTHERS))
     adversary = frozenset[Knowledge]() if options.blind else INFORMED
     victims, others = (
         cut(datasets.load(name).tracks, settings=STAGES, seed=seed)
         for name in (options.dataset, options.learn_on or options.dataset)
     )
-    some = stream(seed, "victims").permutation(len(victims))[: options.people]
-    drawn = stream(seed, "taught").permutation(len(others))
-    parts = [(some, drawn)]
+    attacked = stream(seed, "victims").permutation(len(victims))[: options.people]
+    taught = stream(seed, "taught").permutation(len(others))
+    parts = [(attacked, taught)]
     if not options.learn_on:
         half = folds(victims.group, seed=seed)
-        parts = [(some[half[some] == one], drawn[half[drawn] != one]) for one in (0, 1)]
-    for mechanism in plugins.parse_all(
-        "mechanisms", tuple(options.mechanism or MECHANISMS)
-    ):
+        parts = [
+            (attacked[half[attacked] == fold], taught[half[taught] != fold])
+            for fold in (0, 1)
+        ]
+    mechanisms = plugins.parse_all("mechanisms", tuple(options.mechanism or MECHANISMS))
+    for mechanism in mechanisms:
         rows, person, fit_s, use_s = [], [], [], []
-        for own, them in parts:
-            taught, _ = walks(
-                others, them[: options.taught], mechanism, first=MOST_SCENES, seed=seed
+        for own, learnt in parts:
+            training, _ = walks(
+                others,
+                learnt[: options.taught],
+                mechanism,
+                first=MOST_SCENES,
+                seed=seed,
             )
-            ready, took_s = zip(
-                *(timed(fitted, one, taught, mechanism, adversary) for one in attacks),
-                strict=True,
-            )
-            fit_s.append(took_s)
+            runs = [
+                timed(fitted, attack, training, mechanism, adversary)
+                for attack in attacks
+            ]
+            ready = [attack for attack, _ in runs]
+            fit_s.append([seconds for _, seconds in runs])
             for first in range(0, options.passes * len(victims), len(victims)):
-                seen, who = walks(victims, own, mechanism, first=first, seed=seed)
-                found, took_s = zip(
-                    *(timed(plr, one, seen) for one in ready), strict=True
-                )
-                rows.append(found)
-                person.append(who)
-                use_s.append(took_s)
-        who = np.unique(np.concatenate(person), return_inverse=True)[1]
-        estimates = means(np.concatenate(rows, axis=1), who)
-        cost_s = np.mean(fit_s, axis=0), 1000.0 * np.sum(use_s, axis=0) / who.size
-        by_spec = dict(zip((one.spec for one in attacks), estimates, strict=True))
+                seen, people = walks(victims, own, mechanism, first=first, seed=seed)
+                runs = [timed(plr, attack, seen) for attack in ready]
+                rows.append([values for values, _ in runs])
+                person.append(people)
+                use_s.append([seconds for _, seconds in runs])
+        cluster = np.unique(np.concatenate(person), return_inverse=True)[1]
+        estimates = means(np.concatenate(rows, axis=1), cluster)
+        fit_mean_s = np.mean(fit_s, axis=0)
+        use_mean_s = 1000.0 * np.sum(use_s, axis=0) / cluster.size
+        specs = [attack.spec for attack in attacks]
+        by_spec = dict(zip(specs, estimates, strict=True))
         for i in range(len(options.attack)):
-            text = (
-                f"{mechanism.spec:24} {attacks[i].spec:12}"
-                f" {100 * estimates[i].value:5.1f}"
-            )
-            for name in over:
-                gain = intervals.difference(estimates[i], by_spec[name])
+            text = f"{mechanism.spec:24} {specs[i]:12} {100 * estimates[i].value:5.1f}"
+            for rival in rivals:
+                gain = intervals.difference(estimates[i], by_spec[rival.spec])
                 value, low, high = (
-                    100.0 * one for one in (gain.value, gain.ci_low, gain.ci_high)
+                    100.0 * end for end in (gain.value, gain.ci_low, gain.ci_high)
                 )
-                text += f"  {value:+5.2f} [{low:+.2f}, {high:+.2f}] over {name}"
-            text += (
-                f"  {cost_s[0][i]:.1f} s to fit, {cost_s[1][i]:.1f} s per 1,000 tracks"
-            )
+                text += f"  {value:+5.2f} [{low:+.2f}, {high:+.2f}] over {rival.spec}"
+            text += f"  {fit_mean_s[i]:.1f} s to fit,"
+            text += f" {use_mean_s[i]:.1f} s per 1,000 tracks"
             print(f"{text}, {estimates[i].n} people", flush=True)
     return DONE
 

@@ -1,10 +1,10 @@
-"""How much more does a linker find than the others? ``python -m benchmarks.paired_linkers OUT``.
+"""A linker beside the strongest other: ``python -m benchmarks.paired_linkers OUT``.
 
-Of a finished run, task by task and level by level: rank 1 among 100 of
-`likelihood_ratio` (or another linker, the second argument) less that of the strongest
-other one under the same knowledge, whatever options that has, in points, paired by
-person, 95 % intervals; then, as ``python -m benchmarks.paired_linkers OUT LINKER
-rank1``, of all candidates.
+For each task and level of a finished run: rank 1 among 100 of `likelihood_ratio` (or
+another linker, the second argument) less that of the strongest other linker with the
+same knowledge, whatever its options. Differences are in points, paired by person, with
+95 % intervals. ``python -m benchmarks.paired_linkers OUT LINKER rank1`` compares among
+all candidates.
 """
 
 import sys
@@ -20,44 +20,45 @@ from isac_track.intervals import Estimate, difference
 
 
 def paired(out: Path, linker: str, metric: str) -> Iterator[tuple[Key, Key, Estimate]]:
-    """Yield where a linker links, the strongest other one there, and the difference."""
+    """Yield keys of a linker and of the strongest other, and their difference."""
     read = cards(out, read_manifest(out), drawn=(metric,))
-    found = {
-        key: one
-        for key, one in linkage_estimates(read).items()
+    by_key = {
+        key: estimate
+        for key, estimate in linkage_estimates(read).items()
         if key.metric == metric and key.knowledge  # controls know nothing
     }
-    for key, mine in found.items():
+    for key, estimate in by_key.items():
         task, _, name = key.consumer.partition("/")
         others = [
-            one
-            for one in found
-            if one.where == key.where
-            and one.knowledge == key.knowledge
-            and one.consumer.startswith(f"{task}/")
-            and one.consumer.partition("/")[2].partition(":")[0]
-            != linker.partition(":")[0]
+            other
+            for other in by_key
+            if other.where == key.where
+            and other.knowledge == key.knowledge
+            and other.consumer.startswith(f"{task}/")
+            and _family(other.consumer.partition("/")[2]) != _family(linker)
         ]
         if name == linker and others:
-            best = max(others, key=lambda one: found[one].value)
-            yield key, best, difference(mine, found[best])
+            best = max(others, key=lambda other: by_key[other].value)
+            yield key, best, difference(estimate, by_key[best])
+
+
+def _family(spec: str) -> str:
+    """Return the name of a linker without its options."""
+    return spec.partition(":")[0]
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print a line each."""
-    out, linker, metric = (
-        *arguments,
-        *("likelihood_ratio", SUCCESS_OF_100)[len(arguments) - 1 :],
-    )
-    for key, best, one in paired(Path(out), linker, metric):
+    """Print a line for each task and level."""
+    defaults = ("likelihood_ratio", SUCCESS_OF_100)
+    out, linker, metric = (*arguments, *defaults[len(arguments) - 1 :])
+    for key, best, gain in paired(Path(out), linker, metric):
         value, low, high = (
-            100.0 * each for each in (one.value, one.ci_low, one.ci_high)
+            100.0 * end for end in (gain.value, gain.ci_low, gain.ci_high)
         )
-        where = (
-            f"{key.consumer} {key.knowledge}, {key.mechanism} {level_text(key.level)}"
-        )
+        level = f"{key.mechanism} {level_text(key.level)}"
+        place = f"{key.consumer} {key.knowledge}, {level}"
         print(
-            f"{where:66} {value:+6.1f} [{low:+.1f}, {high:+.1f}]  less {best.consumer}"
+            f"{place:66} {value:+6.1f} [{low:+.1f}, {high:+.1f}]  less {best.consumer}"
         )
 
 

@@ -1,4 +1,4 @@
-"""Memory of a process and of all that it started."""
+"""Memory of a process and of its descendants."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ import psutil
 from isac_track.errors import DataError
 
 
-def check_memory_is_told() -> None:
-    """Raise DataError where the system does not tell the share of a process in its pages."""
+def check_memory_is_known() -> None:
+    """Raise DataError if the system does not tell the proportional set size."""
     if not hasattr(psutil.Process().memory_full_info(), "pss"):
         raise DataError("the proportional set size of processes is told by Linux alone")
 
 
 def tree_pss_mb(pid: int) -> float:
     """Return the memory of a process and all its descendants, shared pages once, MB."""
-    return sum(_pss_mb(one) for one in (pid, *descendants(pid)))
+    return sum(_pss_mb(process) for process in (pid, *descendants(pid)))
 
 
 def tree_rss_mb(pid: int) -> float:
-    """Return the same with shared pages as often as they are shared, MB.
+    """Return the memory of a process and its descendants, shared pages each time, MB.
 
-    Other programs do not change it, as they do the share of a page that they use, too.
+    Other programs do not change this number. They do change the proportional size of
+    a page that they share.
     """
-    return sum(rss_mb(one) for one in (pid, *descendants(pid)))
+    return sum(rss_mb(process) for process in (pid, *descendants(pid)))
 
 
 def rss_mb(pid: int) -> float:
-    """Return the resident set of one process, MB; 0 if it is gone."""
+    """Return the resident set of a single process, MB; 0 if it has ended."""
     try:
         return float(psutil.Process(pid).memory_info().rss) / 1e6
     except psutil.Error:
@@ -35,15 +36,15 @@ def rss_mb(pid: int) -> float:
 
 
 def descendants(pid: int) -> list[int]:
-    """Return all processes that a process started, and those that they started."""
+    """Return the ids of all descendants of a process."""
     try:
-        return [one.pid for one in psutil.Process(pid).children(recursive=True)]
+        return [child.pid for child in psutil.Process(pid).children(recursive=True)]
     except psutil.Error:
         return []
 
 
-def command_of(pid: int) -> str:
-    """Return the command line of a process; a dead one that nobody collected says so."""
+def command_line(pid: int) -> str:
+    """Return the command line of a process; a text if it has ended."""
     try:
         return " ".join(psutil.Process(pid).cmdline())
     except psutil.ZombieProcess:

@@ -1,4 +1,4 @@
-"""CPU seconds of each part of a run: ``python -m benchmarks.rates`` writes what `--dry-run` reads.
+"""CPU seconds of each part of a run, for `--dry-run`: ``python -m benchmarks.rates``.
 
 Cells of two levels are computed in this process, one after the other, after the same
 cells of a smaller run have compiled all loops. Every consumer's time is divided by the
@@ -18,18 +18,18 @@ from typing import TYPE_CHECKING
 
 from threadpoolctl import threadpool_limits
 
-from evaluation.compute.work import cells
+from evaluation.compute.work import compute_cells
 from evaluation.plan.plan import Plan, plan
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import (
     cells_cpu_s,
     measured_rates,
-    name_of,
+    rate_name,
     rates_path,
-    setup_of,
-    size_of,
+    setup_name,
+    work_size,
 )
-from evaluation.pool.pieces import pieces_of
+from evaluation.pool.pieces import cut_work
 from isac_track.command_line import DONE, Parser, exit_code
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def _measure(arguments: Sequence[str] | None) -> int:
 
 
 def whole_run_factor() -> float:
-    """Return by what rates are too high or low, as a whole run of preset paper on plaza tells."""
+    """Return the factor between a whole run of preset paper on plaza and the rates."""
     runs = json.loads(WHOLE_RUN.read_text(encoding="utf-8"))
     measured_s: float = next(
         run["stages"]["cells"] for run in runs if run["dataset"] == "plaza"
@@ -95,23 +95,20 @@ def _write(rates: Mapping[str, float]) -> None:
 def _spent(ready: Plan) -> dict[str, float]:
     """Return CPU seconds by part, per million samples or pairs.
 
-    What all levels of a piece of work share is made before its first: that is its
-    `setup`.
+    The `setup` of a piece of work is done before its first level, for all levels.
     """
     spent_s, sizes = defaultdict[str, float](float), defaultdict[str, float](float)
-    first_s, first_cells = (
-        defaultdict[str, float](float),
-        list[tuple[str, str, float]](),
-    )
-    whole = defaultdict[str, float](float)
-    for work in pieces_of(ready.units, ready):
-        size, setup, before = size_of(work, ready), setup_of(work), process_time()
-        whole[setup] += size
+    first_s = defaultdict[str, float](float)
+    first_cells = list[tuple[str, str, float]]()
+    setup_sizes = defaultdict[str, float](float)
+    for work in cut_work(ready.units, ready):
+        size, setup, before = work_size(work, ready), setup_name(work), process_time()
+        setup_sizes[setup] += size
         stages, seed = ready.settings.stages, ready.settings.seed
-        for _, mechanism, consumer, _ in cells(
+        for _, mechanism, consumer, _ in compute_cells(
             work, tracks=ready.tracks, stages=stages, seed=seed
         ):
-            now, name = process_time(), name_of(consumer)
+            now, name = process_time(), rate_name(consumer)
             if mechanism is work.levels[0][0]:
                 first_s[setup] += now - before
                 first_cells.append((setup, name, size))
@@ -122,9 +119,9 @@ def _spent(ready: Plan) -> dict[str, float]:
     rates = {name: spent_s[name] / sizes[name] for name in sizes}
     for setup, total_s in first_s.items():
         usual_s = sum(
-            rates[name] * size for of, name, size in first_cells if of == setup
+            rates[name] * size for cell, name, size in first_cells if cell == setup
         )
-        rates[setup] = max(total_s - usual_s, 0.0) / whole[setup]
+        rates[setup] = max(total_s - usual_s, 0.0) / setup_sizes[setup]
     return rates
 
 

@@ -30,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from benchmarks.default_run import ROOT, calibration_s, measure
-from benchmarks.processes import check_memory_is_told
+from benchmarks.processes import check_memory_is_known
 from evaluation.reporting.terminal import aligned
 from isac_track import datasets
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
@@ -46,9 +46,12 @@ AMOUNTS = {
     "disk_mb": "disk (MB)",
 }
 LEAST_SHARE = 0.1
-"""Of the smallest run: what a point must take beyond it to count."""
+"""Share of the smallest run by which a point must exceed it to count."""
 MOST_MEMORY_RATIO = 1.25
-"""Most of a peak is libraries; memory that followed the scenes would be at 100 times."""
+"""Largest growth of the peak, most of which is libraries.
+
+Memory proportional to the scenes would grow 100 times.
+"""
 COPY_EVERY_S = 1000.0
 """Shift in time between copies of a recording: the plaza lasts 600 s."""
 SMALL = (
@@ -66,24 +69,24 @@ TWO_LEVELS = ("--mechanism", "raw", "--mechanism", "fixed:0.7")
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What is varied, how far, and what the growth may be."""
+    """An axis that a run grows along: its sizes and its limits."""
 
     base: str
-    """What is held, for people."""
+    """The settings that stay, in words."""
     sizes: tuple[int, ...]
     """The smallest is the start-up."""
     quick: tuple[int, ...]
     options: Callable[[int, Path, str], list[str]]
-    """Size, an empty folder and a recording to the options of the matrix."""
+    """From size, empty folder and recording to options of the matrix."""
     most_exponent: float
-    """Of wall clock and CPU."""
+    """Limit for wall clock and CPU."""
     most_memory_ratio: float = math.inf
-    """Peak at the largest size over that at the second smallest."""
+    """Limit of the peak at the largest size over that at the second smallest."""
 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """Fitted exponents; NaN where fewer than two points tell."""
+    """Fitted exponents; NaN with fewer than two points."""
 
     raw: float
     net: float
@@ -145,7 +148,7 @@ def positive(text: str) -> int:
 
 
 def _measure_all(options: argparse.Namespace) -> int:
-    check_memory_is_told()
+    check_memory_is_known()
     results = []
     for name in dict.fromkeys(options.axis or AXES):
         axis = AXES[name]
@@ -154,17 +157,17 @@ def _measure_all(options: argparse.Namespace) -> int:
         )
         runs: dict[int, list[dict[str, Any]]] = {size: [] for size in sizes}
         before_s = calibration_s()
-        _measured(
-            axis, sizes[0], options
-        )  # fills the file cache and compiles: not kept
+        # A first run fills the file cache and compiles; its figures do not count.
+        _measure_point(axis, sizes[0], options)
         for _ in range(options.repeats):
             for size in sizes:
-                runs[size].append(_measured(axis, size, options))
-                figures = " ".join(f"{runs[size][-1][one]:.1f}" for one in AMOUNTS)
+                runs[size].append(_measure_point(axis, size, options))
+                last = runs[size][-1]
+                figures = " ".join(f"{last[amount]:.1f}" for amount in AMOUNTS)
                 print(f"{name} {size:,}: {figures}", file=sys.stderr)
-        about = {"axis": name, "base": " ".join([axis.base, *options.options])}
-        about["calibration_s"] = (before_s + calibration_s()) / 2.0
-        results.append(about | judged(axis, runs))
+        heading = {"axis": name, "base": " ".join([axis.base, *options.options])}
+        heading["calibration_s"] = (before_s + calibration_s()) / 2.0
+        results.append(heading | judged(axis, runs))
     shown = finite(
         {"python": sys.version.split()[0], "cores": os.cpu_count(), "axes": results}
     )
@@ -174,7 +177,9 @@ def _measure_all(options: argparse.Namespace) -> int:
     return DONE if all(result["ok"] for result in results) else LIMIT_NOT_MET
 
 
-def _measured(axis: Axis, size: int, options: argparse.Namespace) -> dict[str, Any]:
+def _measure_point(
+    axis: Axis, size: int, options: argparse.Namespace
+) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="isac-track-scale-") as folder:
         words = [*axis.options(size, Path(folder), options.recording), *options.options]
         command = ["-m", "evaluation.matrix", *words, "--out", f"{folder}/run"]
@@ -184,9 +189,9 @@ def _measured(axis: Axis, size: int, options: argparse.Namespace) -> dict[str, A
 def judged(
     axis: Axis, runs: Mapping[int, Sequence[Mapping[str, Any]]]
 ) -> dict[str, Any]:
-    """Return an axis' points, exponents and whether they are within its limits, ready for JSON.
+    """Return points and exponents of an axis, and whether its limits are met, for JSON.
 
-    `runs` are those of each size, `AMOUNTS` and whatever else `measure` tells of each.
+    `runs` are the results of `measure` by size.
     """
     sizes = sorted(runs)
     points = [
@@ -195,14 +200,14 @@ def judged(
     ]
     growth = {name: grown(sizes, [point[name] for point in points]) for name in AMOUNTS}
     ratio = points[-1]["peak_mb"] / points[min(1, len(points) - 1)]["peak_mb"]
-    # A comparison with NaN is false: what cannot be told is not within a limit.
+    # A comparison with NaN is false: an unknown exponent does not keep the limit.
     ok = all(growth[name].net <= axis.most_exponent for name in ("wall_s", "cpu_s"))
     return {
         "points": [
             {"size": size, **point, "load": [run["load"] for run in runs[size]]}
             for size, point in zip(sizes, points, strict=True)
         ],
-        "exponents": {name: asdict(one) for name, one in growth.items()},
+        "exponents": {name: asdict(exponents) for name, exponents in growth.items()},
         "memory_ratio": ratio,
         "limits": {
             "exponent": axis.most_exponent,
@@ -214,22 +219,23 @@ def judged(
 
 def grown(sizes: Sequence[int], amounts: Sequence[float]) -> Growth:
     """Return the exponents of an amount in size, both ascending in size."""
-    n, taken = (
-        np.asarray(sizes, dtype=np.float64),
-        np.asarray(amounts, dtype=np.float64),
-    )
-    net = taken - taken[0]
-    used = (net > 0) & (net >= LEAST_SHARE * taken[0])
-    more, on_top = n[used] - n[0], net[used]
+    n = np.asarray(sizes, dtype=np.float64)
+    amount = np.asarray(amounts, dtype=np.float64)
+    beyond = amount - amount[0]
+    used = (beyond > 0) & (beyond >= LEAST_SHARE * amount[0])
+    net_n, net = n[used] - n[0], beyond[used]
     return Growth(
-        _slope(n, taken), _slope(more, on_top), _slope(more[-2:], on_top[-2:])
+        raw=_slope(n, amount),
+        net=_slope(net_n, net),
+        last=_slope(net_n[-2:], net[-2:]),
     )
 
 
-def _slope(n: np.ndarray[Any, Any], taken: np.ndarray[Any, Any]) -> float:
+def _slope(n: np.ndarray[Any, Any], amount: np.ndarray[Any, Any]) -> float:
+    """Return the slope of log(amount) on log(n); NaN for fewer than two points."""
     if n.size < 2:
         return math.nan
-    return float(np.polyfit(np.log(n), np.log(taken), 1)[0])
+    return float(np.polyfit(np.log(n), np.log(amount), 1)[0])
 
 
 def _show(results: Sequence[Mapping[str, Any]]) -> None:
@@ -239,8 +245,8 @@ def _show(results: Sequence[Mapping[str, Any]]) -> None:
             figures = [f"{point[name]:,.1f}" for name in AMOUNTS]
             rows.append([result["axis"], f"{point['size']:,}", *figures])
         for kind in Growth.__slots__:
-            found = [result["exponents"][name][kind] for name in AMOUNTS]
-            shown = ["-" if math.isnan(one) else f"{one:.2f}" for one in found]
+            exponents = [result["exponents"][name][kind] for name in AMOUNTS]
+            shown = ["-" if math.isnan(x) else f"{x:.2f}" for x in exponents]
             rows.append([result["axis"], f"exponent, {kind}", *shown])
     print("\n".join(aligned(rows, left={0})))
     for result in results:
@@ -254,18 +260,18 @@ def _show(results: Sequence[Mapping[str, Any]]) -> None:
 
 
 def finite(value: Any) -> Any:  # noqa: ANN401 - anything that JSON has
-    """Return the same with null for what is not a number, which JSON cannot say."""
+    """Return a value of JSON with None in place of NaN and infinity."""
     if isinstance(value, dict):
-        return {key: finite(one) for key, one in value.items()}
+        return {key: finite(part) for key, part in value.items()}
     if isinstance(value, list | tuple):
-        return [finite(one) for one in value]
+        return [finite(part) for part in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def write_people(path: Path, *, n_people: int, recording: str) -> None:
-    """Write the first people of a recording as a file of one's own, in copies if there are fewer.
+    """Write the first people of a recording as a file, repeated if there are fewer.
 
-    Each copy is in an order of its own and comes later: more people, no denser.
+    Each copy is in an order of its own and comes later, so that no copy is denser.
     """
     tracks = datasets.load(recording).tracks
     with path.open("w", encoding="utf-8") as file:
@@ -280,7 +286,7 @@ def write_people(path: Path, *, n_people: int, recording: str) -> None:
                 )
 
 
-def _of_people(size: int, folder: Path, recording: str) -> list[str]:
+def _people_options(size: int, folder: Path, recording: str) -> list[str]:
     write_people(folder / "people.csv", n_people=size, recording=recording)
     return [
         "--dataset",
@@ -290,11 +296,11 @@ def _of_people(size: int, folder: Path, recording: str) -> list[str]:
     ]
 
 
-def _of_scenes(size: int, _folder: Path, _recording: str) -> list[str]:
+def _scene_options(size: int, _folder: Path, _recording: str) -> list[str]:
     return [*SMALL, *TWO_LEVELS, "--jobs", "1", "--scenes", str(size)]
 
 
-def _of_levels(size: int, _folder: Path, _recording: str) -> list[str]:
+def _level_options(size: int, _folder: Path, _recording: str) -> list[str]:
     sweep = "fixed:0.1" if size == 1 else f"fixed:0.1..1/{size}"
     return [*SMALL, "--mechanism", sweep, "--jobs", "1", "--scenes", "2000"]
 
@@ -304,14 +310,14 @@ AXES = {
         base="default axes, everybody in the galleries",
         sizes=(100, 300, 1000, 3000),
         quick=(50, 100, 200),
-        options=_of_people,
+        options=_people_options,
         most_exponent=2.1,  # every pair is compared
     ),
     "scenes": Axis(
         base="raw and fixed:0.7, 1 job",
         sizes=(2, 500, 1500, 5000, 15_000, 50_000),
         quick=(2, 500, 1500, 5000),
-        options=_of_scenes,
+        options=_scene_options,
         most_exponent=1.1,
         most_memory_ratio=MOST_MEMORY_RATIO,
     ),
@@ -319,7 +325,7 @@ AXES = {
         base="2,000 scenes, 1 job",
         sizes=(1, 4, 8, 16, 32),
         quick=(1, 4, 8),
-        options=_of_levels,
+        options=_level_options,
         most_exponent=1.1,
     ),
 }

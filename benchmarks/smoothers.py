@@ -1,7 +1,8 @@
-"""Our filter and smoother and those of four libraries, on the same walks; see `benchmarks.beside`.
+"""Our filter and smoother beside those of four libraries; see `benchmarks.beside`.
 
-Peers get their transition and noise matrices ready-made, outside the clock, and slow
-ones only a few walks. simdkalman knows one step and one noise for all.
+All get the same walks, slow ones fewer of them. The libraries get their transition and
+noise matrices ready-made, outside the clock. simdkalman has a single step and a single
+noise for all walks.
 """
 
 # Peers are imported where they are used: any of them may be missing.
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
     States = list[Floats]
     """(M, 2) positions and their variance per axis, (M,)."""
     Track = tuple[Floats, Floats, Floats, Floats, Floats, tuple[Floats, Floats]]
-    """t, (K, 2) positions, F and Q of each step, R of each sample, and what is known before it."""
+    """t, (K, 2) positions, F and Q of each step, R of each sample, mean and prior."""
 
 Q = 0.3
 STEP_S = 0.08
@@ -36,7 +37,7 @@ H = np.kron(np.eye(2), [[1.0, 0.0]])
 
 
 def rows() -> Iterator[tuple[str, str, Callable[[], States], Callable[[], States]]]:
-    """Yield what, the library, ours and theirs: both smooth the same walks."""
+    """Yield work, library, our function and theirs: both smooth the same walks."""
     for name, build, n_tracks in (
         ("filterpy", filterpy, 20),
         ("pykalman", pykalman, 20),
@@ -44,18 +45,18 @@ def rows() -> Iterator[tuple[str, str, Callable[[], States], Callable[[], States
         ("simdkalman", simdkalman, 1000),
     ):
         batch = walks(n_tracks=n_tracks, constant=name == "simdkalman")
-        what = f"smoothing, {n_tracks:,} x {N_SAMPLES} samples"
-        ours = partial(ours_of, batch)
-        yield what, name, ours, build(batch) if find_spec(name) else ours
+        work = f"smoothing, {n_tracks:,} x {N_SAMPLES} samples"
+        ours = partial(smooth, batch)
+        yield work, name, ours, build(batch) if find_spec(name) else ours
 
 
-def ours_of(batch: kalman.Batch) -> States:
-    """Filter and smooth."""
+def smooth(batch: kalman.Batch) -> States:
+    """Filter and smooth with our code."""
     return list(kalman.smooth_positions(batch, q=Q))
 
 
 def walks(*, n_tracks: int, constant: bool) -> kalman.Batch:
-    """Simulate; steps and noise are constant or differ from sample to sample."""
+    """Simulate walks; steps and noise are constant or differ from sample to sample."""
     rng, shape = stream(0, "benchmark", "kernels"), (n_tracks, N_SAMPLES)
     # whole milliseconds: Stone Soup's clock has microseconds
     steps = np.full(shape, STEP_S) if constant else rng.integers(50, 130, shape) / 1000
@@ -75,26 +76,22 @@ def walks(*, n_tracks: int, constant: bool) -> kalman.Batch:
 
 def matrices(steps: Floats) -> tuple[Floats, Floats]:
     """Return F and Q, (..., 4, 4), of (x, vx, y, vy) over steps of any shape."""
-    one = np.ones_like(steps)
-    axis = np.stack([one, steps, 0 * one, one], -1).reshape(*steps.shape, 2, 2)
+    ones = np.ones_like(steps)
+    axis = np.stack([ones, steps, 0 * ones, ones], -1).reshape(*steps.shape, 2, 2)
     noise = Q * np.stack([steps**3 / 3, steps**2 / 2, steps**2 / 2, steps], -1)
-    f, q = (np.kron(np.eye(2), one.reshape(axis.shape)) for one in (axis, noise))
+    f = np.kron(np.eye(2), axis)
+    q = np.kron(np.eye(2), noise.reshape(axis.shape))
     return np.asarray(f, np.float64), np.asarray(q, np.float64)
 
 
 def per_track(batch: kalman.Batch) -> Iterator[Track]:
-    """Yield what a library needs to know of each track."""
+    """Yield the samples, matrices and prior of each track."""
     cov = np.kron(np.eye(2), np.diag(batch.prior_std) ** 2)
     for low, high in pairwise(batch.offsets):
         t, xy = batch.t[low:high], batch.xy[low:high]
         r = batch.variance[low:high, None, None] * np.eye(2)
-        yield (
-            t,
-            xy,
-            *matrices(np.diff(t, prepend=t[0])),
-            r,
-            (np.kron(xy[0], [1.0, 0.0]), cov),
-        )
+        f, q = matrices(np.diff(t, prepend=t[0]))
+        yield t, xy, f, q, r, (np.kron(xy[0], [1.0, 0.0]), cov)
 
 
 def together(run: Callable[[Any], tuple[Any, Any]], ready: list[Any]) -> States:
@@ -108,7 +105,7 @@ def together(run: Callable[[Any], tuple[Any, Any]], ready: list[Any]) -> States:
 
 
 def filterpy(batch: kalman.Batch) -> Callable[[], States]:
-    """One KalmanFilter a track: predict, update, then its rts_smoother."""
+    """Smooth with a KalmanFilter a track: predict, update, then its rts_smoother."""
     from filterpy.kalman import KalmanFilter
 
     def run(track: Track) -> tuple[Floats, Floats]:
@@ -120,14 +117,14 @@ def filterpy(batch: kalman.Batch) -> Callable[[], States]:
             kf.predict(F=f[k], Q=q[k])
             kf.update(seen, R=r[k])
             mean[k], cov[k] = kf.x, kf.P
-        smooth, spread, *_ = kf.rts_smoother(mean, cov, f, q)
-        return smooth, spread
+        smooth_mean, smooth_cov, *_ = kf.rts_smoother(mean, cov, f, q)
+        return smooth_mean, smooth_cov
 
     return partial(together, run, list(per_track(batch)))
 
 
 def pykalman(batch: kalman.Batch) -> Callable[[], States]:
-    """One KalmanFilter a track, with matrices per step; its smooth does both passes."""
+    """Smooth with a KalmanFilter a track, with matrices a step, in both passes."""
     from pykalman import KalmanFilter
 
     filters = []
@@ -138,7 +135,7 @@ def pykalman(batch: kalman.Batch) -> Callable[[], States]:
 
 
 def stonesoup(batch: kalman.Batch) -> Callable[[], States]:
-    """Predictor, updater and smoother over detections that carry their noise."""
+    """Smooth detections that carry their noise with predictor, updater and smoother."""
     from stonesoup.models.measurement.linear import LinearGaussian
     from stonesoup.models.transition import linear
     from stonesoup.predictor.kalman import KalmanPredictor
@@ -157,43 +154,38 @@ def stonesoup(batch: kalman.Batch) -> Callable[[], States]:
 
     def detections(track: Track) -> list[Any]:
         t, xy, _, _, r, _ = track
-        models = [LinearGaussian(4, (0, 2), one) for one in r]
-        times = [epoch + timedelta(seconds=float(at)) for at in t]
+        models = [LinearGaussian(4, (0, 2), covariance) for covariance in r]
+        times = [epoch + timedelta(seconds=float(seconds)) for seconds in t]
         return [
-            Detection(at[:, None], timestamp=time, measurement_model=how)
-            for at, time, how in zip(xy, times, models, strict=True)
+            Detection(position[:, None], timestamp=time, measurement_model=noise)
+            for position, time, noise in zip(xy, times, models, strict=True)
         ]
 
     def run(ready: tuple[list[Any], tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         (first, *later), (start, prior) = ready
-        about = {"timestamp": first.timestamp, "transition_model": model}
-        prediction = GaussianStatePrediction(start[:, None], prior, **about)
+        options = {"timestamp": first.timestamp, "transition_model": model}
+        prediction = GaussianStatePrediction(start[:, None], prior, **options)
         track = Steps([updater.update(SingleHypothesis(prediction, first))])
-        for one in later:
-            prediction = predictor.predict(track[-1], timestamp=one.timestamp)
-            track.append(updater.update(SingleHypothesis(prediction, one)))
+        for detection in later:
+            prediction = predictor.predict(track[-1], timestamp=detection.timestamp)
+            track.append(updater.update(SingleHypothesis(prediction, detection)))
         states = smoother.smooth(track)
-        return np.array([s.state_vector for s in states]), np.array(
-            [s.covar for s in states]
-        )
+        means = np.array([state.state_vector for state in states])
+        return means, np.array([state.covar for state in states])
 
-    return partial(
-        together, run, [(detections(one), one[-1]) for one in per_track(batch)]
-    )
+    ready = [(detections(track), track[-1]) for track in per_track(batch)]
+    return partial(together, run, ready)
 
 
 def simdkalman(batch: kalman.Batch) -> Callable[[], States]:
-    """All tracks at once, both axes as series of their own."""
+    """Smooth all tracks at once, each axis as a series of its own."""
     from simdkalman import KalmanFilter
 
     f, q = matrices(np.array(STEP_S))
     kf = KalmanFilter(f[:2, :2], q[:2, :2], H[:1, :2], batch.variance[0])
     start = batch.xy[batch.offsets[:-1]][:, None]
-    series = (
-        (batch.xy.reshape(-1, N_SAMPLES, 2) - start)
-        .swapaxes(1, 2)
-        .reshape(-1, N_SAMPLES)
-    )
+    centred = batch.xy.reshape(-1, N_SAMPLES, 2) - start
+    series = centred.swapaxes(1, 2).reshape(-1, N_SAMPLES)
     first = {
         "initial_value": np.zeros(2),
         "initial_covariance": np.diag(batch.prior_std) ** 2,

@@ -1,4 +1,4 @@
-"""Does anything pile up? One process runs again and again: ``python -m benchmarks.soak``.
+"""Growth of a process that runs again and again: ``python -m benchmarks.soak``.
 
 Runs 0..N-1 differ in their seed; each goes into a folder that is removed after it.
 After each, with garbage collected, the process is looked at: memory, descriptors,
@@ -37,8 +37,8 @@ from scipy.stats import theilslopes
 
 import evaluation
 from benchmarks.processes import (
-    check_memory_is_told,
-    command_of,
+    check_memory_is_known,
+    command_line,
     descendants,
     rss_mb,
     tree_rss_mb,
@@ -56,13 +56,13 @@ LEAST_TIMES = WARM_UP + 2
 MOST_GROWTH = 0.05
 SHARED_MEMORY = Path("/dev/shm")  # noqa: S108 - looked at, not written
 TRACKER = "resource_tracker"
-"""Of loky or multiprocessing: it lives as long as the process, to clean up behind it."""
+"""Helper of loky or multiprocessing, which lives as long as the process."""
 PATH_VARIABLES = ("ISAC_TRACK_DATA", "ISAC_TRACK_CACHE", "PYTHONPATH")
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """How a process stands after a run."""
+    """Resources of a process after a run."""
 
     wall_s: float
     rss_mb: float
@@ -70,7 +70,7 @@ class State:
     tree_mb: float
     """Summed resident set of this process and its children."""
     heap_mb: float
-    """What this process holds of malloc's memory; NaN where the C library does not tell."""
+    """Memory from malloc in use; NaN if the C library does not tell."""
     blocks: int
     """Small objects of Python, in thousands."""
     descriptors: int
@@ -78,14 +78,14 @@ class State:
     threads: int
     """All, those of native libraries included."""
     children: int
-    """After the run: what tidies up behind the workers, and lives as long as the process."""
+    """Child processes after the run, such as the `TRACKER`."""
     files: int
     """Left in the folders watched."""
 
 
 @dataclass(frozen=True, slots=True)
 class Growth:
-    """By how much something grew over all runs, relative to its level at the third."""
+    """Growth of an amount over all runs, relative to its level at the third."""
 
     grown: float
     low: float
@@ -95,7 +95,7 @@ class Growth:
 
     @property
     def ok(self) -> bool:
-        """Whether it is within the limit."""
+        """Whether the growth is within the limit."""
         return self.grown <= MOST_GROWTH
 
 
@@ -150,7 +150,7 @@ def _times(text: str) -> int:
 
 
 def _soak(options: argparse.Namespace) -> int:
-    check_memory_is_told()
+    check_memory_is_known()
     dataset = options.dataset
     if dataset is not None and Path(dataset).exists():
         dataset = str(Path(dataset).resolve())
@@ -170,37 +170,37 @@ def _soak(options: argparse.Namespace) -> int:
             states.append(_run(settings, watched=watched, shared_before=shared_before))
             _report_progress(len(states), times=options.times, state=states[-1])
         gc.collect()
-        children = {pid: command_of(pid) for pid in descendants(os.getpid())}
+        children = {pid: command_line(pid) for pid in descendants(os.getpid())}
         left = {
             "files": sorted(map(str, files_left(watched, shared_before=shared_before))),
             "children": [name for name in children.values() if TRACKER not in name],
             "threads": sorted(
-                one.name for one in set(threading.enumerate()) - threads_before
+                thread.name for thread in set(threading.enumerate()) - threads_before
             ),
         }
-    kept = [name for name in children.values() if TRACKER in name]
+    trackers = [name for name in children.values() if TRACKER in name]
     judged = _judge(states, left=left)
     if options.json:
-        found = {
+        report = {
             "runs": [asdict(state) for state in states],
             "judged": judged,
             "left": left,
-            "kept": kept,
+            "kept": trackers,
         }
-        print(json.dumps(finite(found), indent=1))
+        print(json.dumps(finite(report), indent=1))
     else:
-        _show(states, judged=judged, left=left, kept=kept)
-    return DONE if all(one["ok"] for one in judged) else LIMIT_NOT_MET
+        _show(states, judged=judged, left=left, trackers=trackers)
+    return DONE if all(judgement["ok"] for judgement in judged) else LIMIT_NOT_MET
 
 
 @contextmanager
 def own_place() -> Iterator[tuple[Path, Path]]:
-    """Give the process an empty working directory and an empty folder for temporary files.
+    """Give the process an empty working directory and an empty temporary folder.
 
-    Yields both; everything is put back and removed at the end.
+    Yields both. At the end the old ones are back and these are removed.
     """
     before = {name: os.environ.get(name) for name in ("TMPDIR", *PATH_VARIABLES)}
-    directory, kept_folder = Path.cwd(), tempfile.tempdir
+    old_directory, old_tempdir = Path.cwd(), tempfile.tempdir
     place = Path(tempfile.mkdtemp(prefix="isac-track-soak-"))
     try:
         for name in PATH_VARIABLES:
@@ -217,8 +217,8 @@ def own_place() -> Iterator[tuple[Path, Path]]:
         os.chdir(working)
         yield working, temporary
     finally:
-        os.chdir(directory)
-        tempfile.tempdir = kept_folder
+        os.chdir(old_directory)
+        tempfile.tempdir = old_tempdir
         for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
@@ -230,7 +230,7 @@ def own_place() -> Iterator[tuple[Path, Path]]:
 def _run(
     settings: evaluation.Settings, *, watched: Sequence[Path], shared_before: set[Path]
 ) -> State:
-    """Run once, remove the results and look at what is left."""
+    """Run once, remove the results, and return the state of the process."""
     started = perf_counter()
     evaluation.run(settings)
     wall_s = perf_counter() - started
@@ -252,7 +252,7 @@ def _run(
 
 
 class _MallInfo(ctypes.Structure):
-    """What glibc's mallinfo2 gives, all of it bytes or counts."""
+    """The structure of glibc's mallinfo2: bytes and counts."""
 
     _fields_ = tuple(
         (name, ctypes.c_size_t)
@@ -272,17 +272,20 @@ class _MallInfo(ctypes.Structure):
 
 
 def _heap_mb() -> float:
-    """Return what is allocated and not freed, MB: a leak grows it, fragmentation does not."""
+    """Return allocated memory that is not freed, MB.
+
+    A leak grows it, fragmentation does not.
+    """
     ask = getattr(ctypes.CDLL(None), "mallinfo2", None)
     if ask is None:
         return math.nan
     ask.restype = _MallInfo
-    told = ask()
-    return float(told.uordblks + told.hblkhd) / 1e6
+    info = ask()
+    return float(info.uordblks + info.hblkhd) / 1e6
 
 
 def files_left(folders: Sequence[Path], *, shared_before: set[Path]) -> set[Path]:
-    """Return what is in the folders, at any depth, and what is new in shared memory."""
+    """Return the files in some folders, at any depth, and new ones in shared memory."""
     inside = {path for folder in folders for path in folder.rglob("*")}
     return inside | (shared_files() - shared_before)
 
@@ -293,26 +296,26 @@ def shared_files() -> set[Path]:
     joblib and loky write the id of the process that made them into the name.
     """
     ours = {os.getpid(), *descendants(os.getpid())}
-    found = set()
+    files = set()
     for path in SHARED_MEMORY.iterdir() if SHARED_MEMORY.is_dir() else ():
         makers = {
             int(text) for text in re.findall(r"(?<=[-_])[0-9]+(?=[-_])", path.name)
         }
         try:
             if path.lstat().st_uid == os.getuid() and (not makers or makers & ours):
-                found.add(path)
+                files.add(path)
         except FileNotFoundError:
             continue
-    return found
+    return files
 
 
 def growth(values: Sequence[float]) -> Growth:
-    """Judge how something grew over runs, the first two of which warm up.
+    """Estimate the growth of an amount over runs, of which the first two warm up.
 
     Parameters
     ----------
     values : sequence of float
-        One a run, at least four, in any unit.
+        A value for each run, at least four, in any unit.
     """
     runs = np.arange(WARM_UP, len(values))
     slope, level_at_0, low, high = theilslopes(
@@ -331,7 +334,7 @@ def growth(values: Sequence[float]) -> Growth:
 def _judge(
     states: Sequence[State], *, left: dict[str, list[str]]
 ) -> list[dict[str, Any]]:
-    """Return what was judged, with value, limit and whether it is met."""
+    """Return each judged amount with its value, its limit and whether it is met."""
     judged: list[dict[str, Any]] = []
     for name, field in (
         ("memory of the process (RSS)", "rss_mb"),
@@ -342,27 +345,35 @@ def _judge(
         values = [getattr(state, field) for state in states]
         if np.isnan(values).any():
             continue
-        found = growth(values)
+        trend = growth(values)
         judged.append(
-            {"what": name, **asdict(found), "value": found.grown, "limit": MOST_GROWTH}
-            | {"ok": found.ok}
+            {
+                "what": name,
+                **asdict(trend),
+                "value": trend.grown,
+                "limit": MOST_GROWTH,
+                "ok": trend.ok,
+            }
         )
-    # Pools of libraries grow to their size in the first runs and stay: later runs add
-    # none.
+    # Pools of libraries reach their size in the first runs; later runs add none.
     for name, field in (("descriptors", "descriptors"), ("native threads", "threads")):
         third, last = (getattr(states[run], field) for run in (WARM_UP, -1))
         judged.append(
-            {"what": f"{name} after run 3 and the last", "value": last, "limit": third}
-            | {"ok": last <= third}
+            {
+                "what": f"{name} after run 3 and the last",
+                "value": last,
+                "limit": third,
+                "ok": last <= third,
+            }
         )
     judged += [
         {
             "what": f"{name} left at the end",
-            "value": len(found),
+            "value": len(names),
             "limit": 0,
-            "ok": not found,
+            "ok": not names,
         }
-        for name, found in left.items()
+        for name, names in left.items()
     ]
     return judged
 
@@ -381,7 +392,7 @@ def _show(
     *,
     judged: Sequence[dict[str, Any]],
     left: dict[str, list[str]],
-    kept: Sequence[str],
+    trackers: Sequence[str],
 ) -> None:
     head = ["run", "wall (s)", "RSS (MB)", "all (MB)", "heap (MB)", "objects (k)"]
     rows = [[*head, "fds", "threads", "native", "children", "files"]]
@@ -407,23 +418,23 @@ def _show(
         "RSS that grows over a flat heap is fragmentation, no leak.\n"
     )
     rows = [["judged", "value", "95%", "last / 3rd", "limit", "ok"]]
-    rows += [_row(one) for one in judged]
+    rows += [_row(judgement) for judgement in judged]
     print("\n".join(aligned(rows, left={0})))
-    for name, found in left.items():
-        for one in found:
-            print(f"left, {name}: {one}")
-    for one in kept:
-        print(f"kept until the process ends: {one}")
+    for name, texts in left.items():
+        for text in texts:
+            print(f"left, {name}: {text}")
+    for text in trackers:
+        print(f"kept until the process ends: {text}")
 
 
-def _row(one: dict[str, Any]) -> list[str]:
-    ok = "yes" if one["ok"] else "NO"
-    if "grown" not in one:
-        return [one["what"], str(one["value"]), "", "", str(one["limit"]), ok]
-    interval = f"{100 * one['low']:+.1f}..{100 * one['high']:+.1f}%"
-    ratio = f"{one['last_over_third']:.3f}"
-    share = f"{100 * one['value']:+.1f}%"
-    return [one["what"], share, interval, ratio, f"{100 * one['limit']:.0f}%", ok]
+def _row(judgement: dict[str, Any]) -> list[str]:
+    name, value, limit = judgement["what"], judgement["value"], judgement["limit"]
+    ok = "yes" if judgement["ok"] else "NO"
+    if "grown" not in judgement:
+        return [name, str(value), "", "", str(limit), ok]
+    interval = f"{100 * judgement['low']:+.1f}..{100 * judgement['high']:+.1f}%"
+    ratio = f"{judgement['last_over_third']:.3f}"
+    return [name, f"{100 * value:+.1f}%", interval, ratio, f"{100 * limit:.0f}%", ok]
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What do runs of several seeds say as one? `python -m benchmarks.three_seeds OUT OUT OUT`.
+"""Results over several seeds: `python -m benchmarks.three_seeds OUT OUT OUT`.
 
 Of finished runs that differ in their seed alone: each number of the README's table as
 its mean over the seeds with a 95 % interval (people clustered, the variance between
@@ -19,11 +19,16 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from evaluation.estimates.families import CLEAN, SWEPT
-from evaluation.estimates.keys import Source, worlds_of
+from evaluation.estimates.keys import Source, row_worlds
 from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.estimates.strongest import against_each, by_task
-from evaluation.reporting.headline import Headline, Shown, headline, levels_of
+from evaluation.reporting.headline import (
+    Headline,
+    HeadlineColumn,
+    choose_levels,
+    headline,
+)
 from evaluation.reporting.lookups import estimates
 from evaluation.store.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
@@ -38,22 +43,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Run:
-    """A finished run: its first table, and who is strongest against each mechanism."""
+    """A finished run: its first table, and the strongest attack on each mechanism."""
 
     out: Path
     table: Headline
     entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
-    strongest: Mapping[
-        tuple[str, str], Source
-    ]  # By task ("": who rebuilds) and mechanism.
+    # By task, "" for reconstruction, and mechanism.
+    strongest: Mapping[tuple[str, str], Source]
 
     @property
-    def columns(self) -> list[Shown]:
-        """What is told of every level: the first table, and the worst-off tenth of the people."""
+    def columns(self) -> list[HeadlineColumn]:
+        """The columns of the first table, and that of the worst-off tenth."""
         return [*self.table.columns, *filter(None, [self.table.worst])]
 
-    def entry(self, where: Where, column: Shown) -> Mapping[str, Any] | None:
-        """Return the cell that a number of the first table is of."""
+    def entry(self, where: Where, column: HeadlineColumn) -> Mapping[str, Any] | None:
+        """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.knowledge)
         if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
@@ -73,7 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read(out: Path) -> Run:
     """Return a finished run; DataError if its manifest or its tables cannot be read."""
     manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
-    results = estimates(summary[worlds_of(summary) == ""])
+    results = estimates(summary[row_worlds(summary) == ""])
     strongest = {
         (task, mechanism): source
         for metric in (EXPOSURE, SUCCESS)
@@ -118,29 +122,26 @@ def check_seed_alone(outs: Sequence[Path]) -> None:
 def pooled(
     runs: Sequence[Run], where: Where, number: int
 ) -> tuple[Estimate, list[float]] | None:
-    """Return a column of the first table at a level over all runs, and each run's value."""
+    """Return the mean of a column at a level over all runs, and each run's value."""
     columns = [run.columns[number] for run in runs]
     known = [
         run.table.at(where, column) for run, column in zip(runs, columns, strict=True)
     ]
-    each = [estimate for estimate in known if estimate is not None]
-    if len(each) < len(runs):
+    own = [estimate for estimate in known if estimate is not None]
+    if len(own) < len(runs):
         return None
     sums = []
     for run, column in zip(runs, columns, strict=True):
-        # A matching names mates for all probes at once: the runs' own intervals tell of
-        # it.
+        # A matching names mates for all probes at once: use the runs' own intervals.
         entry = None if column.is_joint else run.entry(where, column)
         sums.append(read_sums(run.out, entry, column.measure.metric) if entry else None)
     counted = [run_sums for run_sums in sums if run_sums is not None]
     is_share = METRICS[columns[0].measure.metric].is_share
-    whole = len(counted) == len(runs)
-    mean = (
-        over_seeds(stacked_sums(counted), is_share=is_share)
-        if whole
-        else by_intervals(each)
-    )
-    return mean, [estimate.value for estimate in each]
+    if len(counted) == len(runs):
+        mean = over_seeds(stacked_sums(counted), is_share=is_share)
+    else:
+        mean = by_intervals(own)
+    return mean, [estimate.value for estimate in own]
 
 
 def _show(outs: Sequence[Path]) -> int:
@@ -148,7 +149,7 @@ def _show(outs: Sequence[Path]) -> int:
     runs = [read(out) for out in outs]
     first = runs[0].table
     # The levels of the first table, under both adding rules.
-    tabled = {(first.known[name].name, level) for name, level in levels_of(first)[0]}
+    tabled = {(first.known[name].name, level) for name, level in choose_levels(first)}
     for where in first.wheres:
         if (first.known[where[0]].name, where[1]) not in tabled:
             continue
@@ -166,7 +167,7 @@ def _show(outs: Sequence[Path]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Decided:
-    """A number of a run's verdict, and what is decided by it."""
+    """A number of a run's verdict, and the decision by it."""
 
     name: str
     effect: Estimate
@@ -174,7 +175,7 @@ class Decided:
 
 
 def _items(outs: Sequence[Path]) -> dict[str, list[Decided]]:
-    """Return the numbers of the verdicts by name: of items, and of what they rest on."""
+    """Return the numbers of the verdicts by name: of items and of their contrasts."""
     results: dict[str, list[Decided]] = {}
     for out in outs:
         for item in json.loads((out / "verdict.json").read_text())["items"]:
@@ -186,12 +187,10 @@ def _items(outs: Sequence[Path]) -> dict[str, list[Decided]]:
 
 
 def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
-    """Yield the effect of an item, or its spread, its error of prediction, and its contrasts."""
+    """Yield the effect or spread of an item, its prediction error and contrasts."""
     name, n = str(item["id"]), int(item["n"] or 0)
     has_spread = item.get("spread") is not None
-    effect = (
-        _number(item, "spread", n=n) if has_spread else _number(item, "effect", n=n)
-    )
+    effect = _number(item, "spread" if has_spread else "effect", n=n)
     yield Decided(name, effect, str(item["decision"]))
     if item.get("prediction_error") is not None:
         yield Decided(
@@ -199,7 +198,7 @@ def _decided(item: Mapping[str, Any]) -> Iterator[Decided]:
         )
     for contrast in item.get("contrasts", ()):
         levels = (contrast.get("level"), contrast.get("quartile"))
-        place = " ".join(f"{at:g}" for at in levels if at is not None)
+        place = " ".join(f"{level:g}" for level in levels if level is not None)
         label = f"{name}, {contrast['mechanism']} {place}"
         yield Decided(label, _number(contrast, "effect", n=int(contrast["n"])))
 
@@ -214,16 +213,14 @@ def _number(record: Mapping[str, Any], name: str, *, n: int) -> Estimate:
     return Estimate(value, low, high, n)
 
 
-def _text(mean: Estimate, each: Sequence[float]) -> str:
+def _text(mean: Estimate, values: Sequence[float]) -> str:
     """Return a share in %, its interval, and the runs' own values."""
     value, low, high = (
         100.0 * number for number in (mean.value, mean.ci_low, mean.ci_high)
     )
     ends = f"[{low:.1f}, {high:.1f}]" if math.isfinite(low) else "(no interval)"
-    return (
-        f"{value:6.1f} {ends:14} of"
-        f" {', '.join(f'{100.0 * other:.1f}' for other in each)}"
-    )
+    own = ", ".join(f"{100.0 * other:.1f}" for other in values)
+    return f"{value:6.1f} {ends:14} of {own}"
 
 
 if __name__ == "__main__":

@@ -32,14 +32,14 @@ if TYPE_CHECKING:
 
 Tracker: TypeAlias = KalmanCV | KalmanCA | KalmanIMM
 LEVELS = ("raw", "fixed:0.7,adding=independent", "fid:1000,adding=independent")
-"""What a robot is likely to be given; the noise of each is estimated as the tracker does."""
+"""Likely releases for a robot; the tracker estimates the noise of each."""
 TUNED: dict[str, tuple[Tracker, tuple[str, ...]]] = {
     "kalman_cv": (KalmanCV(), ("q",)),
     "kalman_ca": (KalmanCA(), ("q",)),
     "kalman_imm": (KalmanIMM(), ("q", "q_turn")),
 }
 LEAST_Q = 1e-3
-"""Bound on every q: the likelihood of the walking mode rises towards no noise at all."""
+"""Bound on every q, as the likelihood of the walking mode rises towards q = 0."""
 _WHOLE_HISTORY = 10**9
 
 
@@ -69,8 +69,8 @@ def tune(
 ) -> Tracker:
     """Return the tracker with the parameters of the largest likelihood, to two digits.
 
-    The gate is open (a likelihood over what the gate let through would reward a narrow
-    one), and the whole history counts.
+    The gate is open: a likelihood of only the samples within the gate would reward a
+    narrow gate. The whole history counts.
     """
     start = replace(tracker, gate=float("inf"), window=_WHOLE_HISTORY)
 
@@ -81,14 +81,12 @@ def tune(
         return -float(sum(trial.log_likelihood(release).sum() for release in shared))
 
     first = np.log([getattr(tracker, name) for name in names])
-    found = minimize(
+    result = minimize(
         loss, first, method="Nelder-Mead", options={"xatol": 5e-3, "fatol": 0.5}
     )
+    bounded = np.maximum(np.exp(result.x), LEAST_Q).tolist()
     best: dict[str, Any] = {
-        name: float(f"{value:.2g}")
-        for name, value in zip(
-            names, np.maximum(np.exp(found.x), LEAST_Q).tolist(), strict=True
-        )
+        name: float(f"{value:.2g}") for name, value in zip(names, bounded, strict=True)
     }
     return replace(tracker, **best)
 
@@ -119,14 +117,14 @@ def _show(*, n_scenes: int, seed: int) -> None:
     print(
         f"{'':<31}  {names[0]:>10} (the default), for comparison {', '.join(names[1:])}"
     )
-    found: dict[str, dict[str, Tracker]] = {}
+    tuned: dict[str, dict[str, Tracker]] = {}
     for dataset in names:
         try:
             shared = releases(dataset, n_scenes=n_scenes, seed=seed)
         except DataError as error:
             print(f"{dataset} is left out: {error}", file=sys.stderr)
             continue
-        found[dataset] = {
+        tuned[dataset] = {
             name: tune(tracker, parameters, shared=shared)
             for name, (tracker, parameters) in TUNED.items()
         }
@@ -134,8 +132,8 @@ def _show(*, n_scenes: int, seed: int) -> None:
         for parameter in parameters:
             values = [
                 (
-                    f"{getattr(found[dataset][name], parameter):>10g}"
-                    if dataset in found
+                    f"{getattr(tuned[dataset][name], parameter):>10g}"
+                    if dataset in tuned
                     else ""
                 )
                 for dataset in names

@@ -1,4 +1,4 @@
-"""Does it matter that scenes share their background agents, too? `python -m benchmarks.two_way`.
+"""The effect of shared background agents on intervals: `python -m benchmarks.two_way`.
 
 Intervals of scene rates cluster by the first agent alone. Scenes that share a
 background group would covary if it mattered who walks there: the sum of squared group
@@ -47,7 +47,7 @@ def main() -> int:
             "least_squares": ["scene", "conflict", "predicted"],
         }
         for name in MECHANISMS:
-            entries = {one["consumer"]: one for one in cells if one["spec"] == name}
+            entries = {cell["consumer"]: cell for cell in cells if cell["spec"] == name}
             agents, scenes = (
                 read_rows(out, entries[consumer], columns=wanted).to_pandas()
                 for consumer, wanted in columns.items()
@@ -62,7 +62,7 @@ def main() -> int:
 def background_excess(
     agents: pd.DataFrame, scenes: pd.DataFrame, name: str
 ) -> tuple[float, float]:
-    """Return how much wider an interval would be that knew of the background, and its p-value.
+    """Return how much wider an interval with the background would be, and its p-value.
 
     The variance by first agents is the sum of squares of their group totals.
     """
@@ -85,20 +85,19 @@ def background_excess(
     rng = stream(0, "test", "background", name)
     dealt = np.array([squares(rng.permutation(role[:, 1:])) for _ in range(999)])
     p_value = (1 + (dealt >= background).sum()) / 1000
-    return float(np.sqrt(1 + max(background - dealt.mean(), 0.0) / first)), float(
-        p_value
-    )
+    wider = np.sqrt(1 + max(background - dealt.mean(), 0.0) / first)
+    return float(wider), float(p_value)
 
 
 def planted(*, is_seen: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return agents and scenes whose misses hang on who walks in the background, or on nothing."""
+    """Return made-up agents and scenes, with an effect of the background or without."""
     rng = stream(0, "test", "planted background")
     n_scenes, n_groups = 2000, 40
-    who = rng.integers(0, n_groups, (n_scenes, 4))
+    person = rng.integers(0, n_groups, (n_scenes, 4))
     effect = rng.normal(0, 0.15, n_groups)
-    chance = 0.5 + is_seen * effect[who[:, 1:]].sum(axis=1)
-    scene, agent = np.divmod(np.arange(who.size), who.shape[1])
-    groups = [f"g{row}" for row in who.ravel()]
+    chance = 0.5 + is_seen * effect[person[:, 1:]].sum(axis=1)
+    scene, agent = np.divmod(np.arange(person.size), person.shape[1])
+    groups = [f"g{row}" for row in person.ravel()]
     agents = pd.DataFrame({"scene": scene, "agent": agent, "group": groups})
     predicted = rng.random(n_scenes) >= chance
     return agents, pd.DataFrame(

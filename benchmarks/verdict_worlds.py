@@ -1,12 +1,12 @@
-"""Is the verdict right where the truth is known? `python -m benchmarks.verdict_worlds`.
+"""The verdict where the truth is known: `python -m benchmarks.verdict_worlds`.
 
-Simulated runs, 200 of each world, at the level of who is linked and what their windows
-give away, summed by cluster. People walk alone or in groups. Each has a trait that
-makes it easier or harder to link under all mechanisms; luck is alike at the levels of a
-family, and a little is each level's own. The descriptor falls with the noise; how often
-people are linked is a function of it, but where a world says otherwise. Told are the
-worlds with any wrong decision, the right ones, and what was right where the power that
-was printed promised at least 80 %. Exit code 1 if a target is missed.
+It simulates 200 runs of each world: linked people and descriptors of their windows,
+summed by cluster. People walk alone or in groups. A trait makes each person easier or
+harder to link under all mechanisms; luck is shared by the levels of a family, and a
+little is each level's own. The descriptor falls with the noise; the share of linked
+people is a function of it, except where a world says otherwise. The table shows the
+worlds with any wrong decision, the right decisions, and the right ones among those
+whose printed power promised at least 80 %. Exit code 1 if a target is missed.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 
 TASK = "rerelease"
 NOISE = {"raw": 0.0, "correlated": 0.55, "offset": 0.3, "thin": 0.25}
-"""Strength by family; that of fixed noise is its level."""
+"""Strength of the noise by family; that of fixed noise is its level."""
 MOST_WRONG, LEAST_RIGHT = 15 / 200, 0.8
 
 
 @dataclass(frozen=True)
 class World:
-    """What is true in a simulated run."""
+    """The truth of a simulated run."""
 
     people: int = 1000
     apart: float = 0.0
-    """How many fewer people are linked under correlated noise than its descriptor says."""
+    """Share by which correlated noise lowers linkage below the prediction."""
     descriptor: str = "true"
-    """Or `random`, or `constant`: it has nothing to do with who is linked."""
+    """`true`, or `random` or `constant`: then it has nothing to do with linkage."""
 
     @property
     def right(self) -> str:
@@ -74,20 +74,24 @@ def mechanisms() -> tuple[Plugin, ...]:
 
 def families() -> dict[str, Family]:
     """Return the families of these mechanisms by name."""
-    return {one.name: Family(one.name, one.family, one.adding) for one in mechanisms()}
+    return {
+        plugin.name: Family(plugin.name, plugin.family, plugin.adding)
+        for plugin in mechanisms()
+    }
 
 
-def strength_of(one: Plugin) -> float:
-    """Return how strong the noise of a level is, 0 (raw) to 1."""
-    if one.family == "fixed":
-        return one.level or 0.0
-    if one.family == "fid":
-        return float(0.85 / (1.0 + ((one.level or 0.0) / 60.0) ** 0.6))
-    return NOISE.get(one.family, 0.5) + 0.45 * ("d_sigma" in one.name)
+def noise_strength(mechanism: Plugin) -> float:
+    """Return the strength of the noise of a level, 0 (raw) to 1."""
+    level = mechanism.level or 0.0
+    if mechanism.family == "fixed":
+        return level
+    if mechanism.family == "fid":
+        return float(0.85 / (1.0 + (level / 60.0) ** 0.6))
+    return NOISE.get(mechanism.family, 0.5) + 0.45 * ("d_sigma" in mechanism.name)
 
 
 def linked_task(world: World, *, seed: int) -> LinkedTask:
-    """Return who is linked in a world, and what their windows show."""
+    """Return the linked people of a world, and the descriptors of their windows."""
     rng = stream(seed, "worlds", repr(world))
     sizes = rng.choice([1, 1, 1, 2, 3], world.people)
     cluster = np.repeat(np.arange(world.people), sizes)[: world.people]
@@ -100,33 +104,43 @@ def linked_task(world: World, *, seed: int) -> LinkedTask:
         return np.bincount(cluster, weights=values).astype(np.float64)
 
     levels, ones = [], np.ones(world.people)
-    for one in mechanisms():
-        depth = strength_of(one)
-        common = luck.setdefault(one.family + one.adding, rng.normal(size=world.people))
+    for mechanism in mechanisms():
+        depth = noise_strength(mechanism)
+        family = mechanism.family + mechanism.adding
+        common = luck.setdefault(family, rng.normal(size=world.people))
         own = rng.normal(size=world.people)
         drawn = np.sqrt(0.5) * trait + np.sqrt(0.35) * common + np.sqrt(0.15) * own
-        share = 0.92 - 0.8 * depth**1.2 - world.apart * (one.family == "correlated")
+        share = (
+            0.92 - 0.8 * depth**1.2 - world.apart * (mechanism.family == "correlated")
+        )
         descriptors = {}
         for name, habit in zip(("plr", "ael", "mel"), habits, strict=True):
             spread = 0.2 * habit + 0.1 * common + 0.2 * rng.normal(size=world.people)
             mean = 0.9 * np.exp(-1.6 * depth) if world.descriptor == "true" else 0.5
             values = mean * np.exp(spread - 0.045)
-            values = (
-                np.full(world.people, 0.5) if world.descriptor == "constant" else values
-            )
+            if world.descriptor == "constant":
+                values = np.full(world.people, 0.5)
             descriptors[name] = np.array([summed(values), summed(ones)])
         hits = summed((drawn < ndtri(share)).astype(np.float64))
         linker = Source(f"{TASK}/shape", "blind")
         chance, probes = summed(0.01 * ones), summed(ones)
         levels.append(
-            LinkedLevel(one.name, one.level, linker, hits, chance, probes, descriptors)
+            LinkedLevel(
+                mechanism.name,
+                mechanism.level,
+                linker,
+                hits,
+                chance,
+                probes,
+                descriptors,
+            )
         )
     names = tuple(f"{name:05d}" for name in range(cluster[-1] + 1))
     return LinkedTask(TASK, 100, names, tuple(levels))
 
 
-def said_of(world: World, *, seed: int) -> dict[str, Any]:
-    """Return the items, controls and descriptors on trial of a world."""
+def judge(world: World, *, seed: int) -> dict[str, Any]:
+    """Return the verdict on a world: items, controls and descriptors on trial."""
     task = linked_task(world, seed=seed)
     return validity(
         [task], families=families(), preset="paper", dataset="worlds", seed=seed
@@ -135,7 +149,7 @@ def said_of(world: World, *, seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class Tally:
-    """What came of one world, simulated many times."""
+    """Counts over many simulated runs of a world."""
 
     worlds: int
     wrong: int
@@ -144,38 +158,45 @@ class Tally:
     """Of all items."""
     promised: int
     """Items whose printed power for the right answer is at least `LEAST_RIGHT`."""
-    kept: int
+    right: int
     """Right answers among them."""
     controls: int
-    """Worlds in which a positive control is said to fail."""
+    """Worlds whose verdict says that a positive control fails."""
     needed: float
-    """Median of the clusters that a true equal takes."""
+    """Median number of clusters that a true equal needs."""
 
 
 def tally(world: World, *, times: int, seed: int = 0) -> Tally:
-    """Return what comes of a world."""
-    right, decisions = world.right, Counter[str]()
-    wrong = promised = kept = controls = 0
+    """Simulate a world many times and count the decisions."""
+    decisions = Counter[str]()
+    wrong = promised = right = controls = 0
     needed: list[int] = []
-    truth = spread.EQUAL if right == rules.TRACKS else "10 points in one family"
+    truth = spread.EQUAL if world.right == rules.TRACKS else "10 points in one family"
     for place in range(times):
-        said = said_of(world, seed=seed + place)
-        found = [one["decision"] for one in said["items"]]
-        decisions.update(found)
+        verdict = judge(world, seed=seed + place)
+        decided = [item["decision"] for item in verdict["items"]]
+        decisions.update(decided)
         wrong += any(
-            one in (rules.TRACKS, rules.DOES_NOT) and one != right for one in found
+            decision in (rules.TRACKS, rules.DOES_NOT) and decision != world.right
+            for decision in decided
         )
         sure = [
-            one for one in said["items"] if one["power_if"][truth][right] >= LEAST_RIGHT
+            item
+            for item in verdict["items"]
+            if item["power_if"][truth][world.right] >= LEAST_RIGHT
         ]
         promised += len(sure)
-        kept += sum(one["decision"] == right for one in sure)
-        controls += any(one["decision"] == rules.DOES_NOT for one in said["controls"])
+        right += sum(item["decision"] == world.right for item in sure)
+        controls += any(
+            item["decision"] == rules.DOES_NOT for item in verdict["controls"]
+        )
         needed += [
-            one["n_needed"] for one in said["items"] if one["n_needed"] is not None
+            item["n_needed"]
+            for item in verdict["items"]
+            if item["n_needed"] is not None
         ]
     median = float(np.median(needed)) if needed else np.nan
-    return Tally(times, wrong, decisions, promised, kept, controls, median)
+    return Tally(times, wrong, decisions, promised, right, controls, median)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -185,24 +206,25 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--times", type=int, default=200)
     parser.add_argument("--world", action="append", choices=WORLDS)
     options = parser.parse_args(arguments)
-    head = f"{'world':<26}{'wrong':>9}{'right':>8}{'between':>9}{'promised':>10}{'kept':>8}"
-    print(f"{head}{'controls':>10}{'needed':>8}", flush=True)
+    head = f"{'world':<26}{'wrong':>9}{'right':>8}{'between':>9}{'promised':>10}"
+    print(f"{head}{'kept':>8}{'controls':>10}{'needed':>8}", flush=True)
     missed = False
     for name in options.world or WORLDS:
         world = replace(WORLDS[name], people=options.people)
-        one = tally(world, times=options.times)
-        items = one.decisions.total()
-        right, between = (
-            one.decisions[of] / items for of in (world.right, rules.BETWEEN)
-        )
-        kept = one.kept / one.promised if one.promised else np.nan
-        wrong = f"{one.wrong}/{one.worlds}"
+        counts = tally(world, times=options.times)
+        items = counts.decisions.total()
+        right = counts.decisions[world.right] / items
+        between = counts.decisions[rules.BETWEEN] / items
+        right_share = counts.right / counts.promised if counts.promised else np.nan
+        wrong = f"{counts.wrong}/{counts.worlds}"
         print(
-            f"{name:<26}{wrong:>9}{right:>8.1%}{between:>9.1%}{one.promised / items:>10.1%}"
-            f"{kept:>8.1%}{one.controls:>10}{one.needed:>8.0f}",
+            f"{name:<26}{wrong:>9}{right:>8.1%}{between:>9.1%}"
+            f"{counts.promised / items:>10.1%}{right_share:>8.1%}"
+            f"{counts.controls:>10}{counts.needed:>8.0f}",
             flush=True,
         )
-        missed |= one.wrong > MOST_WRONG * one.worlds or kept < LEAST_RIGHT
+        is_wrong = counts.wrong > MOST_WRONG * counts.worlds
+        missed |= is_wrong or right_share < LEAST_RIGHT
         missed |= world.descriptor != "true" and right < LEAST_RIGHT
     return int(missed)
 

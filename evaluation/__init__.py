@@ -1,8 +1,7 @@
 """The evaluation matrix: mechanisms x consumers, with intervals.
 
 ``evaluation.run(settings)`` gives the same results as ``python -m evaluation.matrix``,
-as data
-frames::
+as data frames::
 
     import evaluation
 
@@ -25,27 +24,21 @@ if TYPE_CHECKING:
 
 
 def _check_own_packages() -> None:
-    """Refuse a user's own folder of the name of one of our packages: it would be imported."""
+    """Refuse a user's folder with the name of one of our packages: it hides ours."""
     for name in ("isac_track", "predictors", "attacks"):
-        found = find_spec(name)
-        at = (
-            "nowhere"
-            if found is None or found.origin is None
-            else Path(found.origin).parent
-        )
-        if at == Path(__file__).parent.with_name(name):
+        spec = find_spec(name)
+        folder: Path | str = "nowhere"
+        if spec is not None and spec.origin is not None:
+            folder = Path(spec.origin).parent
+        if folder == Path(__file__).parent.with_name(name):
             continue
         message = (
-            f"{at} has the name of the package {name!r} of isac-track, and stands"
-            " before it"
+            f"{folder} has the name of the package {name!r} of isac-track, and stands"
+            " before it; say `isac-track matrix` instead of"
+            " `python -m evaluation.matrix`, or rename it"
         )
-        message += (
-            "; say `isac-track matrix` instead of `python -m evaluation.matrix`, or"
-            " rename it"
-        )
-        if (
-            sys.argv and sys.argv[0] == "-m"
-        ):  # a command, not a notebook: it ends in one line
+        # A command, not a notebook: it ends in one line.
+        if sys.argv and sys.argv[0] == "-m":
             sys.stderr.write(f"error: {message}\n")
             raise SystemExit(2)
         raise ImportError(message)
@@ -56,7 +49,7 @@ _check_own_packages()
 __all__ = ["Results", "Settings", "load", "run"]
 
 
-def __getattr__(name: str) -> Any:  # noqa: ANN401 - whatever the name stands for
+def __getattr__(name: str) -> Any:  # noqa: ANN401 - a function or a class
     # Lazy: `python -m evaluation.matrix --help` must not wait for pandas.
     if name not in __all__:
         raise AttributeError(f"module 'evaluation' has no attribute {name!r}")

@@ -1,4 +1,4 @@
-"""`isac-track COMMAND ...`, the same as ``python -m`` of the module behind each command.
+"""`isac-track COMMAND ...`: the same as ``python -m`` of the command's module.
 
 A user's own folder called ``evaluation`` would shadow ``python -m evaluation.matrix``.
 """
@@ -52,8 +52,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
         print(f"error: unknown command {words[0]!r}{hint}", file=sys.stderr)
         return 2
-    # As with `python -m`, a plug-in may lie in the working folder; last, to shadow
-    # nothing.
+    # As with `python -m`, a plug-in may lie in the working folder; at the end of the
+    # path it hides no package.
     sys.path.append(str(Path.cwd()))
     module = import_module(COMMANDS[words[0]][0])
     code: int = module.main(words[1:])

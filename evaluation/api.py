@@ -19,7 +19,7 @@ from evaluation.estimates.best_robot import BestRobots, best_robots
 from evaluation.estimates.bounds import gaps, linked_gaps
 from evaluation.estimates.by_speed import by_speed
 from evaluation.estimates.decisions import decisions
-from evaluation.estimates.families import CLEAN, RAW, families_in
+from evaluation.estimates.families import CLEAN, RAW, Family, families_in
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import TPR, galleries
 from evaluation.estimates.keys import Key, Source, horizons_in, judged_at
@@ -34,8 +34,13 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.own_plugins import Estimates, plugin_records
-from evaluation.estimates.pooled import Answered, answered, answers_of, to_frame
-from evaluation.estimates.strongest import HEADLINE, cross_fitted, strongest
+from evaluation.estimates.pooled import Answered, answered, run_answers, to_frame
+from evaluation.estimates.strongest import (
+    HEADLINE,
+    CrossFitted,
+    cross_fitted,
+    strongest,
+)
 from evaluation.estimates.strongest_table import (
     Strongest,
     strongest_on_each,
@@ -45,12 +50,12 @@ from evaluation.plan.constants import (
     BLOCK_SCENES,
     MOST_SCENES,
     WORLDS,
-    horizon_of,
     horizon_world,
+    world_horizon_s,
 )
-from evaluation.plan.plan import Plan, plan, trial
+from evaluation.plan.plan import Plan, plan, plan_stronger
 from evaluation.plan.settings import Settings, check_drawing
-from evaluation.pool.execute import execute, execute_trial
+from evaluation.pool.execute import execute, execute_stronger
 from evaluation.pool.workers import ahead, aside, given_back
 from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
@@ -62,7 +67,7 @@ from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.store import folder
-from evaluation.store.cell_files import Summed, read_gallery
+from evaluation.store.cell_files import ClusterSums, read_gallery
 from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.store.manifest import FAILED_COLUMNS, read_manifest
 from evaluation.verdict import sections as verdict
@@ -77,16 +82,12 @@ from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
 
 __all__ = ["Results", "build", "load", "rebuild", "run", "sized", "study"]
-_one_thread = partial(threadpool_limits, limits=1, user_api="blas")
-"""Keep linear algebra to this thread: its matrices are small, and others would only spin."""
+_limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
+"""Keep linear algebra to this thread: for small matrices others would only spin."""
 _DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
-"""What is compared of linkers, and has replicates."""
-_OF_PEOPLE: Final = (
-    EXPOSURE,
-    SUCCESS,
-    ASSIGNED,
-    TPR,
-)  # What is asked of who is linked.
+"""Metrics of linkers that are compared, and so have replicates."""
+_PEOPLE_METRICS: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)
+"""Metrics of the tables about linked people."""
 
 
 def run(
@@ -149,8 +150,10 @@ def run(
         What is to be linked, as above.
     adversaries : sequence of str, optional
         Adversaries beside blind, informed and oracle.
-    scenes, utility_scenes : int, optional
-        Scenes that are attacked, and all scenes.
+    scenes : int, optional
+        All scenes, which are all attacked.
+    utility_scenes : int, optional
+        All scenes; the attacked ones stay the preset's first.
     precision : float, optional
         Half-width of the missed-conflict rates' intervals: finds the number of scenes.
     pilot_half_width : float, optional
@@ -167,18 +170,23 @@ def run(
         Worker processes.
     cell_timeout_s : float, optional
         Seconds after which a cell is given up.
-    executor, scheduler : str, optional
-        `dask`, and the address of its scheduler.
-    keep_scores, keep_ids : bool, optional
-        Whether to keep the raw scores of all linkers, and the recording's own ids.
+    executor : str, optional
+        `local` or `dask`.
+    scheduler : str, optional
+        Address of the Dask cluster's scheduler.
+    keep_scores : bool, optional
+        Whether to keep the raw scores of all linkers.
+    keep_ids : bool, optional
+        Whether to keep the recording's own ids.
     format, fps, unit, columns, on_duplicate, crs, drop_frozen : optional
-        How a file of one's own is read, as `isac_track.datasets.load` takes them.
-    sessions, persistent_ids : optional
-        Files that are sessions of one recording, and whether ids are the same people in
-        all.
+        How to read a user's file, as `isac_track.datasets.load` takes them.
+    sessions : sequence of paths, optional
+        Files that are sessions of one recording.
+    persistent_ids : bool, optional
+        Whether ids are the same people in all sessions.
     progress : bool or callable
-        Whether to show the data and how far the run is, or what is called with cells
-        finished, cells to do, and what is under way.
+        Whether to show the data and the progress of the run, or a function of cells
+        finished, cells to do, and the cell under way.
     ready : Plan, optional
         A plan of `plan`, instead of all settings.
     pictures : bool
@@ -197,50 +205,51 @@ def run(
     """
     given = locals()  # before any other name: the options as they were given
     options = {
-        one.name: given[one.name]
-        for one in fields(Settings)
-        if given[one.name] is not None
+        option.name: given[option.name]
+        for option in fields(Settings)
+        if given[option.name] is not None
     }
     options |= unknown
-    told = progress if callable(progress) else lambda *_: None
+    report = progress if callable(progress) else lambda *_: None
     if ready is None:
-        ready = plan(sized((settings or Settings()).changed(**options), progress=told))
+        asked = (settings or Settings()).changed(**options)
+        ready = plan(sized(asked, progress=report))
     elif settings is not None or options:
         raise SettingsError(
             "a ready plan has its settings already: leave out all others"
         )
     folder.check_folder(ready.out)
     shown: AbstractContextManager[Callable[[int, int, str], None]] = (
-        contextlib.nullcontext(told)
+        contextlib.nullcontext(report)
     )
     if progress is True:
         shown = progress_bar([], heading=[*plan_lines(ready)])
     with shown as update:
-        return _carried_out(ready, update, pictures=pictures, walks=walks)
+        return _carry_out(ready, update, pictures=pictures, walks=walks)
 
 
-def _carried_out(
+def _carry_out(
     ready: Plan, update: Callable[[int, int, str], None], *, pictures: bool, walks: bool
 ) -> Results:
-    """Compute the cells of a plan, and write and return what they tell."""
+    """Compute the cells of a plan; write and return its results."""
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
-    with given_back(), locked(ready.out), _one_thread(), numeric:
+    with given_back(), locked(ready.out), _limit_threads(), numeric:
         with ahead():
             execute(ready, update, keeps_walks=walks)
-            _try_candidates(ready, update)
-        # One helps that is new: those of cells hold much, and strangers' plug-ins ran
-        # in them.
+            _try_stronger(ready, update)
+        # Use a fresh worker: those of cells hold too much memory, and have run users'
+        # plug-ins.
         with ahead(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)
 
 
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
-    """Return settings with as many scenes as the precision that they ask for takes; see docs.
+    """Return settings with the number of scenes that their precision takes; see docs.
 
     A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the
     widest interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up
-    to whole blocks. Raises SettingsError if that is more than a run takes, or nobody
-    foresees conflicts.
+    to whole blocks. Raises SettingsError if that is more than a run takes, or no
+    predictor reads.
     """
     if settings.precision is None or settings.utility_scenes is not None:
         return settings
@@ -250,14 +259,15 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
             "--precision is about missed conflicts: add --predictor NAME"
         )
     out = usual.out.with_name(f"{usual.out.name}-pilot")
-    alone: dict[str, Any] = {
-        "precision": None,
-        "scenes": BLOCK_SCENES,
-        "attacks": (),
-        "tasks": (),
-    }
-    alone["stages"] = settings.stages.changed({"conflict.horizons_s": ()})
-    ready = plan(settings.changed(**alone, out=out))
+    pilot_settings = settings.changed(
+        precision=None,
+        scenes=BLOCK_SCENES,
+        attacks=(),
+        tasks=(),
+        stages=settings.stages.changed({"conflict.horizons_s": ()}),
+        out=out,
+    )
+    ready = plan(pilot_settings)
     done = None if settings.fresh else _finished(ready)
     pilot = done or run(ready=ready, progress=progress, pictures=False)
     missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
@@ -276,16 +286,16 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
 
 
 def rebuild(out: Path | str, *, pdf: bool = False) -> Results:
-    """Write tables, figures and page of a run folder anew, with `pdf` figures as PDF, too.
+    """Write tables, figures and page of a run folder anew, with `pdf` also as PDF.
 
-    Raises IsacTrackError if the folder holds no run, or a cell is missing or not as it
-    was written.
+    Raises IsacTrackError if the folder holds no run, or a cell is missing or has
+    changed.
     """
     out = Path(out)
     if pdf:
         check_drawing()
     manifest = read_manifest(out)
-    with locked(out), _one_thread():
+    with locked(out), _limit_threads():
         check_sound(
             out, (name for entry in manifest["cells"] for name in entry["files"])
         )
@@ -297,151 +307,43 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
-    results, looked = _results(out)
-    results = replace(results, first_table_of=first_table)
-    with aside(partial(_as_csv, [getattr(results, of) for of in FRAMES])) as tables:
-        write_whole(out / "flags.json", weak_attacks.to_json(results.flags, looked))
+    results, searched = _results(out)
+    results = replace(results, make_first_table=first_table)
+    frames = [getattr(results, name) for name in FRAMES]
+    with aside(partial(_to_csv_files, frames)) as wait_for_csv:
+        write_whole(out / "flags.json", weak_attacks.to_json(results.flags, searched))
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
         write_text(results)
-        for name, content in zip(FRAMES.values(), tables(), strict=True):
+        for name, content in zip(FRAMES.values(), wait_for_csv(), strict=True):
             write_whole(out / name, content)
-    folder.remove_figures(out)  # those of an earlier report tell of other results
+    folder.remove_figures(out)  # figures of an earlier report show other results
     if pictures:
         _draw(results, pdf=pdf)
     return results
 
 
-def _results(out: Path) -> tuple[Results, dict[str, Any]]:
-    """Return all that the cells of a run tell, and how much was looked at for flags."""
-    manifest = read_manifest(out)
-    dataset = manifest["dataset"]["name"]
-    predictors, known = (
-        manifest["settings"]["predictors"],
-        families_in(manifest["cells"]),
-    )
-    with aside(partial(_of_links, out, manifest)) as of_links:
-        scenes = _of_scenes(out, manifest)
-        links = of_links()
-    linked, sums = links.estimates, links.sums | scenes.attacked
-    found = scenes.estimates
-    flagged, looked = weak_attacks.flags(
-        found, slow=weak_attacks.slow_attacks(manifest)
-    )
-    sweeps = Sweeps({**found, **scenes.own.at_raw_alarms, **linked}, known)
-    best = strongest(sweeps.found, known)
-    few = {key: one for key, one in sweeps.found.items() if key.metric in _OF_PEOPLE}
-    crossed = {
-        task: cross_fitted(sums, known, source, by=SUCCESS if task else EXPOSURE)
-        for task, source in best.items()
-    }
-    on_each = strongest_on_each(sweeps.found, sums, known)
-    choices = {(task, ""): of.choices for task, of in crossed.items() if task}
-    choices |= {
-        (one.source.task, one.mechanism): one.crossed.choices
-        for one in on_each
-        if one.source.task and one.among == HEADLINE
-    }
-    of_run = out, manifest, Sweeps(few, known), best, choices
-    with aside(partial(_of_people, *of_run)) as of_people:
-        at_equal = [matched(sweeps, predictors=predictors, dataset=dataset)]
-        frontiers = [
-            frontier(sweeps, predictors=predictors, dataset=dataset, attacks=on_each)
-        ]
-        for horizon_s, robots in scenes.later.items():
-            at_horizon = Sweeps(judged_at(sweeps.found, robots.every), known)
-            about: dict[str, Any] = {
-                "dataset": dataset,
-                "world": horizon_world(horizon_s),
-            }
-            frontiers.append(
-                frontier(at_horizon, predictors=predictors, attacks=on_each, **about)
-            )
-            at_equal.append(
-                matched(
-                    at_horizon, predictors=predictors[:1], criteria=(FUTURE,), **about
-                )
-            )
-        tidy = summary.to_frame(
-            {**found, **linked}, worlds=scenes.worlds, known=known, dataset=dataset
-        )
-        far = weak_attacks.far_from_optimum(gaps(tidy))
-        speeds = by_speed(out, manifest, sweeps.found, known=known, best=best)
-        in_galleries, across = of_people()
-    estimates = {
-        key: one for of in crossed.values() for key, one in of.estimates.items()
-    }
-    judged = Sweeps({**sweeps.found, **estimates}, known)
-    later = {
-        horizon_s: Sweeps(judged_at(judged.found, robots.every), known)
-        for horizon_s, robots in scenes.later.items()
-    }
-    said = verdict.verdict(
-        judged,
-        across,
-        strongest=best,
-        scored={task: of.choices for task, of in crossed.items()},
-        later=later,
-        manifest=manifest,
-    )
-    if own := manifest.get("own_plugins"):
-        leading = leading_handover(best)
-        beside = Estimates(
-            sweeps.found, scenes.estimates_later, sums, known, on_each, leading
-        )
-        said["plugins"] = plugin_records(own, beside)
-    said["robots"] = horizons.beaten_by_standing_still(found, scenes.estimates_later)
-    every_match = pd.concat(at_equal, ignore_index=True)
-    results = Results(
-        out=out,
-        manifest=manifest,
-        summary=tidy,
-        paper_table=paper.paper_table(sweeps, dataset=dataset),
-        claims=paper.claims(
-            sweeps, every_match, dataset=dataset, history=manifest["history"]
-        ),
-        matched=every_match,
-        frontier=pd.concat(frontiers, ignore_index=True),
-        levels=_levels_of(manifest, scenes, links, attacks=on_each),
-        attacked=strongest_table(on_each, sweeps.found, dataset=dataset),
-        decisions=pd.concat(
-            [robots.decided for robots in scenes.judged], ignore_index=True
-        ),
-        curves=pd.concat(
-            [robots.curves for robots in scenes.judged], ignore_index=True
-        ),
-        flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
-        linkability=links.table,
-        galleries=in_galleries,
-        speeds=speeds,
-        verdict=said,
-        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
-        strongest={task: source.attack for task, source in best.items()},
-        conflict_times=horizons.conflict_times(out, manifest),
-        gallery=read_gallery(out),
-    )
-    told = [one.sentence for one in answers(results)]
-    return replace(results, verdict={"answer": told, **said}), looked
-
-
 @dataclass(frozen=True, eq=False, slots=True)
-class _Links:
-    """What the cells of linkage tell."""
+class _LinkEstimates:
+    """Estimates from the cells of linkage."""
 
     estimates: dict[Key, Estimate]
-    sums: dict[Key, Summed]
+    sums: dict[Key, ClusterSums]
     table: pd.DataFrame  # `linkability.csv`
 
 
-def _of_links(out: Path, manifest: Mapping[str, Any]) -> _Links:
-    read = linkability.cards(out, manifest, drawn=_DRAWN)
-    table = linkability.linkability(read, dataset=manifest["dataset"]["name"])
-    return _Links(summary.linkage_estimates(read), summary.linkage_sums(read), table)
+def _link_estimates(out: Path, manifest: Mapping[str, Any]) -> _LinkEstimates:
+    cards = linkability.cards(out, manifest, drawn=_DRAWN)
+    return _LinkEstimates(
+        estimates=summary.linkage_estimates(cards),
+        sums=summary.linkage_sums(cards),
+        table=linkability.linkability(cards, dataset=manifest["dataset"]["name"]),
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Judged:
-    """Robots judged at a horizon: what each metric is, and how misses trade for false alarms."""
+    """Robots judged at a horizon: their metrics, and misses against false alarms."""
 
     estimates: Mapping[Key, Estimate]
     at_raw_alarms: Mapping[Key, Estimate]
@@ -450,20 +352,20 @@ class _Judged:
     decided: pd.DataFrame
 
     @property
-    def every(self) -> dict[Key, Estimate]:
+    def all_estimates(self) -> dict[Key, Estimate]:
         """All estimates, those at raw's false-alarm rate among them."""
         return {**self.estimates, **self.at_raw_alarms}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Scenes:
-    """What the cells of scenes tell."""
+class _SceneEstimates:
+    """Estimates from the cells of scenes."""
 
     estimates: Mapping[Key, Estimate]
-    attacked: dict[Key, Summed]
+    attacked: dict[Key, ClusterSums]
     worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
     own: _Judged  # At the run's own horizon.
-    later: Mapping[float, _Judged]  # At further ones, s, ascending.
+    later: Mapping[float, _Judged]  # At further horizons, s, ascending.
 
     @property
     def estimates_later(self) -> dict[float, Mapping[Key, Estimate]]:
@@ -476,13 +378,11 @@ class _Scenes:
         return [self.own, *self.later.values()]
 
 
-def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
-    found, scored, attacked = summary.estimates(out, manifest)
+def _scene_estimates(out: Path, manifest: Mapping[str, Any]) -> _SceneEstimates:
+    estimates, scored, attacked = summary.estimates(out, manifest)
     dataset = manifest["dataset"]["name"]
-    own, later = (
-        _judged(scored, manifest, found, dataset=dataset),
-        dict[float, _Judged](),
-    )
+    own = _judged(scored, manifest, estimates, dataset=dataset)
+    later = dict[float, _Judged]()
     worlds: dict[str, Mapping[Key, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
         world = horizon_world(horizon_s)
@@ -490,14 +390,15 @@ def _of_scenes(out: Path, manifest: Mapping[str, Any]) -> _Scenes:
         name = f"{dataset}:{world}"
         later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
     for world in WORLDS:
-        card = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
-        of = summary.estimates(out, manifest, world=world)[0]
-        of |= linked_gaps(summary.linkage_estimates(card))
-        # Nothing is paired with them: their replicates are as large as a run's own.
+        cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
+        in_world = summary.estimates(out, manifest, world=world)[0]
+        in_world |= linked_gaps(summary.linkage_estimates(cards))
+        # Without replicates, as large as a run's own: no comparison pairs with them.
         worlds[world] = {
-            key: replace(one, replicates=np.zeros(0)) for key, one in of.items()
+            key: replace(estimate, replicates=np.zeros(0))
+            for key, estimate in in_world.items()
         }
-    return _Scenes(found, attacked, worlds, own, later)
+    return _SceneEstimates(estimates, attacked, worlds, own, later)
 
 
 def _judged(
@@ -510,116 +411,322 @@ def _judged(
     curves, decided, at_raw_alarms = decisions(
         scored, manifest, estimates, dataset=dataset
     )
-    among = {
+    candidates = {
         name
         for name, family in families_in(manifest["cells"]).items()
         if family.protects or family.family == RAW
     }
-    best = best_robots(scored, manifest, {**estimates, **at_raw_alarms}, among=among)
+    best = best_robots(
+        scored, manifest, {**estimates, **at_raw_alarms}, among=candidates
+    )
     return _Judged(estimates, at_raw_alarms, best, curves, decided)
 
 
-def _try_candidates(ready: Plan, update: Callable[[int, int, str], None]) -> None:
-    """Let adversaries who know more attack the levels that would be proposed without them."""
-    if not trial(ready, specs=[plugin.spec for plugin in ready.axes.mechanisms]).units:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Compared:
+    """All estimates of a run, and the strongest attacks among them."""
+
+    sweeps: Sweeps
+    families: Mapping[str, Family]  # The mechanisms of the run, by name.
+    sums: Mapping[Key, ClusterSums]  # Of attacks.
+    best: Mapping[str, Source]  # The strongest linker by task; a reconstruction as "".
+    crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
+    by_mechanism: tuple[Strongest, ...]
+
+    @property
+    def choices(self) -> dict[tuple[str, str], Choices]:
+        """Choices of the strongest linkers, by task and mechanism; "": of all."""
+        choices: dict[tuple[str, str], Choices] = {
+            (task, ""): crossed.choices
+            for task, crossed in self.crossed.items()
+            if task
+        }
+        for attack in self.by_mechanism:
+            if attack.source.task and attack.among == HEADLINE:
+                key = attack.source.task, attack.mechanism
+                choices[key] = attack.crossed.choices
+        return choices
+
+    def people_sweeps(self) -> Sweeps:
+        """Return the sweeps of the metrics that linked people are described by."""
+        estimates = {
+            key: estimate
+            for key, estimate in self.sweeps.estimates.items()
+            if key.metric in _PEOPLE_METRICS
+        }
+        return Sweeps(estimates, self.families)
+
+    def judged_sweeps(self) -> Sweeps:
+        """Return all sweeps, with cross-fitted estimates of the strongest attacks."""
+        estimates = {**self.sweeps.estimates}
+        for crossed in self.crossed.values():
+            estimates |= crossed.estimates
+        return Sweeps(estimates, self.families)
+
+
+def _compare_attacks(
+    scenes: _SceneEstimates, links: _LinkEstimates, families: Mapping[str, Family]
+) -> _Compared:
+    """Find the strongest attacks of a run, at all levels and against each mechanism."""
+    sums = links.sums | scenes.attacked
+    estimates = {
+        **scenes.estimates,
+        **scenes.own.at_raw_alarms,
+        **links.estimates,
+    }
+    sweeps = Sweeps(estimates, families)
+    best = strongest(sweeps.estimates, families)
+    crossed = {
+        task: cross_fitted(sums, families, source, by=SUCCESS if task else EXPOSURE)
+        for task, source in best.items()
+    }
+    by_mechanism = strongest_on_each(sweeps.estimates, sums, families)
+    return _Compared(sweeps, families, sums, best, crossed, by_mechanism)
+
+
+def _results(out: Path) -> tuple[Results, dict[str, Any]]:
+    """Return the results of a run's cells, and the extent of the search for flags."""
+    manifest = read_manifest(out)
+    dataset = manifest["dataset"]["name"]
+    families = families_in(manifest["cells"])
+    with aside(partial(_link_estimates, out, manifest)) as wait_for_links:
+        scenes = _scene_estimates(out, manifest)
+        links = wait_for_links()
+    flagged, searched = weak_attacks.flags(
+        scenes.estimates, slow=weak_attacks.slow_attacks(manifest)
+    )
+    compared = _compare_attacks(scenes, links, families)
+    sweeps, best = compared.sweeps, compared.best
+    describe_people = partial(
+        _people_tables, out, manifest, compared.people_sweeps(), best, compared.choices
+    )
+    with aside(describe_people) as wait_for_people:
+        frontiers, matches = _frontiers_and_matches(manifest, scenes, compared)
+        tidy = summary.to_frame(
+            {**scenes.estimates, **links.estimates},
+            worlds=scenes.worlds,
+            families=families,
+            dataset=dataset,
+        )
+        far = weak_attacks.far_from_optimum(gaps(tidy))
+        speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
+        gallery_table, validity = wait_for_people()
+    answered_verdict = _verdict(manifest, scenes, compared, validity)
+    results = Results(
+        out=out,
+        manifest=manifest,
+        summary=tidy,
+        paper_table=paper.paper_table(sweeps, dataset=dataset),
+        claims=paper.claims(
+            sweeps, matches, dataset=dataset, history=manifest["history"]
+        ),
+        matched=matches,
+        frontier=frontiers,
+        levels=_level_table(manifest, scenes, links, attacks=compared.by_mechanism),
+        attacked=strongest_table(
+            compared.by_mechanism, sweeps.estimates, dataset=dataset
+        ),
+        decisions=pd.concat(
+            [robots.decided for robots in scenes.judged], ignore_index=True
+        ),
+        curves=pd.concat(
+            [robots.curves for robots in scenes.judged], ignore_index=True
+        ),
+        flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
+        linkability=links.table,
+        galleries=gallery_table,
+        speeds=speeds,
+        verdict=answered_verdict,
+        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
+        strongest={task: source.attack for task, source in best.items()},
+        conflict_times=horizons.conflict_times(out, manifest),
+        gallery=read_gallery(out),
+    )
+    sentences = [answer.sentence for answer in answers(results)]
+    with_answer = {"answer": sentences, **answered_verdict}
+    return replace(results, verdict=with_answer), searched
+
+
+def _frontiers_and_matches(
+    manifest: Mapping[str, Any], scenes: _SceneEstimates, compared: _Compared
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return `frontier.csv` and `matched.csv`: at the run's horizon, then at others."""
+    dataset = manifest["dataset"]["name"]
+    predictors = manifest["settings"]["predictors"]
+    sweeps, attacks = compared.sweeps, compared.by_mechanism
+    matches = [matched(sweeps, predictors=predictors, dataset=dataset)]
+    frontiers = [
+        frontier(sweeps, predictors=predictors, dataset=dataset, attacks=attacks)
+    ]
+    for horizon_s, robots in scenes.later.items():
+        at_horizon = Sweeps(
+            judged_at(sweeps.estimates, robots.all_estimates), compared.families
+        )
+        world = horizon_world(horizon_s)
+        frontiers.append(
+            frontier(
+                at_horizon,
+                predictors=predictors,
+                attacks=attacks,
+                dataset=dataset,
+                world=world,
+            )
+        )
+        matches.append(
+            matched(
+                at_horizon,
+                predictors=predictors[:1],
+                criteria=(FUTURE,),
+                dataset=dataset,
+                world=world,
+            )
+        )
+    return (
+        pd.concat(frontiers, ignore_index=True),
+        pd.concat(matches, ignore_index=True),
+    )
+
+
+def _verdict(
+    manifest: Mapping[str, Any],
+    scenes: _SceneEstimates,
+    compared: _Compared,
+    validity: dict[str, list[dict[str, Any]]],
+) -> dict[str, Any]:
+    """Return the verdict of a run, with records of a user's own plug-ins."""
+    judged = compared.judged_sweeps()
+    later = {
+        horizon_s: Sweeps(
+            judged_at(judged.estimates, robots.all_estimates), compared.families
+        )
+        for horizon_s, robots in scenes.later.items()
+    }
+    parts = verdict.verdict(
+        judged,
+        validity,
+        strongest=compared.best,
+        scored={task: crossed.choices for task, crossed in compared.crossed.items()},
+        later=later,
+        manifest=manifest,
+    )
+    if own_plugins := manifest.get("own_plugins"):
+        estimates = Estimates(
+            compared.sweeps.estimates,
+            scenes.estimates_later,
+            compared.sums,
+            compared.families,
+            compared.by_mechanism,
+            leading_handover(compared.best),
+        )
+        parts["plugins"] = plugin_records(own_plugins, estimates)
+    parts["robots"] = horizons.beaten_by_standing_still(
+        scenes.estimates, scenes.estimates_later
+    )
+    return parts
+
+
+def _try_stronger(ready: Plan, update: Callable[[int, int, str], None]) -> None:
+    """Let stronger adversaries attack the levels that would be proposed."""
+    all_specs = [plugin.spec for plugin in ready.axes.mechanisms]
+    if not plan_stronger(ready, specs=all_specs).units:
         return
     manifest = read_manifest(ready.out)
-    entries = manifest["cells"]
-    # What those levels rest on; of all that is linked the leading handover.
-    known = families_in(entries)
+    entries = _proposal_entries(manifest["cells"])
+    proposed = _proposed_levels(ready.out, manifest | {"cells": entries})
+    specs = [
+        entry["spec"]
+        for entry in entries
+        if (entry["mechanism"], entry["level"]) in proposed
+    ]
+    # All cells of the run are finished: these few are not counted among them.
+    n_cells = ready.n_cells
+
+    def report(_done: int, _total: int, cell: str) -> None:
+        update(n_cells, n_cells, f"levels to propose: {cell}")
+
+    execute_stronger(plan_stronger(ready, specs=specs), report)
+
+
+def _proposal_entries(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the entries that proposed levels rest on.
+
+    They are of protections, raw and clean, at all horizons; of the linkage tasks only
+    the leading handover.
+    """
     names = {
         name
-        for name, family in known.items()
+        for name, family in families_in(entries).items()
         if family.protects or family.family in (RAW, CLEAN)
     }
     leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
-    needed = [
+    return [
         entry
         for entry in entries
         if entry["mechanism"] in names
         and Source(entry["consumer"]).task in ("", leading)
-        and (not entry.get("world") or horizon_of(entry["world"]) is not None)
+        and (not entry.get("world") or world_horizon_s(entry["world"]) is not None)
     ]
-    few = manifest | {"cells": needed}
-    scenes, links = _of_scenes(ready.out, few), _of_links(ready.out, few)
-    estimates = {**scenes.estimates, **links.estimates}
+
+
+def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Any]:
+    """Return mechanism and level of each level that would be proposed now."""
+    families = families_in(manifest["cells"])
+    scenes, links = _scene_estimates(out, manifest), _link_estimates(out, manifest)
     attacks = strongest_on_each(
-        estimates, links.sums | scenes.attacked, families_in(needed)
+        {**scenes.estimates, **links.estimates}, links.sums | scenes.attacked, families
     )
-    table = _levels_of(few, scenes, links, attacks=attacks)
-    dataset, question = (
-        manifest["dataset"]["name"],
-        default_question(families_in(needed)),
-    )
+    table = _level_table(manifest, scenes, links, attacks=attacks)
+    dataset, question = manifest["dataset"]["name"], default_question(families)
     offers = recommend(table, question, dataset=dataset).candidates
-    wheres = {offer.where for offer in offers}
-    specs = [
-        entry["spec"]
-        for entry in needed
-        if (entry["mechanism"], entry["level"]) in wheres
-    ]
-    n_cells = (
-        ready.n_cells
-    )  # All are finished: these are few, and not told as a part of them.
-    report = partial(_tell_trial, update, n_cells)
-    execute_trial(trial(ready, specs=specs), report)
+    return {offer.where for offer in offers}
 
 
-def _tell_trial(
-    update: Callable[[int, int, str], None],
-    n_cells: int,
-    _done: int,
-    _total: int,
-    text: str,
-) -> None:
-    update(n_cells, n_cells, f"levels to propose: {text}")
-
-
-def _levels_of(
+def _level_table(
     manifest: Mapping[str, Any],
-    scenes: _Scenes,
-    links: _Links,
+    scenes: _SceneEstimates,
+    links: _LinkEstimates,
     *,
     attacks: Sequence[Strongest],
 ) -> pd.DataFrame:
-    """Return what a site gets and pays at each level."""
+    """Return privacy and utility of a site at each level: `levels.csv`."""
+    later = {
+        horizon_world(horizon_s): robots for horizon_s, robots in scenes.later.items()
+    }
     return levels(
         {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
         attacks=attacks,
-        horizons={
-            horizon_world(at): robots.every for at, robots in scenes.later.items()
-        },
+        horizons={world: robots.all_estimates for world, robots in later.items()},
         best={"": scenes.own.best}
-        | {horizon_world(at): robots.best for at, robots in scenes.later.items()},
+        | {world: robots.best for world, robots in later.items()},
         linked=links.table,
-        known=families_in(manifest["cells"]),
+        families=families_in(manifest["cells"]),
         dataset=manifest["dataset"]["name"],
     )
 
 
-def _of_people(
+def _people_tables(
     out: Path,
     manifest: Mapping[str, Any],
     sweeps: Sweeps,
     best: Mapping[str, Source],
     choices: Mapping[tuple[str, str], Choices],
 ) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
-    """Return what rests on who is linked: over the gallery's size, and the verdict's parts."""
+    """Return `gallery.csv`, and the parts of the verdict about linked people."""
     probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
-    in_galleries = galleries(probes, sweeps.found, dataset=dataset, seed=seed)
-    return in_galleries, verdict.of_people(
+    gallery_table = galleries(probes, sweeps.estimates, dataset=dataset, seed=seed)
+    return gallery_table, verdict.validity_sections(
         probes, sweeps, strongest=best, manifest=manifest
     )
 
 
-def _as_csv(frames: Sequence[pd.DataFrame]) -> list[bytes]:
-    return [to_csv(one) for one in frames]
+def _to_csv_files(frames: Sequence[pd.DataFrame]) -> list[bytes]:
+    return [to_csv(frame) for frame in frames]
 
 
 def _draw(results: Results, *, pdf: bool) -> None:
-    figures = figure.figures_of(results)
-    folder.note_figures(results.out, [one.name for one in figures])
+    figures = figure.make_figures(results)
+    folder.record_figures(results.out, [drawing.name for drawing in figures])
     figure.write(
         figures, folder=results.out / "figures", dataset=results.dataset, pdf=pdf
     )
@@ -629,45 +736,44 @@ def _draw(results: Results, *, pdf: bool) -> None:
 def study(
     asked: Sequence[tuple[str, Settings]], *, out: Path
 ) -> tuple[list[Answered], int]:
-    """Run what is not finished, answer all runs as one, and write `study.csv` and `study.html`.
+    """Do the unfinished runs, answer all as one, write `study.csv` and `study.html`.
 
     `asked` are the error law and the settings of each run, whose folder is in `out`.
-    Returns the answers, and how many cells failed. Raises IsacTrackError for anything
-    that a user can mend.
+    Returns the answers, and the number of failed cells. Raises IsacTrackError for
+    anything that a user can mend.
     """
-    plans, known = list[tuple[str, Plan]](), dict[str | None, Dataset]()
-    for (
-        law,
-        settings,
-    ) in asked:  # all are checked first, and each recording is read once
-        plans.append((law, plan(settings, dataset=known.get(settings.dataset))))
-        known[settings.dataset] = plans[-1][1].dataset
-    _refuse_copies(plans)
+    plans, datasets = list[tuple[str, Plan]](), dict[str | None, Dataset]()
+    # All are checked before the first run, and each recording is read once.
+    for law, settings in asked:
+        ready = plan(settings, dataset=datasets.get(settings.dataset))
+        plans.append((law, ready))
+        datasets[settings.dataset] = ready.dataset
+    _refuse_copies([ready for _, ready in plans])
     rows, simulated, n_failed = [], frozenset[str](), 0
     for law, ready in plans:
         if results := _finished(ready):
             sys.stderr.write(f"{ready.out}: finished before\n")
         else:
             results = run(ready=ready)
-        rows += answers_of(results.out, results.manifest, results.verdict, law=law)
+        rows += run_answers(results.out, results.manifest, results.verdict, law=law)
         n_failed += len(results.failed)
         if results.manifest["dataset"].get("simulated"):
             simulated |= {results.dataset}
-    of = answered(rows, simulated=simulated)
-    write_whole(out / "study.csv", to_csv(to_frame(rows, of)))
-    shown = study_page.render(
-        of, simulated=simulated, runs=[one.out.name for _, one in plans]
+    pooled = answered(rows, simulated=simulated)
+    write_whole(out / "study.csv", to_csv(to_frame(rows, pooled)))
+    html = study_page.render(
+        pooled, simulated=simulated, runs=[ready.out.name for _, ready in plans]
     )
-    write_whole(out / "study.html", shown.encode())
-    return of, n_failed
+    write_whole(out / "study.html", html.encode())
+    return pooled, n_failed
 
 
-def _refuse_copies(plans: Sequence[tuple[str, Plan]]) -> None:
-    """Raise SettingsError if two recordings of a study are the same bytes: they count as one."""
-    first_of: dict[str, str] = {}
-    for _, ready in plans:
+def _refuse_copies(plans: Sequence[Plan]) -> None:
+    """Raise SettingsError if two recordings of a study are the same bytes."""
+    name_by_digest: dict[str, str] = {}
+    for ready in plans:
         name = str(ready.settings.dataset)
-        first = first_of.setdefault(ready.dataset.sha256, name)
+        first = name_by_digest.setdefault(ready.dataset.sha256, name)
         if first != name:
             raise SettingsError(
                 f"{first} and {name} hold the same bytes: one recording twice is not"
@@ -677,13 +783,15 @@ def _refuse_copies(plans: Sequence[tuple[str, Plan]]) -> None:
 
 
 def _finished(ready: Plan) -> Results | None:
-    """Return the results of a plan that was carried out before by the same code, or None."""
+    """Return the results of a plan that the same code has finished; else None."""
     try:
         manifest = read_manifest(ready.out)
-        same = manifest["identity"] == ready.identity and manifest["code"] == ready.code
-        is_done = (
-            same and manifest.get("state") == "finished" and not manifest.get("failed")
+        is_same = (
+            manifest["identity"] == ready.identity and manifest["code"] == ready.code
         )
-        return load(ready.out) if is_done else None
+        is_finished = manifest.get("state") == "finished"
+        if is_same and is_finished and not manifest.get("failed"):
+            return load(ready.out)
     except DataError:
-        return None
+        pass
+    return None

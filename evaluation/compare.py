@@ -1,4 +1,4 @@
-"""Compare two runs: `python -m evaluation.compare OUT_A OUT_B`; see docs/compare.md."""
+"""Compare two runs: `python -m evaluation.compare OUT_A OUT_B`; see docs/how-to/compare.md."""
 
 import argparse
 import json
@@ -49,8 +49,8 @@ def _run(options: argparse.Namespace) -> int:
                 f"cannot write {options.csv}: {error.strerror or error}"
             ) from None
     if options.json:
-        found = to_json(comparison, every=options.all)
-        print(json.dumps(found, indent=1, allow_nan=False), flush=True)
+        content = to_json(comparison, every=options.all)
+        print(json.dumps(content, indent=1, allow_nan=False), flush=True)
     else:
         show(comparison, every=options.all)
     return int(options.fail_on_change and comparison.has_changed())

@@ -1,4 +1,4 @@
-"""Choose a noise level for a site: `python -m evaluation.design --max-missed 0.20 OUT`."""
+"""Choose a noise level: `python -m evaluation.design --max-missed 0.20 OUT`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _plan(arguments: Sequence[str]) -> int:
-    """Answer from closed forms; what takes a second to import is not."""
+    """Answer from closed forms, without the imports that take a second."""
     command = Parser(
         prog="python -m evaluation.design --plan",
         description=(
@@ -77,11 +77,11 @@ def _plan(arguments: Sequence[str]) -> int:
         ),
         ("dt", steady.INTERVAL_S, "time between samples, s"),
     ):
-        shown = f"{about} (default: {default:g})"
-        add(f"--{name}", type=float, default=default, metavar="X", help=shown)
+        help_text = f"{about} (default: {default:g})"
+        add(f"--{name}", type=float, default=default, metavar="X", help=help_text)
     given = command.parse_args(arguments)
-    others = {"missed": given.max_missed, "rank1": given.max_rank1}
-    for name, limit in others.items():
+    run_limits = {"missed": given.max_missed, "rank1": given.max_rank1}
+    for name, limit in run_limits.items():
         if limit is not None and not 0.0 <= limit <= 1.0:
             raise SettingsError(
                 f"--max-{name} is a fraction from 0 to 1 (0.2 for 20 %), got {limit:g}"
@@ -93,19 +93,19 @@ def _plan(arguments: Sequence[str]) -> int:
     except ValueError as error:
         raise SettingsError(f"design --plan: {error}") from None
     print(*lines, sep="\n")
-    return DONE if {*others.values()} == {None} else LIMIT_NOT_MET
+    return DONE if {*run_limits.values()} == {None} else LIMIT_NOT_MET
 
 
 def _run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
     from evaluation.reporting.design_words import (  # noqa: PLC0415 - heavy
-        answer_of,
+        answer_question,
         show,
         to_json,
     )
 
     options = _parser().parse_args(arguments)
-    answer = answer_of(options.out, _question(options))
+    answer = answer_question(options.out, _question(options))
     if options.json:
         print(json.dumps(to_json(answer), indent=1, allow_nan=False))
     else:
@@ -149,9 +149,9 @@ def _parser() -> Parser:
     add = command.add_argument
     add("out", type=Path, metavar="OUT", help="folder of a run")
     for name, metric in LIMITS.items():
-        shown = METRICS[metric]
-        kind, unit = ("a fraction", "X") if shown.is_share else ("in s", "S")
-        about = words.get(name, f"{shown.head}, {kind}")
+        row = METRICS[metric]
+        kind, unit = ("a fraction", "X") if row.is_share else ("in s", "S")
+        about = words.get(name, f"{row.head}, {kind}")
         usual = USUAL.get(name)
         default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
@@ -197,7 +197,7 @@ def _parser() -> Parser:
 
 
 def _question(options: argparse.Namespace) -> Question:
-    """Return the question that was typed; SettingsError for what no question can be."""
+    """Return the question of a command line; SettingsError for impossible values."""
     from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
     from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
         LIMITS,

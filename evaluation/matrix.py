@@ -1,11 +1,11 @@
-"""`python -m evaluation.matrix`: a thin shell over `evaluation.run`."""
+"""Run the matrix: `python -m evaluation.matrix`, a thin shell over `evaluation.run`."""
 
 import argparse
 import gc
 import sys
 import tomllib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -38,17 +38,16 @@ _DATA = (
     " (default: students03 if it is here, else the simulated plaza)"
 )
 _REPLACES = "repeatable; replaces the preset's, with a + before each adds to them: +{}"
-_OF_ATTACKS = _REPLACES.format("my_attack")
 _ATTACK = (
     "a reconstruction, a linker, or LINKER@RECONSTRUCTION; `none` for none;"
-    f" {_OF_ATTACKS}"
+    f" {_REPLACES.format('my_attack')}"
 )
 _PREDICTOR = f"the robot's predictor; `none` for none; {_REPLACES.format('my_tracker')}"
 _TASK = f"what is to be linked; `none` for none; {_REPLACES.format('handover-2s')}"
 _ADVERSARY = (
     f"beside {', '.join(USUAL)}:"
-    f" {', '.join(one for one in ADVERSARIES if one not in USUAL)}; repeatable; see"
-    " docs/threat-model.md"
+    f" {', '.join(name for name in ADVERSARIES if name not in USUAL)}; repeatable; see"
+    " docs/explanation/threat-model.md"
 )
 _MECHANISM = (
     "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
@@ -58,17 +57,18 @@ _TIMEOUT = (
     " never)"
 )
 _EXECUTOR = (
-    "compute on this machine (local, default) or on a Dask cluster; see docs/cluster.md"
+    "compute on this machine (local, default) or on a Dask cluster; see"
+    " docs/how-to/cluster.md"
 )
 _PRECISION = (
     "half-width of the intervals of missed conflicts (0.01: ±1 point); 250 scenes"
     " computed first tell how many scenes that takes; not with --scenes"
 )
+# By key of --config: type, metavar, and text of --help.
 _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
-    # Key of --config: its type, its metavar, and what --help says.
     "preset": (str, "NAME", f"{_PRESETS} (default: {DEFAULT})"),
     "dataset": (str, "NAME|PATH", _DATA),
-    "format": (str, "NAME", "format of your own file; see docs/data.md"),
+    "format": (str, "NAME", "format of your own file; see docs/how-to/data.md"),
     "fps": (float, "N", "frames per second of your own file"),
     "unit": (
         str,
@@ -118,19 +118,11 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "scheduler": (str, "ADDRESS", "address of the Dask cluster, as tcp://host:8786"),
     "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
-_FLAGS_OF_RUN: Final = (
-    "persistent_ids",
-    "keep_scores",
-    "keep_ids",
-    "fresh",
-)  # Those that a file may set, too.
-_MAY_BE_NONE: Final = (
-    "mechanism",
-    "predictor",
-    "attack",
-    "task",
-)  # Axes: an empty list is none.
-_MOST_CONFIG: Final = 2**20  # Bytes of a config file; longer ones are something else.
+# Flags that a file may set, too.
+_RUN_FLAGS: Final = ("persistent_ids", "keep_scores", "keep_ids", "fresh")
+# Axes that an empty list empties.
+_MAY_BE_NONE: Final = ("mechanism", "predictor", "attack", "task")
+_MOST_CONFIG: Final = 2**20  # Bytes of a config file; a longer file is none.
 
 
 def parser() -> argparse.ArgumentParser:
@@ -144,8 +136,8 @@ def parser() -> argparse.ArgumentParser:
     )
     add = command.add_argument
     for key, (kind, metavar, about) in _OPTIONS.items():
-        how = {"action": "append"} if kind is list else {"type": kind}
-        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **how)
+        parsing = {"action": "append"} if kind is list else {"type": kind}
+        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **parsing)
     about = "change a stage setting, such as privacy.epsilon_m=0.5; --list names all"
     add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
@@ -175,17 +167,10 @@ def settings_from(options: argparse.Namespace) -> Settings:
     Raises SettingsError for anything unknown, malformed or contradictory.
     """
     stage_values: dict[str, Any] = {}
-    given = (
-        [_read_config(options.config, stage_values), options]
-        if options.config
-        else [options]
-    )
-    named = (
-        (key, getattr(one, key)) for one in given for key in (*_OPTIONS, *_FLAGS_OF_RUN)
-    )
-    values = {
-        key: value for key, value in named if value is not None and value is not False
-    }
+    values: dict[str, Any] = {}
+    if options.config:
+        values = _given_values(_read_config(options.config, stage_values))
+    values |= _given_values(options)
     for text in options.set:
         name, equals, value = text.partition("=")
         if not equals:
@@ -196,15 +181,15 @@ def settings_from(options: argparse.Namespace) -> Settings:
             raise SettingsError(
                 f"--{key} describes your own file: name it with --dataset PATH"
             )
-    for key in ("mechanism", "predictor", "attack", "task"):
+    for key in _MAY_BE_NONE:
         specs = values.pop(key, None)
         if specs and "none" in specs and len(specs) > 1:
             raise SettingsError(
                 f"--{key} none empties the axis and cannot be mixed with others"
             )
-        values[f"{key}s"] = (
-            None if specs is None else [one for one in specs if one != "none"]
-        )
+        if specs is not None:
+            specs = [spec for spec in specs if spec != "none"]
+        values[f"{key}s"] = specs
     return Settings(
         adversaries=values.pop("adversary", ()),
         cell_timeout_s=values.pop("cell_timeout", None),
@@ -214,20 +199,30 @@ def settings_from(options: argparse.Namespace) -> Settings:
     )
 
 
+def _given_values(options: argparse.Namespace) -> dict[str, Any]:
+    """Return the options of a run that were given, by their keys."""
+    values = {key: getattr(options, key) for key in (*_OPTIONS, *_RUN_FLAGS)}
+    return {
+        key: value
+        for key, value in values.items()
+        if value is not None and value is not False
+    }
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    kept = (
+    interrupted = (
         "interrupted; finished cells are kept, the same command continues (without"
         " --fresh)"
     )
-    return exit_code(lambda: _command(arguments), interrupted=kept)
+    return exit_code(lambda: _command(arguments), interrupted=interrupted)
 
 
 def _command(arguments: Sequence[str] | None) -> int:
     options = parser().parse_args(arguments)
     if options.list:
         print(*listing.listing(), sep="\n")
-        sys.stderr.writelines(f"{line}\n" for line in listing.broken())
+        sys.stderr.writelines(f"{line}\n" for line in listing.broken_plugins())
         return DONE
     settings = settings_from(options)
     from evaluation.pool.workers import ahead  # noqa: PLC0415 - as said below
@@ -235,10 +230,10 @@ def _command(arguments: Sequence[str] | None) -> int:
         progress_bar,
     )
 
-    said: list[str] = []
-    whole = options.verbose or options.dry_run
+    heading: list[str] = []
+    shows_all = options.verbose or options.dry_run
     with (
-        progress_bar(said) as update,
+        progress_bar(heading) as update,
         ahead(0 if options.dry_run else _n_workers(settings)),
     ):
         update(0, None, "reading the recording")
@@ -254,16 +249,16 @@ def _command(arguments: Sequence[str] | None) -> int:
                 )
             settings = sized(settings, progress=update)
         ready = plan(settings)
-        rehearsed = _rehearsed(ready) if options.dry_run else []
+        rehearsal = _rehearse(ready) if options.dry_run else []
         first, *others = announcements.plan_lines(ready)
-        said += announcements.wrapped(first) + announcements.condensed(
-            others, most=None if whole else 3, where="--dry-run"
+        heading += announcements.wrap_lines(first)
+        heading += announcements.condense_notices(
+            others, most=None if shows_all else 3, where="--dry-run"
         )
-        print(*said, *rehearsed, sep="\n", file=sys.stderr)
+        print(*heading, *rehearsal, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
-        # What draws and shows is heavier still: until here, the user knows what is
-        # under way.
+        # Heavier imports still, now that the user has seen the plan.
         from evaluation.api import run  # noqa: PLC0415 - as said
         from evaluation.pool.execute import (  # noqa: PLC0415 - as said
             FailedCellsWarning,
@@ -274,38 +269,46 @@ def _command(arguments: Sequence[str] | None) -> int:
         gc.freeze()
         try:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", FailedCellsWarning)  # notices say it
+                warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
                 shows = not options.no_pictures
                 results = run(ready=ready, progress=update, pictures=shows, walks=shows)
         finally:
             gc.unfreeze()  # as a caller in the same process had it
-    told = [f"notice: {one}" for one in notices(results.manifest)]
-    told = announcements.condensed(told, most=None if whole else 2, where="tables.txt")
-    sys.stderr.writelines(f"{line}\n" for line in told)
-    # One more: loops may have been compiled.
-    show(results, before=len(said) + len(told) + 1, verbose=options.verbose)
+    lines = _notice_lines(results.manifest, shows_all=shows_all)
+    sys.stderr.writelines(f"{line}\n" for line in lines)
+    # One line more: loops may have been compiled.
+    show(results, before=len(heading) + len(lines) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
 
 
-def _rehearsed(ready: "Plan") -> list[str]:
-    """Return how long a run will take, and notices; raise what would end it before it computes."""
+def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:
+    """Return the notices of a finished run, at most two unless all are shown."""
+    return announcements.condense_notices(
+        [f"notice: {notice}" for notice in notices(manifest)],
+        most=None if shows_all else 2,
+        where="tables.txt",
+    )
+
+
+def _rehearse(ready: "Plan") -> list[str]:
+    """Return the expected duration of a run, and notices; raise errors of its start."""
     from evaluation.pool.duration import expected_s, in_words  # noqa: PLC0415 - as said
     from evaluation.pool.rehearsal import rehearse  # noqa: PLC0415 - as said
 
     notices = rehearse(ready)
     time = in_words(expected_s(ready), jobs=ready.jobs)
     lines = [
-        *(f"notice: {one}" for one in notices),
+        *(f"notice: {notice}" for notice in notices),
         f"{time}, with loops compiled and idle cores",
     ]
-    return [line for text in lines for line in announcements.wrapped(text)]
+    return [line for text in lines for line in announcements.wrap_lines(text)]
 
 
 def _n_workers(settings: Settings) -> int:
-    """Return how many workers a run will take: they start while it is planned."""
+    """Return the number of workers of a run, which start while it is planned."""
     from evaluation.plan.axes import (  # noqa: PLC0415 - as said
         axes,
-        jobs_of,
+        choose_jobs,
         most_workers,
     )
     from evaluation.plan.fingerprint import (  # noqa: PLC0415 - as said
@@ -313,19 +316,22 @@ def _n_workers(settings: Settings) -> int:
     )
 
     crossed = axes(settings)
-    jobs = min(jobs_of(crossed, settings), most_workers(crossed, settings))
-    needed = jobs > 1 or has_strangers(crossed) or settings.cell_timeout_s is not None
-    # One more tries what strangers wrote, and computes nothing else.
-    return jobs + has_strangers(crossed) if needed and settings.scheduler is None else 0
+    jobs = min(choose_jobs(crossed, settings), most_workers(crossed, settings))
+    has_users = has_strangers(crossed)
+    is_needed = jobs > 1 or has_users or settings.cell_timeout_s is not None
+    if not is_needed or settings.scheduler is not None:
+        return 0
+    # A further worker tries users' plug-ins, and computes nothing else.
+    return jobs + 1 if has_users else jobs
 
 
 def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace:
-    """Return the options of a file as if they had been typed; add its stage settings to others."""
+    """Return the options of a file as if they were typed; add its stage settings."""
     try:
         with path.open("rb") as file:
             content = file.read(_MOST_CONFIG + 1)
         if len(content) > _MOST_CONFIG:
-            raise SettingsError("the file is longer than 1 MB, so it is no config file")  # noqa: TRY301 - told below
+            raise SettingsError("the file is longer than 1 MB, so it is no config file")  # noqa: TRY301 - caught below
         words = []
         for key, value in tomllib.loads(content.decode("utf-8-sig")).items():
             if isinstance(value, dict):
@@ -333,7 +339,7 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
                     f"{key}.{name}": inner for name, inner in value.items()
                 }
             else:
-                words += _words_of(key, value)
+                words += _option_words(key, value)
         return parser().parse_args(words)
     except OSError as error:
         raise SettingsError(f"--config {path}: {error.strerror}") from None
@@ -343,15 +349,15 @@ def _read_config(path: Path, stage_values: dict[str, Any]) -> argparse.Namespace
         raise SettingsError(f"--config {path}: {error}") from None
 
 
-def _words_of(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of any type of TOML
-    """Return a key of a config file as it would be typed; SettingsError if it cannot be meant."""
+def _option_words(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of TOML
+    """Return a key of a config file as it would be typed; SettingsError for others."""
     option = f"--{key.replace('_', '-')}"
-    if key in _FLAGS_OF_RUN:
+    if key in _RUN_FLAGS:
         if not isinstance(value, bool):
             raise SettingsError(f"{key} is true or false, got {quoted(value)}")
         return [option] if value else []
     if key not in _OPTIONS:
-        known = ", ".join((*_OPTIONS, *_FLAGS_OF_RUN))
+        known = ", ".join((*_OPTIONS, *_RUN_FLAGS))
         raise SettingsError(
             f"unknown key {key!r}; known: {known} and tables of stage settings"
         )

@@ -1,4 +1,4 @@
-"""A copy of a run that may be passed on: `isac-track publish OUT`; see docs/publish.md."""
+"""Copy a run to be passed on: `isac-track publish OUT`; see docs/how-to/publish.md."""
 
 import shutil
 import sys

@@ -1,4 +1,4 @@
-"""Redraw everything from the finished cells of a run: `python -m evaluation.report OUT`."""
+"""Redraw a report from a run's finished cells: `python -m evaluation.report OUT`."""
 
 import sys
 from argparse import Namespace

@@ -1,8 +1,9 @@
 """Does a verdict hold under other assumptions? `python -m evaluation.sensitivity OUT`.
 
-Each variant changes one assumption of a finished run and is a run of its own in
+Each variant changes a single assumption of a finished run and is a run of its own in
 OUT/sensitivity/VARIANT, with the attacks that the verdict is about. OUT/sensitivity.csv
-holds what becomes of every item; docs/sensitivity.md says how to read it.
+has every item of the verdict in every variant; docs/how-to/sensitivity.md says how to
+read it.
 """
 
 import json
@@ -13,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.plan.variants import BASE, Variant, chosen, settings_of
+from evaluation.plan.variants import BASE, Variant, chosen, variant_settings
 from isac_track.command_line import (
     DONE,
     FAILED_CELLS,
@@ -68,11 +69,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add(
         "--json", action="store_true", help="print one JSON object instead of the table"
     )
-    kept = (
+    interrupted = (
         "interrupted; finished cells are kept, the same command continues (without"
         " --fresh)"
     )
-    return exit_code(lambda: _command(command.parse_args(arguments)), interrupted=kept)
+    return exit_code(
+        lambda: _command(command.parse_args(arguments)), interrupted=interrupted
+    )
 
 
 def _command(options: Namespace) -> int:
@@ -89,70 +92,93 @@ def _command(options: Namespace) -> int:
     variants = chosen(options.variant, also=options.set, manifest=manifest)
     if manifest is not None and not options.list:
         return _run(options, variants, manifest)
-    width = max(len(one.name) for one in variants)
-    print(*(f"{one.name:<{width}}  {one.about}" for one in variants), sep="\n")
+    width = max(len(variant.name) for variant in variants)
+    for variant in variants:
+        print(f"{variant.name:<{width}}  {variant.about}")
     return DONE
 
 
 def _run(
     options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
-    from evaluation.api import run  # noqa: PLC0415 - for --help
-    from evaluation.plan.plan import plan  # noqa: PLC0415 - as above
-    from evaluation.pool.execute import borrow  # noqa: PLC0415 - for --help
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
     from evaluation.store.files import to_csv, write_whole  # noqa: PLC0415 - for --help
-    from evaluation.verdict import sensitivity as held  # noqa: PLC0415 - for --help
+    from evaluation.verdict import sensitivity as verdicts  # noqa: PLC0415 - for --help
 
-    attacks = held.attacks_of(held.read_verdict(options.out)["items"])
+    attacks = verdicts.attack_tasks(verdicts.read_verdict(options.out)["items"])
     if manifest.get("state") != "finished":
         raise DataError(
             f"the run in {options.out} is not finished; run the matrix again"
         )
-    same = {name: getattr(options, name) for name in ("scenes", "jobs", "trust")}
-    same |= {"manifest": manifest, "attacks": attacks}
     outcomes: list[dict[str, Any]] = []
     for place, variant in enumerate(variants, start=1):
         print(f"{place} of {len(variants)}: {variant.name}", file=sys.stderr)
-        started, why = time.monotonic(), ""
-        left_out: Sequence[str] = ()
-        try:
-            out = held.folder_of(options.out, variant.name)
-            settings, left_out = settings_of(variant, out=out, **same)
-            ready = plan(settings)
-            sources = options.out, held.folder_of(options.out, BASE)
-            borrow(ready, sources=sources, fresh=options.fresh)
-            # `evaluation.report` draws those that matter.
-            run(ready=ready, progress=False, pictures=False)
-        except IsacTrackError as error:
-            if (
-                variant.name == BASE
-            ):  # without it nothing can be said, every other one may fail
-                raise
-            why = str(error)
-        check_interrupt()
-        seconds = round(time.monotonic() - started, 1)
-        told = {
-            "name": variant.name,
-            "state": "failed" if why else "finished",
-            "why": why,
-        }
-        outcomes.append(told | {"seconds": seconds, "left_out": list(left_out)})
-        notices = [f"notice: left out: {one}" for one in left_out]
-        end = f"failed: {why}" if why else f"done in {seconds:.0f} s"
-        print(*notices, end, sep="\n", file=sys.stderr)
-        rows, not_shown = held.collect(options.out)
-        write_whole(options.out / held.TABLE, to_csv(rows))
+        outcome = _run_variant(options, variant, manifest, attacks)
+        outcomes.append(outcome)
+        for reason in outcome["left_out"]:
+            print(f"notice: left out: {reason}", file=sys.stderr)
+        why = outcome["why"]
+        end = f"failed: {why}" if why else f"done in {outcome['seconds']:.0f} s"
+        print(end, file=sys.stderr)
+        rows, not_shown = verdicts.collect(options.out)
+        write_whole(options.out / verdicts.TABLE, to_csv(rows))
     if options.json:
-        found = difference_tables.variants_json(rows, outcomes, out=options.out)
-        print(
-            json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False), flush=True
-        )
+        content = difference_tables.variants_json(rows, outcomes, out=options.out)
+        text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False)
+        print(text, flush=True)
     else:
         difference_tables.show_variants(rows, left_out=not_shown)
     failed = [outcome for outcome in outcomes if outcome["why"]]
-    sys.stderr.writelines(f"failed: {one['name']}: {one['why']}\n" for one in failed)
+    sys.stderr.writelines(
+        f"failed: {outcome['name']}: {outcome['why']}\n" for outcome in failed
+    )
     return FAILED_CELLS if failed else DONE
+
+
+def _run_variant(
+    options: Namespace,
+    variant: Variant,
+    manifest: Mapping[str, Any],
+    attacks: Mapping[str, frozenset[str]],
+) -> dict[str, Any]:
+    """Run a variant; return its name, state, failure, duration, and tasks left out.
+
+    Raises IsacTrackError if the base fails: all others are compared with it.
+    """
+    from evaluation.api import run  # noqa: PLC0415 - for --help
+    from evaluation.plan.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.pool.execute import borrow  # noqa: PLC0415 - for --help
+    from evaluation.verdict import sensitivity as verdicts  # noqa: PLC0415 - as above
+
+    started, why = time.monotonic(), ""
+    left_out: Sequence[str] = ()
+    try:
+        settings, left_out = variant_settings(
+            variant,
+            manifest=manifest,
+            attacks=attacks,
+            out=verdicts.variant_folder(options.out, variant.name),
+            scenes=options.scenes,
+            jobs=options.jobs,
+            trust=options.trust,
+        )
+        ready = plan(settings)
+        sources = options.out, verdicts.variant_folder(options.out, BASE)
+        borrow(ready, sources=sources, fresh=options.fresh)
+        # `evaluation.report` draws a variant on request.
+        run(ready=ready, progress=False, pictures=False)
+    except IsacTrackError as error:
+        if variant.name == BASE:
+            raise
+        why = str(error)
+    check_interrupt()
+    return {
+        "name": variant.name,
+        "state": "failed" if why else "finished",
+        "why": why,
+        "seconds": round(time.monotonic() - started, 1),
+        "left_out": list(left_out),
+    }
 
 
 if __name__ == "__main__":

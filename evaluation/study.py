@@ -1,4 +1,4 @@
-"""Several recordings, one answer: `python -m evaluation.study`; see docs/compare.md.
+"""Several recordings, one answer: `python -m evaluation.study`; see docs/how-to/compare.md.
 
 A run folder for each recording, seed and law, and over all of them `study.csv` and
 `study.html`.
@@ -75,12 +75,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="as in evaluation.matrix",
     )
     add("--scheduler", metavar="ADDRESS", help="address of the Dask cluster")
-    kept = "interrupted; finished runs are kept, the same command continues"
-    return exit_code(lambda: _study(command.parse_args(arguments)), interrupted=kept)
+    interrupted = "interrupted; finished runs are kept, the same command continues"
+    return exit_code(
+        lambda: _study(command.parse_args(arguments)), interrupted=interrupted
+    )
 
 
 def settings_typed(texts: Sequence[str]) -> dict[str, str]:
-    """Return the values of settings that were typed as STAGE.KEY=VALUE, by STAGE.KEY.
+    """Return the values of settings, typed as STAGE.KEY=VALUE, by STAGE.KEY.
 
     Raises SettingsError for another form.
     """
@@ -99,14 +101,14 @@ def _study(options: argparse.Namespace) -> int:
         name: getattr(options, name)
         for name in ("preset", "jobs", "executor", "scheduler")
     }
-    how = ("columns", "on_duplicate", "crs", "drop_frozen")
-    asked_of_files = {name: getattr(options, name) for name in how}
-    same |= {name: value for name, value in asked_of_files.items() if value is not None}
+    for name in ("columns", "on_duplicate", "crs", "drop_frozen"):
+        if getattr(options, name) is not None:
+            same[name] = getattr(options, name)
     changed = settings_typed(options.set)
     if _LAW in changed:
         raise SettingsError(f"--set {_LAW}: the laws of a study are named by --law")
     asked = []
-    # Each once, and all is checked before the first run begins.
+    # Each combination once; all are checked before the first run begins.
     for dataset, seed, law in product(*map(dict.fromkeys, axes)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
         stages = StageSettings().changed(changed | {_LAW: law})
@@ -118,9 +120,9 @@ def _study(options: argparse.Namespace) -> int:
     from evaluation.pool.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FailedCellsWarning)  # told by the code
-        of, n_failed = study(asked, out=options.out)
-    for question, answers in groupby(of, key=attrgetter("question")):
+        warnings.simplefilter("ignore", FailedCellsWarning)  # the exit code shows it
+        pooled, n_failed = study(asked, out=options.out)
+    for question, answers in groupby(pooled, key=attrgetter("question")):
         print(QUESTIONS[question])
         for answer in answers:
             print(f"  {answer.adding} adding, {answer.law} error: {answer.sentence}")

@@ -1,11 +1,11 @@
-"""What robots need to know: disclosure policies compared on patrols through a recording.
+"""Compare disclosure policies on patrols of robots through a recording.
 
     python examples/need_to_know.py --dataset plaza
-    python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3 --mechanism raw
+    python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3
 
-Prints what a log discloses and lets an adversary know, how long it lets people be
-followed, then what each robot misses, with 95 % intervals over people and routes.
-docs/need-to-know.md explains every column.
+The script prints how much a log discloses, how much an adversary knows from it, and how
+long the adversary can follow people by it; then the conflicts that each robot misses.
+Intervals are 95 % over people and routes. docs/explanation/need-to-know.md explains every column.
 """
 
 # ruff: noqa: T201 - a comparison is printed
@@ -84,20 +84,20 @@ NO_SHARES = (
     "time_to_confusion_s",
 )
 ADVERSARIES = ("blind", "informed", "shuffled")
-"""Blind; one who knows routes, times and the policy; the control of shuffled first states."""
+"""Blind; knowing routes, times and the policy; the control of shuffled first states."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """The metrics of a policy with a mechanism; of a robot at a horizon, or of the log."""
+    """Metrics of a policy with a mechanism: of a robot at a horizon, or of a log."""
 
     mechanism: str
     policy: str
     metrics: dict[str, Estimate]
     predictor: str = ""
     horizon_s: float = 0.0
-    adversary: str = ""  # Who follows people by the log.
-    # Estimator of the adversary; or that `withheld_share` is by construction.
+    adversary: str = ""  # The adversary who follows people by the log.
+    # Estimator of the adversary, or a remark that `withheld_share` is by construction.
     note: str = ""
 
 
@@ -109,8 +109,11 @@ class Sharing:
     tasks: dict[str, RobotTask]
 
 
-def tasks_of(patrol, mechanism, predictors, *, settings, seed, reference=None):
-    """A network with a mechanism; `reference`: the tasks whose false alarms are compared at."""
+def share_with_tasks(patrol, mechanism, predictors, *, settings, seed, reference=None):
+    """Share a patrol with a mechanism, and set up the task of each robot.
+
+    `reference` are the tasks at whose false alarms the robots are compared.
+    """
     network = share_patrol(
         patrol, mechanism=mechanism, forecaster=KalmanCV(), settings=settings, seed=seed
     )
@@ -129,14 +132,16 @@ def tasks_of(patrol, mechanism, predictors, *, settings, seed, reference=None):
 
 
 def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, seed):
-    """Yield the rows of a recording: of the log, of who follows, of each robot."""
+    """Yield the rows of a recording: of the log, of each adversary, of each robot."""
     patrol = make_patrol(
         placed(tracks, settings=settings), settings=settings, seed=seed
     )
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
-    reference = tasks_of(patrol, Raw(), predictors, settings=settings, seed=seed)
+    reference = share_with_tasks(
+        patrol, Raw(), predictors, settings=settings, seed=seed
+    )
     for mechanism in mechanisms:
-        sharing = tasks_of(
+        sharing = share_with_tasks(
             patrol,
             mechanism.instance,
             predictors,
@@ -193,7 +198,7 @@ def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, 
 
 
 def written(name, estimate):
-    """A number with its interval, as percent unless it is a time or a count per minute."""
+    """Format a number and its interval, as percent unless it is a time or a rate."""
     scale, digits = (1.0, 2) if name in NO_SHARES else (100.0, 1)
     value, low, high = (
         f"{scale * number:.{digits}f}"
@@ -203,7 +208,7 @@ def written(name, estimate):
 
 
 def table(rows, names, *, note):
-    """The lines of a markdown table."""
+    """Return the lines of a markdown table."""
     heads = ["mechanism", "policy", *names, note]
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
@@ -230,35 +235,40 @@ def report(rows, *, settings):
     )
     yield ""
     yield from table(logs, KNOWLEDGE, note="estimator")
-    if following := [row for row in rows if row.adversary]:
+    if followed_rows := [row for row in rows if row.adversary]:
         yield ""
         yield (
             "Followed by the log alone: no identities, pseudonyms fresh in every"
             " answer."
         )
         yield ""
-        yield from table(following, FOLLOWED, note="adversary")
+        yield from table(followed_rows, FOLLOWED, note="adversary")
     tasks = dict.fromkeys(
         (row.predictor, row.horizon_s) for row in rows if row.predictor
     )
     for predictor, horizon_s in tasks:
-        ours = [
+        robot_rows = [
             row
             for row in rows
             if (row.predictor, row.horizon_s) == (predictor, horizon_s)
         ]
-        n = ours[0].metrics["missed_future_rate"].n
+        n = robot_rows[0].metrics["missed_future_rate"].n
         yield ""
         yield (
             f"Robot {predictor}, horizon {horizon_s:.2f} s, in % (n = {n} clusters of"
             " people)."
         )
         yield ""
-        yield from table(ours, UTILITY, note="note")
+        yield from table(robot_rows, UTILITY, note="note")
 
 
 def options(words):
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser = argparse.ArgumentParser(
+        description=(
+            "What robots need to know: disclosure policies compared on patrols through"
+            " a recording."
+        )
+    )
     parser.add_argument("--dataset", default="plaza")
     parser.add_argument("--seed", type=int, default=0)
     for name, usual in (

@@ -7,9 +7,15 @@ from isac_track.types import Floats
 
 
 @compiled(read(1), read(1), written(1))
-def correlated(innovations: Floats, kept: Floats, out: Floats) -> None:
-    """Fill `out` (M,) with a process that keeps so much of its last value at every sample."""
+def correlated(innovations: Floats, correlation: Floats, out: Floats) -> None:
+    """Fill `out` (M,) with a first-order autoregressive process of unit variance.
+
+    `correlation`, (M,), is that of each sample with the sample before.
+    """
     last = 0.0
     for k in range(out.size):
-        last = kept[k] * last + sqrt(1.0 - kept[k] * kept[k]) * innovations[k]
+        last = (
+            correlation[k] * last
+            + sqrt(1.0 - correlation[k] * correlation[k]) * innovations[k]
+        )
         out[k] = last

@@ -22,24 +22,19 @@ def described(
     rule: tuple[float, ...],
     out: Floats,
 ) -> None:
-    """Fill `out` (7, N) with what `isac_track.privacy.described` returns of every track.
+    """Fill `out` (7, N) with the descriptors of `isac_track.privacy.described`.
 
-    The `rule` is the cosine and sine of the turn, epsilon and the wider distance in m,
-    and 1 if a sample lasts by the intervals beside it, 0 if all last their mean.
+    `places` are the shared and the true positions, and those to and from which samples
+    were moved. `rule` holds the cosine and sine of the turn, epsilon and the wider
+    distance in m, and a flag: 1 if the duration of a sample follows from the intervals
+    beside it, 0 if from the mean interval.
     """
-    (xy, truth, moved_to, moved_from), (cos, sin, epsilon_m, wide_m, by_segment) = (
-        places,
-        rule,
-    )
+    xy, truth, moved_to, moved_from = places
+    cos, sin, epsilon_m, wide_m, by_segment = rule
     for i in range(offsets.size - 1):
         own = slice(offsets[i], offsets[i + 1])
-        shared, true, to, since, clock = (
-            xy[own],
-            truth[own],
-            moved_to[own],
-            moved_from[own],
-            t[own],
-        )
+        shared, true, clock = xy[own], truth[own], t[own]
+        to, since = moved_to[own], moved_from[own]
         n = clock.size
         total_m2 = run_s = leaked_s = longest_s = 0.0
         leaked = leaked_wide = segments = leaks = 0
@@ -52,7 +47,7 @@ def described(
             y = shared[k, 1] + (cos * step_y - sin * step_x) - true[k, 1]
             square_m2 = x * x + y * y
             total_m2 += square_m2
-            # Without a branch: which samples leak is as hard to foretell as a coin.
+            # No branch: the processor cannot predict which samples leak.
             away_m[k] = sqrt(square_m2)
             leaked_before, leaks = leaks, int(away_m[k] < epsilon_m)
             leaked_wide += int(away_m[k] < wide_m)

@@ -1,4 +1,4 @@
-"""What all commands share: errors in one line, exit codes, and a Ctrl-C that is never lost."""
+"""What all commands share: errors in one line, exit codes, reliable Ctrl-C."""
 
 import argparse
 import contextlib
@@ -28,50 +28,53 @@ _LIMITS: Final = {
     errno.ENFILE: "too many files are open in the whole system",
     errno.ENOMEM: "there is not enough memory",
 }
-"""What the system says when it has no more to give."""
-# Of a library that finds no place in memory.
+"""Message for each error number by which the system reports a limit."""
+# Part of the message when a shared library does not fit into memory.
 _NO_PLACE: Final = "failed to map segment"
 _NOT_LOADED: Final = f"{_LIMITS[errno.ENOMEM]} to load what a run takes"
-_asked = threading.Event()
+_interrupt_requested = threading.Event()
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose errors are SettingsError; it keeps lines and takes no abbreviations."""
+    """A parser that raises SettingsError, keeps line breaks, takes no abbreviations."""
 
-    def __init__(self, **words: Any) -> None:  # noqa: ANN401 - those of argparse
-        shape = argparse.RawDescriptionHelpFormatter
-        super().__init__(**{"formatter_class": shape, "allow_abbrev": False, **words})
+    def __init__(self, **options: Any) -> None:  # noqa: ANN401 - those of argparse
+        options.setdefault("formatter_class", argparse.RawDescriptionHelpFormatter)
+        options.setdefault("allow_abbrev", False)
+        super().__init__(**options)
 
     def error(self, message: str) -> NoReturn:
-        """Raise a SettingsError of one line: the way out is what counts, not the whole usage."""
+        """Raise a SettingsError of one line instead of printing the whole usage."""
         raise SettingsError(f"{message} (see --help)")
 
 
 def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -> int:
-    """Run a command and return its exit code; errors and `interrupted` are told in one line."""
+    """Run a command and return its exit code; errors are reported in one line.
+
+    `interrupted` is the message after Ctrl-C.
+    """
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by who started this: nobody listens
+        if getattr(sys, name) is None:  # the calling process closed it
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: PTH123, SIM115 - stays open
-    if not sys.argv:  # of a program that embeds Python: no words were given
+    if not sys.argv:  # a program that embeds Python gives no arguments
         sys.argv = [""]
     try:
-        with _limits_told(), _heard():
+        with _report_limits(), _listen_for_interrupt():
             code = command()
             sys.stdout.flush()
     except IsacTrackError as error:
-        print(f"error: {error}", file=sys.stderr)  # noqa: T201 - a command speaks
+        print(f"error: {error}", file=sys.stderr)  # noqa: T201 - a command prints
         return WRONG
-    except BrokenPipeError:  # whoever read along, `head` say, has enough
-        _hush()
+    except BrokenPipeError:  # the reader, such as `head`, has closed the pipe
+        _silence_stdout()
         return _PIPE_CLOSED
     except OSError as error:
-        if (
-            error.errno not in _NO_ROOM
-        ):  # files are told by their names: it is what is said here
+        # An error about a file names it; this one is about standard output.
+        if error.errno not in _NO_ROOM:
             raise
-        _hush()
+        _silence_stdout()
         fault = f"the output cannot be written ({error.strerror}); send it elsewhere"
-        with contextlib.suppress(OSError):  # nor may this find a place
+        with contextlib.suppress(OSError):  # standard error may be full as well
             print(f"error: {fault}", file=sys.stderr)  # noqa: T201 - as above
         return WRONG
     except KeyboardInterrupt:
@@ -81,8 +84,8 @@ def exit_code(command: Callable[[], int], *, interrupted: str = "interrupted") -
 
 
 @contextlib.contextmanager
-def _limits_told() -> Iterator[None]:
-    """Make an IsacTrackError of what says that the machine, or Python, has no more to give."""
+def _report_limits() -> Iterator[None]:
+    """Turn errors that report a limit of system or Python into IsacTrackError."""
     try:
         yield
     except MemoryError:
@@ -101,68 +104,67 @@ def _limits_told() -> Iterator[None]:
         )
         raise IsacTrackError(fault) from None
     except RuntimeError as error:
-        if "can't start new thread" not in str(
-            error
-        ):  # Python's only name for that limit
+        # Python reports this limit by the message alone.
+        if "can't start new thread" not in str(error):
             raise
         raise IsacTrackError(f"{_LIMITS[errno.EAGAIN]}; use fewer --jobs") from None
     except OSError as error:
-        if (
-            _NO_PLACE in f"{error} {error.__context__}"
-        ):  # of llvmlite, which hides it in its own
+        # llvmlite wraps the message in an error of its own.
+        if _NO_PLACE in f"{error} {error.__context__}":
             raise IsacTrackError(_NOT_LOADED) from None
         if error.errno not in _LIMITS:
             raise
         raise IsacTrackError(f"{_LIMITS[error.errno]}; use fewer --jobs") from None
 
 
-def _hush() -> None:
-    """Let nothing more be said on standard output, nor complained about when Python ends."""
+def _silence_stdout() -> None:
+    """Send standard output to the null device, also when Python flushes it at exit."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def check_interrupt() -> None:
-    """Raise KeyboardInterrupt if one was asked for and lost: in a garbage collector's call, say."""
-    if _asked.is_set():
-        _asked.clear()
+    """Raise KeyboardInterrupt if one was lost, as in a garbage collector's callback."""
+    if _interrupt_requested.is_set():
+        _interrupt_requested.clear()
         raise KeyboardInterrupt
 
 
 def may_be_ctrl_c() -> bool:
-    """Whether a KeyboardInterrupt that was caught may be the user's; else a plug-in raised it."""
+    """Return whether a caught KeyboardInterrupt may be the user's, not a plug-in's."""
     handler = signal.getsignal(signal.SIGINT)
     if (
         handler is signal.SIG_IGN
         or threading.current_thread() is not threading.main_thread()
     ):
         return False
-    return handler is not _remember or _asked.is_set()
+    return handler is not _remember or _interrupt_requested.is_set()
 
 
 @contextlib.contextmanager
-def _heard() -> Iterator[None]:
+def _listen_for_interrupt() -> Iterator[None]:
+    """Remember each Ctrl-C, so that one lost in a callback can be raised later."""
     is_main = threading.current_thread() is threading.main_thread()
     if not is_main or signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
-        yield  # somebody else decides
+        yield  # another handler decides
         return
-    _asked.clear()
+    _interrupt_requested.clear()
     signal.signal(signal.SIGINT, _remember)
-    unheard, sys.unraisablehook = sys.unraisablehook, _unless_interrupted
+    previous_hook = sys.unraisablehook
+    sys.unraisablehook = _report_unless_interrupt
     try:
         yield
     finally:
-        sys.unraisablehook = unheard
+        sys.unraisablehook = previous_hook
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        _asked.clear()
+        _interrupt_requested.clear()
 
 
 def _remember(_signal: int, _frame: FrameType | None) -> None:
-    _asked.set()
+    _interrupt_requested.set()
     raise KeyboardInterrupt
 
 
-def _unless_interrupted(lost: Any) -> None:  # noqa: ANN401 - typed in stubs alone
-    if not issubclass(
-        lost.exc_type, KeyboardInterrupt
-    ):  # of that `check_interrupt` knows
+def _report_unless_interrupt(lost: Any) -> None:  # noqa: ANN401 - typed in stubs alone
+    # `check_interrupt` raises a lost KeyboardInterrupt again.
+    if not issubclass(lost.exc_type, KeyboardInterrupt):
         sys.__unraisablehook__(lost)

@@ -1,4 +1,4 @@
-"""Compile a loop with numba at its first call, say so in one line, and cache it where possible.
+"""Compile loops with numba at their first call, and cache them where possible.
 
 Only the private modules of compiled loops import this one, and they are imported at
 first use: importing numba takes longer than a command may take to print its help.
@@ -37,7 +37,7 @@ _CHECKSUM: Final = ".sha256"  # Ends the name of the file that holds a loop's ch
 
 
 def read(n_dims: int, kind: str = "float64") -> object:
-    """Return the type of an array that a loop reads, writable or not: compiled once for both."""
+    """Return the type of an array that a loop reads, be it writable or read-only."""
     return numba.types.Array(getattr(numba, kind), n_dims, "C", readonly=True)
 
 
@@ -52,21 +52,22 @@ def together(*arguments: object) -> object:
 
 
 class _Notice(event.Listener):
-    """Speak up once, when numba is about to compile: a load from the cache is silent."""
+    """Print one line when numba first compiles; loading from the cache is silent."""
 
-    said, cached = False, True
+    said = False  # Whether the line was printed.
+    cached = True  # Whether a cache can be written.
     compiled = 0  # How often numba had to compile.
 
     def on_start(self, event: object) -> None:  # noqa: ARG002 - numba's signature
         self.compiled += 1
-        once = "once, a few seconds"
+        duration = "once, a few seconds"
         if not self.cached:
-            once = "a few seconds, on every start: no cache can be written "
-            once += "(NUMBA_CACHE_DIR may name a folder for it)"
-        # A line, not a warning: users who turn warnings into errors must not lose their
-        # run.
+            duration = "a few seconds, on every start: no cache can be written "
+            duration += "(NUMBA_CACHE_DIR may name a folder for it)"
+        # No warning: users who turn warnings into errors must not lose their run.
         if not self.said:
-            print(f"isac-track: compiling filters, {once}", file=sys.stderr, flush=True)  # noqa: T201 - so that users know why they wait
+            text = f"isac-track: compiling filters, {duration}"
+            print(text, file=sys.stderr, flush=True)  # noqa: T201 - users wait
         self.said = True
 
     def on_end(self, event: object) -> None:
@@ -78,11 +79,12 @@ _compiling = threading.RLock()  # Threads of a process compile a loop once.
 
 
 class Loop:
-    """A loop without a result for fixed argument types, compiled when it is first needed.
+    """A loop for fixed argument types, compiled when it is first needed.
 
-    The machine code comes from numba's cache where there is one. Where none can be
-    written, or it cannot take the code (a full disk), the loop is compiled for this
-    process alone. Cached code that is damaged is removed and compiled again.
+    The loop returns nothing; it writes to its arguments. The machine code comes from
+    numba's cache where there is one. Where no cache can be written, or its disk is
+    full, the loop is compiled for this process alone. Damaged code in the cache is
+    removed and compiled again.
     """
 
     def __init__(
@@ -99,17 +101,17 @@ class Loop:
 
     @property
     def is_cached(self) -> bool:
-        """Whether numba's cache holds files of the loop; they may be of an older source."""
+        """Whether numba's cache holds files of the loop, maybe of an older source."""
         return bool(_CachedLoop(self.function).files())
 
     def prepare(self) -> Callable[..., None]:
-        """Load the machine code, or compile it; return it."""
+        """Load or compile the machine code, and return it."""
         with _compiling, event.install_listener("numba:compile", _notice):
             if self._machine_code is None:
-                self._machine_code = self._made()
+                self._machine_code = self._load_or_compile()
         return self._machine_code
 
-    def _made(self) -> Callable[..., None]:
+    def _load_or_compile(self) -> Callable[..., None]:
         signature = numba.void(*self._arguments)
         if _notice.cached:
             try:
@@ -131,11 +133,11 @@ def compiled(*arguments: object) -> Callable[[Callable[..., None]], Loop]:
     return decorate
 
 
-def prepared(name: str, *, quietly: bool = False) -> bool:
-    """Load or compile a loop; return whether that filled the cache.
+def prepare_loop(name: str, *, quietly: bool = False) -> bool:
+    """Load or compile a loop; return whether the cache grew.
 
-    The `name` is ``package.module:loop``. If `quietly`, no line says that it is
-    compiled once.
+    The `name` is ``package.module:loop``. If `quietly`, no line announces the
+    compilation.
     """
     module, _, loop = name.partition(":")
     before = _notice.compiled
@@ -145,7 +147,7 @@ def prepared(name: str, *, quietly: bool = False) -> bool:
 
 
 def is_cached(name: str) -> bool:
-    """Tell whether numba's cache holds files of a loop, named as in `prepared`."""
+    """Tell whether numba's cache holds files of a loop, named as in `prepare_loop`."""
     module, _, loop = name.partition(":")
     return bool(getattr(import_module(module), loop).is_cached)
 
@@ -156,14 +158,14 @@ def loops_in(module: ModuleType) -> list[Loop]:
 
 
 def _from_cache(loop: Callable[..., None], signature: object) -> Callable[..., None]:
-    """Return a loop from numba's cache, compiled into it if need be; raises what numba does."""
+    """Return a loop from numba's cache, compiled into it if needed."""
     cache = _CachedLoop(loop)
     if cache.is_damaged():
         cache.remove()
     before = _notice.compiled
     try:
         machine_code = numba.njit(signature, cache=True, **_OPTIONS)(loop)
-    except Exception:  # garbled, a file can make its reader raise anything
+    except Exception:  # numba may raise anything on a damaged file
         if not cache.remove():
             raise
         machine_code = numba.njit(signature, cache=True, **_OPTIONS)(loop)
@@ -172,10 +174,10 @@ def _from_cache(loop: Callable[..., None], signature: object) -> Callable[..., N
 
 
 class _CachedLoop:
-    """The files that numba's cache holds of a loop, and their checksum in a file beside them.
+    """The files of a loop in numba's cache, and a file with their checksum.
 
-    numba notices neither a file that a power loss cut short nor code that was garbled:
-    the first ends the program, the second computes something else.
+    numba notices neither a truncated file nor garbled code: the first ends the program,
+    the second computes something else.
     """
 
     def __init__(self, loop: Callable[..., object]) -> None:
@@ -185,17 +187,17 @@ class _CachedLoop:
         )
         self._folder: Path | None = None
         self._name = ""
-        tag = f"py{sys.version_info.major}{sys.version_info.minor}{getattr(sys, 'abiflags', '')}"
-        with contextlib.suppress(
-            Exception
-        ):  # no folder can be written to: there are no files
+        version = f"{sys.version_info.major}{sys.version_info.minor}"
+        tag = f"py{version}{getattr(sys, 'abiflags', '')}"
+        # Without a folder that can be written to there are no files.
+        with contextlib.suppress(Exception):
             dispatcher: Any = numba.njit(**_OPTIONS)(loop)
             dispatcher.enable_caching()
             self._folder = Path(dispatcher.stats.cache_path)
             self._name = f"{stem}{tag}"
 
     def files(self) -> list[Path]:
-        """Return what numba wrote: the index, and the code of each signature."""
+        """Return the files that numba wrote: the index, and code for each signature."""
         if self._folder is None:
             return []
         return sorted(self._folder.glob(f"{glob.escape(self._name)}*.nb[ci]"))
@@ -205,26 +207,25 @@ class _CachedLoop:
         return (self._folder or Path()) / f"{self._name}{_CHECKSUM}"
 
     def _checksum(self) -> str:
-        whole = hashlib.sha256()
+        digest = hashlib.sha256()
         for path in self.files():
-            whole.update(
-                path.name.encode() + b"\0" + hashlib.sha256(path.read_bytes()).digest()
-            )
-        return whole.hexdigest()
+            content = hashlib.sha256(path.read_bytes()).digest()
+            digest.update(path.name.encode() + b"\0" + content)
+        return digest.hexdigest()
 
     def is_damaged(self) -> bool:
-        """Whether the files are not those whose checksum was noted."""
+        """Return whether the files differ from those whose checksum was noted."""
         try:
-            return (
-                bool(self.files()) and self._note.read_text("ascii") != self._checksum()
-            )
+            if not self.files():
+                return False
+            return self._note.read_text("ascii") != self._checksum()
         except UnicodeDecodeError:
             return True
-        except OSError:  # nothing was noted: an older cache
+        except OSError:  # an older cache has no checksum
             return False
 
     def remove(self) -> bool:
-        """Remove the files, so that the loop is compiled anew; say so, return whether any went."""
+        """Remove the files, with a message; return whether any was removed."""
         removed: list[Path] = []
         for path in self.files():
             with contextlib.suppress(OSError):
@@ -235,14 +236,14 @@ class _CachedLoop:
                 f"isac-track: {removed[0].parent} holds a damaged compiled filter,"
                 f" {self._name}"
             )
-            print(f"{text}; it is compiled again", file=sys.stderr, flush=True)  # noqa: T201 - as above
+            text += "; it is compiled again"
+            print(text, file=sys.stderr, flush=True)  # noqa: T201 - as above
         return bool(removed)
 
     def note_checksum(self, *, is_new: bool) -> None:
         """Note the checksum of files that numba has just written, or that have none."""
-        with contextlib.suppress(
-            OSError
-        ):  # the files are good; without a note they are trusted
+        # Files without a checksum are trusted.
+        with contextlib.suppress(OSError):
             if self.files() and (is_new or not self._note.exists()):
                 temporary = self._note.with_name(f".{secrets.token_hex(8)}{_CHECKSUM}")
                 temporary.write_text(self._checksum(), "ascii")
@@ -250,8 +251,8 @@ class _CachedLoop:
 
 
 def part_of_loop(function: _Loop) -> _Loop:
-    """Compile a helper into the loops that call it; it must lie in their file.
+    """Compile a helper function into the loops of its file that call it.
 
-    The cache notices a change of a loop's own file, not of another.
+    It must lie in their file, the only one whose changes the cache notices.
     """
     return cast("_Loop", numba.njit(**_OPTIONS)(function))

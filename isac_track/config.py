@@ -1,14 +1,14 @@
-"""Frozen settings per stage: the paper's table, one field a parameter, the unit in the name.
+"""Frozen settings of each stage: a field for each parameter, its unit in the name.
 
 A field marked *paper* is a value of the paper's table or text, *reading* settles what
-the paper leaves open (``docs/reproduction.md``), *fitted* is output of ``python
+the paper leaves open (``docs/explanation/reproduction.md``), *fitted* is an output of ``python
 scripts/calibrate.py``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file
-change them. A range ends far beyond what is of use, but within what arithmetic and
-memory can take.
+change them. A range reaches far beyond useful values, but only as far as arithmetic
+and memory allow.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import Field, dataclass, field, fields, replace
 from math import inf
 from numbers import Integral, Real
 from typing import Any, Final, Literal, Self, TypeAlias, get_args
@@ -16,22 +16,23 @@ from typing import Any, Final, Literal, Self, TypeAlias, get_args
 from isac_track.errors import SettingsError, did_you_mean, quoted
 
 IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
-"""Whose sampling intervals the duration of a leaked segment is made of."""
-_EMPTY: Final = "none"  # As a list without numbers is typed.
-_SEVERAL: Final = tuple[float, ...]  # Type of a setting that is a list of numbers.
+"""The sampling intervals that make up the duration of a leaked segment."""
+_EMPTY: Final = "none"  # Text for an empty list of numbers.
+_NUMBER_LIST: Final = tuple[float, ...]  # Type of a setting with several numbers.
 
 
-def _number(  # a field of any type of number
+def _number(
     default: float | tuple[float, ...],
     low: float,
     high: float,
     *,
     is_open: bool = False,
     or_inf: bool = False,
-) -> Any:  # noqa: ANN401 - as said
-    """Declare a number, or several, and their range, without its ends if it is open.
+) -> Any:  # noqa: ANN401 - a field of any type of number
+    """Declare a field of one or several numbers, and their range.
 
-    Beyond the range infinity may be taken, too.
+    The ends belong to the range unless it `is_open`. With `or_inf` infinity is allowed
+    as well.
     """
     return field(
         default=default, metadata={"range": (low, high), "open": is_open, "inf": or_inf}
@@ -40,46 +41,50 @@ def _number(  # a field of any type of number
 
 @dataclass(frozen=True, slots=True)
 class _Stage:
-    """Settings that check the type and the range of their fields, however they were made."""
+    """Settings of a stage, which check the type and range of their fields."""
 
     def __post_init__(self) -> None:
-        (stage,) = (one.name for one in fields(StageSettings) if one.type is type(self))
+        (stage,) = (
+            item.name for item in fields(StageSettings) if item.type is type(self)
+        )
         for item in fields(self):
             name, value = f"{stage}.{item.name}", getattr(self, item.name)
-            if item.type == _SEVERAL:
-                object.__setattr__(
-                    self, item.name, _ascending(name, value, item.metadata["range"])
-                )
-                continue
-            if choices := get_args(item.type):
+            if item.type == _NUMBER_LIST:
+                numbers = _sort_numbers(name, value, item.metadata["range"])
+                object.__setattr__(self, item.name, numbers)
+            elif choices := get_args(item.type):
                 if value not in choices:
                     wanted = f"be one of {', '.join(choices)}"
                     raise SettingsError(f"{name} must {wanted}, got {quoted(value)}")
-                continue
-            kind, noun = (
-                (Integral, "whole number") if item.type is int else (Real, "number")
-            )
-            if isinstance(value, bool) or not isinstance(value, kind):
-                raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
-            low, high = item.metadata["range"]
-            if item.metadata["open"]:
-                fits, wanted = low < value < high, f"between {low:g} and {high:g}"
             else:
-                fits, wanted = low <= value <= high, f"within {low:g} to {high:g}"
-            if item.metadata["inf"]:
-                fits, wanted = fits or value == inf, f"{wanted}, or be inf"
-            if not fits:  # nor does NaN
-                raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+                _check_number(name, value, item)
 
 
-def _ascending(
+def _check_number(name: str, value: Any, item: Field[Any]) -> None:  # noqa: ANN401 - anything
+    """Raise SettingsError for a value of another type, or outside the field's range."""
+    kind, noun = (Integral, "whole number") if item.type is int else (Real, "number")
+    if isinstance(value, bool) or not isinstance(value, kind):
+        raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
+    low, high = item.metadata["range"]
+    if item.metadata["open"]:
+        fits, wanted = low < value < high, f"between {low:g} and {high:g}"
+    else:
+        fits, wanted = low <= value <= high, f"within {low:g} to {high:g}"
+    if item.metadata["inf"]:
+        fits, wanted = fits or value == inf, f"{wanted}, or be inf"
+    if not fits:  # NaN does not fit either
+        raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+
+
+def _sort_numbers(
     name: str, value: object, ends: tuple[float, float]
 ) -> tuple[float, ...]:
-    """Return a list of numbers in ascending order, each once; SettingsError if it is none."""
+    """Return distinct numbers in ascending order; SettingsError for other values."""
     several = value if isinstance(value, tuple | list) else (value,)
     for number in several:
         is_number = isinstance(number, Real) and not isinstance(number, bool)
-        if not is_number or not ends[0] <= number <= ends[1]:  # nor does NaN
+        # NaN lies within no range.
+        if not is_number or not ends[0] <= number <= ends[1]:
             wanted = (
                 f"numbers within {ends[0]:g} to {ends[1]:g}, such as 3 or 1.5,3, or"
                 " none"
@@ -94,7 +99,7 @@ _ORDERED = (
     ("linkage.handover_least_s", "linkage.handover_window_s"),
     ("patrol.scan_s", "patrol.query_s"),
 )
-"""Of either pair the second may not be below the first."""
+"""Pairs of settings; the second of a pair may not be below the first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,15 +108,12 @@ class ResampleSettings(_Stage):
 
     rate_min_hz: float = _number(8.0, 0.01, 1e3)  # paper: slowest update rate
     rate_max_hz: float = _number(16.0, 0.01, 1e3)  # paper: fastest update rate
-    rate_hold_s: float = _number(
-        1.0, 1e-3, 1e6
-    )  # reading: drawn anew after so much of a track
-    min_duration_s: float = _number(
-        21.6, 0.1, 1e6
-    )  # reading: of a track; gives the 366 points
-    max_overshoot_m: float = _number(
-        0.2, 0, 1e6
-    )  # reading: a spline leaves the chord no further
+    # reading: the rate is drawn anew after so much time of a track
+    rate_hold_s: float = _number(1.0, 1e-3, 1e6)
+    # reading: a shorter track is left out; this gives the 366 points
+    min_duration_s: float = _number(21.6, 0.1, 1e6)
+    # reading: a spline stays within this distance of the chord
+    max_overshoot_m: float = _number(0.2, 0, 1e6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,79 +121,62 @@ class SceneSettings(_Stage):
     """How a scene is cut and placed."""
 
     agents: int = _number(4, 1, 100)  # paper: pedestrians per scene
-    history_ratio: float = _number(
-        0.7, 0, 1, is_open=True
-    )  # paper: history's share of a track
-    robot_x_m: float = _number(
-        0.7, -1e8, 1e8
-    )  # reading: centre of the robot's start square
-    robot_y_m: float = _number(
-        0.65, -1e8, 1e8
-    )  # reading: centre of the robot's start square
-    robot_spread_m: float = _number(
-        4.0, 0, 1e4
-    )  # reading: half side of the start square
-    near_miss_max_m: float = _number(
-        1.4, 1e-3, 1e4
-    )  # reading: a near miss passes within this
-    ring_min_m: float = _number(
-        2.0, 0, 1e4
-    )  # reading: the others stand at least so far from it
+    # paper: history's share of a track
+    history_ratio: float = _number(0.7, 0, 1, is_open=True)
+    # reading: centre of the robot's start square
+    robot_x_m: float = _number(0.7, -1e8, 1e8)
+    # reading: centre of the robot's start square
+    robot_y_m: float = _number(0.65, -1e8, 1e8)
+    # reading: half side of the start square
+    robot_spread_m: float = _number(4.0, 0, 1e4)
+    # reading: a near miss passes within this
+    near_miss_max_m: float = _number(1.4, 1e-3, 1e4)
+    # reading: the other agents stand at least this far from the robot
+    ring_min_m: float = _number(2.0, 0, 1e4)
     ring_max_m: float = _number(6.0, 1e-3, 1e4)  # reading: ... and at most this far
-    clearance_m: float = _number(
-        1.5, 0, 1e4
-    )  # reading: ... and stay so far over the horizon
-    max_redraws: int = _number(
-        100, 1, 10_000
-    )  # reading: of a place; the last is kept and counted
+    # reading: ... and stay at least this far from it over the horizon
+    clearance_m: float = _number(1.5, 0, 1e4)
+    # reading: draws of a place; the last draw is used and counted
+    max_redraws: int = _number(100, 1, 10_000)
 
 
 @dataclass(frozen=True, slots=True)
 class SensingSettings(_Stage):
-    """Link budget of the base station, and the step from the Cramer-Rao bound to an error."""
+    """Link budget of the base station, and the step from the CRB to an error."""
 
     place: Literal["centred", "file"] = "centred"
-    """reading: where a recording stands; `centred`: the median of its people where the robots
-    start (`isac_track.place`); `file`: as its own coordinates say"""
+    """reading: where a recording stands; `centred`: with the median of its people where
+    the robots start (`isac_track.place`); `file`: at its own coordinates"""
     bs_x_m: float = _number(5.0, -1e8, 1e8)  # paper: base station
     bs_y_m: float = _number(30.0, -1e8, 1e8)  # paper: base station
     carrier_ghz: float = _number(3.5, 1e-3, 1e4)  # paper
-    bandwidth_mhz: float = _number(
-        100.0, 1e-3, 1e6
-    )  # paper: of sensing, taken as a flat spectrum
+    # paper: sensing bandwidth, taken as a flat spectrum
+    bandwidth_mhz: float = _number(100.0, 1e-3, 1e6)
     n_paths: int = _number(4, 1, 1000)  # paper: multipath number N_p
-    delay_spread_s: float = _number(
-        2e-7, 0, 1e-3
-    )  # paper: largest excess delay of a path
-    power_dbm: float = _number(
-        30.0, -200, 200
-    )  # paper: effective, as it is in the beam: a^H Q a
+    # paper: largest excess delay of a path
+    delay_spread_s: float = _number(2e-7, 0, 1e-3)
+    # paper: effective power in the beam, a^H Q a
+    power_dbm: float = _number(30.0, -200, 200)
     noise_dbm: float = _number(-91.0, -300, 100)  # paper: noise floor N_0
-    path_loss_exponent: float = _number(
-        2.7, 0.1, 10
-    )  # paper; each way (reading: monostatic)
-    beam_fluctuation_db: float = _number(
-        2.0, 0, 50
-    )  # paper: N(0, 2) dB a sample (reading: std)
-    rcs_m2: float = _number(
-        1.0, 1e-6, 1e6
-    )  # reading: radar cross-section of a pedestrian
+    # paper: applied each way (reading: monostatic)
+    path_loss_exponent: float = _number(2.7, 0.1, 10)
+    # paper: N(0, 2) dB at each sample (reading: 2 is the standard deviation)
+    beam_fluctuation_db: float = _number(2.0, 0, 50)
+    # reading: radar cross-section of a pedestrian
+    rcs_m2: float = _number(1.0, 1e-6, 1e6)
     resource_share: float = _number(1.0, 1e-6, 1e6)  # reading: m_s of eq. swarm_fi
     large_scale_db: float = _number(11.88, 0, 100)  # fitted: two-way log-normal spread
     decorrelation_m: float = _number(10.0, 0.1, 1e6, or_inf=True)
-    """reading: over so much of a walk the large-scale gain's correlation falls to 1/e (Gudmundson,
-    Electron. Lett. 27, 1991); inf: it is constant along a walk"""
-    processing_gain_db: float = _number(
-        32.39, -200, 200
-    )  # fitted: the receiver's integration gain
-    crb_gap_db: float = _number(
-        13.27, -200, 200
-    )  # fitted: sigma_raw over sqrt(CRB), in 20 log10
-    sigma_cap_m: float = _number(
-        2.0, 1e-6, 1e6
-    )  # reading, fixed before the fit: caps sigma_raw
+    """reading: distance walked over which the correlation of the large-scale gain falls
+    to 1/e (Gudmundson, Electron. Lett. 27, 1991); inf: constant along a walk"""
+    # fitted: the receiver's integration gain
+    processing_gain_db: float = _number(32.39, -200, 200)
+    # fitted: sigma_raw over sqrt(CRB), in 20 log10
+    crb_gap_db: float = _number(13.27, -200, 200)
+    # reading, fixed before the fit: caps sigma_raw
+    sigma_cap_m: float = _number(2.0, 1e-6, 1e6)
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
-    """reading: law of the raw error; a mechanism takes the same unless told otherwise"""
+    """reading: law of the raw error; a mechanism takes the same by default"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,13 +186,13 @@ class ConflictSettings(_Stage):
     robot_speed_mps: float = _number(1.4, 1e-3, 100)  # paper: v_r
     horizon_steps: int = _number(12, 1, 1000)  # paper: H
     horizons_s: tuple[float, ...] = _number((3.0,), 0.1, 60.0)
-    """further horizons at which conflicts are made and foreseen, besides the paper's; may be empty:
-    a track's grid then has 1 + round(horizon / its mean interval) steps"""
+    """further horizons of conflicts besides the paper's; may be empty. The grid of a
+    track then has 1 + round(horizon / its mean interval) steps"""
     window: int = _number(16, 2, 100_000)
-    """paper: q, samples whose mean interval is the step of the prediction grid; how many samples
-    a predictor uses is its own parameter, `least_squares:16`"""
+    """paper: q, number of samples whose mean interval is the step of the prediction
+    grid; how many samples a predictor uses is its own parameter, `least_squares:16`"""
     safety_radius_m: float = _number(0.9, 1e-3, 1e3)  # paper: d_safe
-    # paper: `mean`; the other needs a covariance
+    # paper: `mean`; `probability` needs a covariance
     decision: Literal["mean", "probability"] = "mean"
     probability_threshold: float = _number(0.5, 0, 1, is_open=True)
     """with `probability`: a conflict is declared at or above it"""
@@ -217,78 +202,68 @@ class ConflictSettings(_Stage):
 class PrivacySettings(_Stage):
     """The leakage rule."""
 
-    epsilon_m: float = _number(
-        0.3, 1e-6, 1e4
-    )  # paper: a sample that is closer to the truth leaks
+    # paper: a sample that is closer to the truth leaks
+    epsilon_m: float = _number(0.3, 1e-6, 1e4)
     intervals: IntervalsOf = "segment"
-    """reading: whose intervals a leaked segment lasts, its own or the `trajectory`'s mean"""
+    """reading: the duration of a leaked segment is made of its own sampling intervals,
+    or of the mean interval of its `trajectory`"""
 
 
 @dataclass(frozen=True, slots=True)
 class AttackSettings(_Stage):
-    """What an adversary who rebuilds walks is granted."""
+    """Knowledge of an adversary who reconstructs walks."""
 
-    repeats: int = _number(
-        2, 1, 100
-    )  # further releases of a walk, for who is granted REPEATS
+    # number of further releases of a walk, for adversaries that are granted REPEATS
+    repeats: int = _number(2, 1, 100)
 
 
 @dataclass(frozen=True, slots=True)
 class LinkageSettings(_Stage):
-    """What an adversary is given to link: windows of walks (`attacks.tasks.build`)."""
+    """Windows of walks that an adversary is to link (`attacks.tasks.build`)."""
 
-    window_s: float = _number(
-        12.0, 0.1, 1e6
-    )  # length of a release in rerelease and new_traversal
+    # length of a release in rerelease and new_traversal
+    window_s: float = _number(12.0, 0.1, 1e6)
     rerelease_shift_s: float = _number(6.0, 0, 1e6)
-    """the two releases of a walk start at most this far apart: at least 50 % of either window is
-    in both, 87 % on average (Students03)"""
+    """the two releases of a walk start at most this far apart: they share at least 50 %
+    of either window, 87 % on average (Students03)"""
     split_window_s: float = _number(5.0, 0.1, 1e6)  # length of either half in split
-    split_gap_s: float = _number(
-        2.0, 0, 1e6
-    )  # shortest gap between them; in all 12 s of a track
-    handover_period_s: float = _number(
-        20.0, 0.1, 1e6
-    )  # between two rotations of all pseudonyms
-    handover_window_s: float = _number(
-        5.0, 0.1, 1e6
-    )  # seen on either side of the gap, at most
-    handover_least_s: float = _number(
-        1.0, 0.01, 1e6
-    )  # shortest stay of a candidate on its side
-    handover_instants: int = _number(
-        10_000, 1, 10_000
-    )  # ... and at most so many, evenly spread
+    # shortest gap between the halves; with them 12 s of a track
+    split_gap_s: float = _number(2.0, 0, 1e6)
+    # time between two rotations of all pseudonyms
+    handover_period_s: float = _number(20.0, 0.1, 1e6)
+    # longest window on either side of the gap
+    handover_window_s: float = _number(5.0, 0.1, 1e6)
+    # shortest stay of a candidate on its side
+    handover_least_s: float = _number(1.0, 0.01, 1e6)
+    # largest number of rotations, evenly spread
+    handover_instants: int = _number(10_000, 1, 10_000)
     most_people: int = _number(1000, 1, 100_000)
-    """people who are linked, at most: of more, so many are drawn; in a handover instants are, until
-    so many people are there, lest the crowd get thinner"""
+    """largest number of people to link. From more people this many are drawn. In a
+    handover instants are drawn until they hold this many people, so that the crowd does
+    not get thinner"""
     candidates: int = _number(0, 0, 10_000)
-    """how many of a gallery a linker scores for each probe, those that a cheap one puts first;
-    0: all. Then metrics of all pairs are refused and the loss of rank 1 is measured"""
-    trait_strength: float = _number(
-        1.0, 0, 10
-    )  # spread of planted traits; not 1: simulated anew
+    """how many candidates of the gallery a linker scores for each probe: those that a
+    cheap linker ranks first; 0: all. With candidates, metrics of all pairs are refused
+    and the loss at rank 1 is measured"""
+    # spread of planted traits; a value other than 1 is simulated anew
+    trait_strength: float = _number(1.0, 0, 10)
 
 
 @dataclass(frozen=True, slots=True)
 class PatrolSettings(_Stage):
     """Robots that walk through a whole recording and ask the network about people."""
 
-    robots: int = _number(
-        1, 1, 100
-    )  # robots of a fleet, which pools its answers in one log
-    fleets: int = _number(
-        20, 1, 1000
-    )  # fleets with routes of their own; an interval needs 20
+    # robots of a fleet, which pools its answers in one log
+    robots: int = _number(1, 1, 100)
+    # fleets with routes of their own; an interval needs 20
+    fleets: int = _number(20, 1, 1000)
     query_s: float = _number(1.0, 1e-3, 3600.0)  # time between two queries of a robot
-    scan_s: float = _number(
-        0.0836, 1e-3, 60.0
-    )  # reading: interval of the clock of all people
+    # reading: interval of the clock of all people
+    scan_s: float = _number(0.0836, 1e-3, 60.0)
     segment_s: float = _number(inf, 1.0, 1e6, or_inf=True)
-    """length of the part of a recording that is walked, from its start; inf: all of it"""
-    grid_s: float = _number(
-        0.1, 1e-3, 60.0
-    )  # step of the instants at which a place may be known
+    """length of the part of a recording that is used, from its start; inf: all of it"""
+    # step of the instants at which a place may be known
+    grid_s: float = _number(0.1, 1e-3, 60.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -308,10 +283,9 @@ class StageSettings:
         values = self.flat()
         for lower, upper in _ORDERED:
             if values[upper] < values[lower]:
-                below = (
+                raise SettingsError(
                     f"{upper} ({values[upper]:g}) is below {lower} ({values[lower]:g})"
                 )
-                raise SettingsError(below)
         if self.scenes.near_miss_max_m <= self.conflict.safety_radius_m:
             raise SettingsError(
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "
@@ -320,10 +294,10 @@ class StageSettings:
             )
 
     def changed(self, values: Mapping[str, Any]) -> Self:
-        """Return settings with ``{"stage.key": value}`` applied; text is read as the field's type.
+        """Return settings with ``{"stage.key": value}`` applied.
 
-        SettingsError if a stage or key is unknown (with the nearest) or a value out of
-        range.
+        A value given as text is read as the field's type. SettingsError if a stage or
+        key is unknown (it names the nearest) or a value is out of range.
         """
         per_stage: dict[str, dict[str, Any]] = {}
         known = list(self.flat())
@@ -335,14 +309,15 @@ class StageSettings:
             kind = type(getattr(self, stage)).__annotations__[key]
             per_stage.setdefault(stage, {})[key] = _parse(value, kind)
         changed = {
-            one: replace(getattr(self, one), **some) for one, some in per_stage.items()
+            stage: replace(getattr(self, stage), **changes)
+            for stage, changes in per_stage.items()
         }
         return replace(self, **changed)
 
     def flat(self) -> dict[str, Any]:
-        """Return ``{"stage.key": value}`` for every setting; a list of numbers as it is typed."""
+        """Return ``{"stage.key": value}`` of all settings; lists of numbers as text."""
         return {
-            f"{stage.name}.{item.name}": _written(
+            f"{stage.name}.{item.name}": _plain_value(
                 getattr(getattr(self, stage.name), item.name)
             )
             for stage in fields(self)
@@ -350,15 +325,16 @@ class StageSettings:
         }
 
 
-def _written(value: Any) -> Any:  # noqa: ANN401 - as many types as settings
+def _plain_value(value: Any) -> Any:  # noqa: ANN401 - as many types as settings
+    """Return a value as it is, and a list of numbers as the text that gives it."""
     if not isinstance(value, tuple):
         return value
     return ",".join(f"{number:.12g}" for number in value) or _EMPTY
 
 
 def _parse(value: Any, kind: Any) -> Any:  # noqa: ANN401 - text, or TOML's types
-    """Return the number that is meant; what is none as it is, for its stage to refuse."""
-    if kind == _SEVERAL:
+    """Return the number that text means; other values as they are, for later checks."""
+    if kind == _NUMBER_LIST:
         if not isinstance(value, str):
             return value
         numbers = () if value.strip() in ("", _EMPTY) else value.split(",")

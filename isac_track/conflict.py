@@ -1,9 +1,14 @@
-"""The robot's task: its path, the conflict rule, and how often a shared track misleads it."""
+"""The robot's task: its path, the conflict rule, and the rates of wrong decisions."""
 
 import numpy as np
 from scipy.special import ndtr
 
 from isac_track.types import Bools, Floats, Ints, squared_lengths
+
+__all__ = ["conflict_probability", "count_steps", "disc_probability", "distance_mae_m"]
+__all__ += ["false_alarm_rate", "is_conflict", "minimum_separation"]
+__all__ += ["missed_conflict_rate", "missed_future_rate", "prediction_grid"]
+__all__ += ["robot_path", "seconds_grid", "time_to_conflict_s"]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 _SMALLEST_STD_M = 1e-3
@@ -19,6 +24,16 @@ def prediction_grid(
     `window` samples (q of the paper, at least 2), or all of a shorter track. `t` is
     (M,) s, `offsets` (N + 1,), and the grid (N, H) s, `horizon_steps` at least 1.
     ValueError otherwise, or for a single sample.
+
+    Examples
+    --------
+    Samples 0.5 s apart; step 0 is the last of them:
+
+    >>> import numpy as np
+    >>> from isac_track.conflict import prediction_grid
+    >>> times = np.array([0.0, 0.5, 1.0])
+    >>> prediction_grid(t=times, offsets=np.array([0, 3]), window=3, horizon_steps=4)
+    array([[1. , 1.5, 2. , 2.5]])
     """
     if window < 2 or horizon_steps < 1:  # noqa: PLR2004 - an interval needs two samples
         raise ValueError("the window must be at least 2 samples and the horizon 1 step")
@@ -33,12 +48,13 @@ def prediction_grid(
 def seconds_grid(
     *, t: Floats, offsets: Ints, window: int, horizon_s: float
 ) -> tuple[Floats, Ints]:
-    """Return the future timestamps of each track up to a horizon in seconds, and their number.
+    """Return the future timestamps of each track up to a horizon, and their number.
 
     The grid is that of `prediction_grid` with 1 + round(`horizon_s` / mean interval)
     steps, at least 2. Tracks differ in their interval: a shorter grid repeats its last
-    instant, which moves neither the smallest separation nor the label. (N, H) s, and
-    (N,) steps that differ.
+    instant, which changes neither the smallest separation nor the label. Returns the
+    grid, (N, H) s, and the number of distinct steps of each track, (N,). Raises as
+    `prediction_grid`.
     """
     first = prediction_grid(t=t, offsets=offsets, window=window, horizon_steps=2)
     interval_s = first[:, 1] - first[:, 0]
@@ -50,8 +66,8 @@ def seconds_grid(
     return np.take_along_axis(grid, last, axis=1), n_steps
 
 
-def steps_of(grid: Floats) -> Ints:
-    """Return how many steps a grid of future times, (N, H) s, has before it repeats its last."""
+def count_steps(grid: Floats) -> Ints:
+    """Count the distinct steps of each row of a grid of future times, (N, H) s."""
     return np.asarray(1 + (np.diff(grid, axis=1) > 0).sum(axis=1))
 
 
@@ -76,9 +92,24 @@ def robot_path(
 
 
 def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
-    """Return the smallest time-aligned distance over all agents and steps of each scene, (S,) m.
+    """Return the smallest time-aligned distance of each scene, (S,) m.
 
-    `robot` and `agents` are (S, A, H, 2) m; other shapes are a ValueError.
+    The minimum is over all agents and steps (eq. conflict_rule). `robot` and `agents`
+    are (S, A, H, 2) m; other shapes are a ValueError.
+
+    Examples
+    --------
+    A scene with one agent and two steps, at distances of 5 m and of 1 m:
+
+    >>> import numpy as np
+    >>> from isac_track.conflict import is_conflict, minimum_separation
+    >>> robot = np.array([[[[0.0, 0.0], [1.0, 0.0]]]])
+    >>> agents = np.array([[[[3.0, 4.0], [1.0, 1.0]]]])
+    >>> separation_m = minimum_separation(robot=robot, agents=agents)
+    >>> separation_m
+    array([1.])
+    >>> is_conflict(separation_m=separation_m, safety_radius_m=0.9)
+    array([False])
     """
     if robot.shape != agents.shape:
         raise ValueError(
@@ -88,7 +119,10 @@ def minimum_separation(*, robot: Floats, agents: Floats) -> Floats:
 
 
 def is_conflict(*, separation_m: Floats, safety_radius_m: float) -> Bools:
-    """Return the conflict decision of each scene: strictly inside (eq. conflict_rule)."""
+    """Return which scenes are in conflict, (S,): strictly inside (eq. conflict_rule).
+
+    `separation_m` is (S,) m, from `minimum_separation`.
+    """
     decision: Bools = separation_m < safety_radius_m
     return decision
 
@@ -99,16 +133,15 @@ def time_to_conflict_s(
     """Return after how long any agent of a scene is inside the safety radius, (S,) s.
 
     `robot` and `agents` are (S, A, H, 2) m, `elapsed_s`, (S, A, H) s, rises from 0,
-    which is now. 0: somebody is inside already. NaN: nobody comes inside within the
-    horizon.
+    which is now. The result is 0 if an agent is inside already, and NaN if no agent
+    comes inside within the horizon. ValueError if shapes differ.
     """
     if robot.shape != agents.shape or robot.shape[:3] != elapsed_s.shape:
         raise ValueError(
             f"robot {robot.shape}, agents {agents.shape} and times {elapsed_s.shape}"
             " must have one shape"
         )
-    # The distance of `minimum_separation`, so that whoever is inside here is in
-    # conflict there.
+    # The distance is computed as in `minimum_separation`, so that both agree.
     distance_m = np.sqrt(squared_lengths(robot - agents))
     inside = is_conflict(separation_m=distance_m, safety_radius_m=safety_radius_m)
     first_s = np.where(inside, elapsed_s, np.inf).min(axis=(1, 2))
@@ -116,11 +149,21 @@ def time_to_conflict_s(
 
 
 def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
-    """Return the probability (...,) that a planar Gaussian lies in a disc around the origin.
+    """Return the probability of a planar Gaussian in a disc around the origin, (...,).
 
-    `mean` is (..., 2) m, `cov` (..., 2, 2) m^2. Integrated along one axis with the
-    other in closed form (Gauss-Legendre in the angle, 16 nodes); standard deviations
-    below 1 mm count as that.
+    `mean` is (..., 2) m, `cov` (..., 2, 2) m^2. One axis is integrated by quadrature
+    (Gauss-Legendre in the angle, 16 nodes), the other in closed form. Standard
+    deviations below 1 mm count as 1 mm.
+
+    Examples
+    --------
+    With a standard deviation of 1 m on each axis, around the centre of a disc of 1 m,
+    it is 1 - exp(-1/2):
+
+    >>> import numpy as np
+    >>> from isac_track.conflict import disc_probability
+    >>> round(float(disc_probability(mean=np.zeros(2), cov=np.eye(2), radius_m=1.0)), 4)
+    0.3935
     """
     # Integrate along the axis of the smaller spread, where the closed form does the
     # sharp part.
@@ -159,11 +202,12 @@ def conflict_probability(
 ) -> Floats:
     """Return the probability of a conflict in each scene, (S,).
 
-    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. Of one agent:
-    that of the step where it is likeliest to lie within the safety radius. The steps
-    share one velocity error and are nearly one event: this lower bound on the whole
-    horizon is close, a product over them would count one encounter twelve times. Agents
-    are independent; beyond 6 std counts as 0.
+    `robot` and `mean` are (S, A, H, 2) m, `cov` is (S, A, H, 2, 2) m^2. The probability
+    of an agent is that of the step where it is likeliest to lie within the safety
+    radius. The steps share one velocity error and are nearly one event: the maximum is
+    a close lower bound for the whole horizon, while a product over the steps would
+    count one encounter twelve times. Agents are independent; a distance beyond 6 std
+    counts as 0.
     """
     gap = mean - robot
     distance_m = np.sqrt(squared_lengths(gap))
@@ -171,9 +215,9 @@ def conflict_probability(
         np.maximum(np.trace(cov, axis1=-2, axis2=-1), _SMALLEST_STD_M**2)
     )
     near = distance_m < radius_m + _REACH_STD * widest_m
-    # To lie in the disc is no likelier than on its side of the tangent in front of it.
-    # Only steps that might be the likeliest by that are integrated: first the best bet,
-    # which few others beat.
+    # The disc lies on one side of its tangent, whose half-plane has a probability in
+    # closed form: an upper bound. Only steps that might be the likeliest by this bound
+    # are integrated: first the one with the highest bound, which few others beat.
     x, y = np.moveaxis(gap, -1, 0) / np.maximum(distance_m, _SMALLEST_STD_M)
     variance = (
         x * x * cov[..., 0, 0] + 2.0 * x * y * cov[..., 0, 1] + y * y * cov[..., 1, 1]
@@ -190,17 +234,32 @@ def conflict_probability(
 
 
 def missed_conflict_rate(*, conflict: Bools, predicted: Bools) -> float:
-    """Return the share of true conflicts that were not predicted; NaN without a conflict."""
+    """Return the share of true conflicts that were not predicted; NaN without any.
+
+    `conflict` and `predicted` are (S,) decisions; ValueError if their shapes differ.
+
+    Examples
+    --------
+    Of three conflicts one is missed:
+
+    >>> import numpy as np
+    >>> from isac_track.conflict import missed_conflict_rate
+    >>> missed_conflict_rate(
+    ...     conflict=np.array([True, True, True, False]),
+    ...     predicted=np.array([True, False, True, True]),
+    ... )
+    0.333...
+    """
     return _share(~predicted, among=conflict)
 
 
 def missed_future_rate(
     *, conflict: Bools, inside_now: Bools, predicted: Bools
 ) -> float:
-    """Return the missed share of the conflicts that are still to come; NaN without one.
+    """Return the missed share of conflicts that are still to come; NaN without any.
 
-    Left out are the scenes where somebody is `inside_now`, within the safety radius at
-    step 0.
+    Scenes where an agent is `inside_now`, within the safety radius at step 0, are left
+    out. All arguments are (S,); ValueError if their shapes differ.
     """
     if inside_now.shape != conflict.shape:
         raise ValueError("conflict and inside_now must have one shape")
@@ -208,14 +267,21 @@ def missed_future_rate(
 
 
 def false_alarm_rate(*, conflict: Bools, predicted: Bools) -> float:
-    """Return the share of conflict-free scenes with a predicted conflict; NaN without one."""
+    """Return the share of conflict-free scenes with a predicted conflict.
+
+    NaN without such scenes. `conflict` and `predicted` are (S,); ValueError if their
+    shapes differ.
+    """
     return _share(predicted, among=~conflict)
 
 
 def distance_mae_m(
     *, true_separation_m: Floats, predicted_separation_m: Floats
 ) -> float:
-    """Return the mean absolute error of separations, (N,) m each, or ValueError; NaN of none."""
+    """Return the mean absolute error of separations, (N,) m each; NaN if N is 0.
+
+    ValueError if the shapes differ.
+    """
     if true_separation_m.shape != predicted_separation_m.shape:
         raise ValueError("true and predicted separations must have one shape")
     if true_separation_m.size == 0:

@@ -1,4 +1,4 @@
-"""What can go wrong for a user: one error and a handful of children, each with a way out."""
+"""Errors that a user can meet: a base class and its children, each with a way out."""
 
 import errno
 import os
@@ -7,8 +7,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from traceback import walk_tb
 
-_MOST_TOLD = 300  # Characters of a stranger's message.
-_NOT_STRANGE = frozenset(
+_MOST_CHARACTERS = 300  # Of the message of a plug-in's or a library's error.
+_KNOWN_PACKAGES = frozenset(
     (
         "isac_track",
         "predictors",
@@ -20,23 +20,23 @@ _NOT_STRANGE = frozenset(
         "dataclasses",
     )
 )
-"""Packages that a plug-in's own source is not in."""
+"""Packages that never hold the source of a third-party plug-in."""
 _MOST_REPEATED = 100  # Characters of what a user typed.
 _LIMITS = (errno.ENOMEM, errno.EAGAIN, errno.EMFILE, errno.ENFILE)
-# Stands for the file of a class whose code travelled without it.
+# Stands for the file name of a class that was sent without its file.
 UNNAMED = "where it is defined"
 
 
 class IsacTrackError(Exception):
-    """A user's mistake or a missing resource; the message names it and the way out."""
+    """A user's mistake or a missing resource; the message names the way out."""
 
 
 class DataError(IsacTrackError):
-    """A data set that cannot be read; the message names file and line."""
+    """A data set that cannot be read; the message names the file and the line."""
 
 
 class SettingsError(IsacTrackError):
-    """An option, a setting or a SPEC that is wrong, unknown or contradicts another."""
+    """An option, setting or SPEC that is wrong, unknown or contradicts another."""
 
 
 class PluginError(IsacTrackError):
@@ -44,14 +44,14 @@ class PluginError(IsacTrackError):
 
 
 class KnowledgeDenied(IsacTrackError):  # noqa: N818 - the contract's name
-    """An attack touched what its adversary was not granted, or what it did not declare."""
+    """An attack used knowledge that was not granted, or that it did not declare."""
 
 
 def check_limits(error: BaseException) -> None:
-    """Raise an error again, as MemoryError or OSError, if the machine is short of something.
+    """Raise an error again as MemoryError or OSError if it is due to a system limit.
 
-    A reader then does not blame a file. Libraries hide such errors in their own; the
-    words of the system remain.
+    A reader of data then does not blame the file. Libraries wrap such errors in their
+    own, where the text of the operating system remains.
     """
     if isinstance(error, MemoryError):
         raise MemoryError from None  # noqa: TRY004 - no argument has a wrong type
@@ -60,45 +60,46 @@ def check_limits(error: BaseException) -> None:
             raise OSError(code, os.strerror(code)) from None
 
 
-def told(error: BaseException) -> str:
-    """Return type and message of a stranger's error: short, on one line, and safe to print."""
+def error_text(error: BaseException) -> str:
+    """Return type and message of a foreign error, in one line that is safe to print."""
     name = type(error).__name__
     try:
         text = str(error)
-    except BaseException:  # noqa: BLE001 - the message is a stranger's as well
+    except BaseException:  # noqa: BLE001 - a plug-in may define it
         text = "(its message cannot be read)"
-    words = " ".join(f"{name}: {text[: 10 * _MOST_TOLD]}".split()).removesuffix(":")
-    # Half a surrogate pair or an escape sequence is shown as what it is.
+    words = " ".join(f"{name}: {text[: 10 * _MOST_CHARACTERS]}".split()).removesuffix(
+        ":"
+    )
+    # Half a surrogate pair or an escape sequence is shown by its code.
     line = "".join(
         c if c.isprintable() else c.encode("unicode_escape").decode() for c in words
     )
-    return line if len(line) <= _MOST_TOLD else f"{line[:_MOST_TOLD]}..."
+    return line if len(line) <= _MOST_CHARACTERS else f"{line[:_MOST_CHARACTERS]}..."
 
 
 def raised_at(error: BaseException) -> str:
-    """Return where a stranger's code failed, as ` (file.py, line 3)`; empty if it had no part.
+    """Return where a plug-in's code failed, as ` (file.py, line 3)`.
 
-    It is the innermost line in the file that the stranger's code was entered by.
+    It is the innermost line in the file by which that code was entered; empty if the
+    error did not pass through such code.
     """
     file, line = "", 0
     for frame, number in walk_tb(error.__traceback__):
         name = frame.f_code.co_filename
-        is_ours = (
-            str(frame.f_globals.get("__name__", "")).partition(".")[0] in _NOT_STRANGE
-        )
-        if name == file or not (file or is_ours):
+        package = str(frame.f_globals.get("__name__", "")).partition(".")[0]
+        if name == file or not (file or package in _KNOWN_PACKAGES):
             file, line = name, number
     return code_at(file, line) if file else ""
 
 
 def code_at(file: str, line: int) -> str:
-    """Return a place in a stranger's code, as ` (file.py, line 3)`; a session's has no file."""
-    where = UNNAMED if file.startswith("<") else Path(file).name
-    return f" ({where}, line {line})"
+    """Return a place in code as ` (file.py, line 3)`; code of a session has no file."""
+    file_name = UNNAMED if file.startswith("<") else Path(file).name
+    return f" ({file_name}, line {line})"
 
 
 def quoted(value: object) -> str:
-    """Return what a user gave as messages repeat it: text in quotes, all of it cut to a length."""
+    """Return a user's value for a message: text in quotes, cut to a length."""
     try:
         text = repr(value)
     except ValueError:  # Python refuses to write very long whole numbers
@@ -107,6 +108,6 @@ def quoted(value: object) -> str:
 
 
 def did_you_mean(name: str, known: Iterable[str], *, quote: str = "") -> str:
-    """Return the end of a message that offers the nearest of `known`; empty if none is near."""
+    """Return the end of a message that offers the nearest known name, if any."""
     near = get_close_matches(name, list(known), n=1)
     return f"; did you mean {quote}{near[0]}{quote}?" if near else ""

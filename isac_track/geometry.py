@@ -1,4 +1,4 @@
-"""How far people are from the base station, and what that makes of the sensing error."""
+"""Distances of people from the base station, and the sensing error that follows."""
 
 from dataclasses import dataclass
 
@@ -15,13 +15,13 @@ from isac_track.sensing import (
 )
 from isac_track.types import Bools, Floats, Ints, Tracks
 
-_LEAST_M = 1e-3  # From the station: who stands on it is refused when sensed.
+_LEAST_M = 1e-3  # Least distance from the station.
 _ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Geometry:
-    """Medians over the tracks of a recording, each of which counts by its own median."""
+    """Medians over the tracks of a recording, each represented by its own median."""
 
     distance_m: float  # From the base station.
     sigma_raw_m: float  # Standard deviation of the raw error.
@@ -30,10 +30,9 @@ class Geometry:
 
 
 def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometry:
-    """Return the geometry of all tracks of a recording where they are sensed (`place.placed`).
+    """Return the geometry of all tracks of a placed recording (`place.placed`).
 
-    The standard deviations are those of the model, along every recorded walk as it was
-    walked.
+    The standard deviations are those of the model along every recorded walk.
     """
     station_m = np.array([settings.bs_x_m, settings.bs_y_m])
     distance_m = np.maximum(np.hypot(*(tracks.xy - station_m).T), _LEAST_M)

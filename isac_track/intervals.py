@@ -1,6 +1,7 @@
-"""Intervals: Wilson for a count, and the bootstrap over clusters (people) for everything else.
+"""Confidence intervals: Wilson for counts, the cluster bootstrap for everything else.
 
-Of few clusters the bootstrap's are too narrow: there a jackknife takes its place.
+A cluster is a group of people who walk together. With few clusters the bootstrap's
+intervals are too narrow; there the jackknife takes its place.
 """
 
 from collections.abc import Sequence
@@ -15,37 +16,61 @@ from scipy.special import betaincinv, expit, logit, ndtri, stdtrit
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
 
+__all__ = ["CONFIDENCE", "FEWEST_EFFECTIVE", "FEW_CLUSTERS", "LEAST_CLUSTERS"]
+__all__ += ["Estimate", "cluster_sums", "cluster_weights", "difference"]
+__all__ += ["effective_clusters", "estimate_from_replicates", "exact_binomial"]
+__all__ += ["jackknife_interval", "percentile_interval", "percentile_intervals"]
+__all__ += ["ratio_estimates", "wilson"]
+
 CONFIDENCE = 0.95
+"""Nominal coverage of every interval."""
 FEW_CLUSTERS: Final = 40.0
-"""Effective clusters below which an interval is the jackknife's: docs/metrics.md says why."""
+"""Below this number of effective clusters the jackknife is used."""
 LEAST_CLUSTERS: Final = 15.0
-"""Effective clusters below which there is no interval, but an exact one of a count."""
-FEWEST_EFFECTIVE: Final = 20  # Effective clusters below which nothing is decided.
+"""Below this number of effective clusters only a count has an interval, the exact."""
+FEWEST_EFFECTIVE: Final = 20
+"""Least number of effective clusters for a decision."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Estimate:
-    """A number with its interval, and the replicates that paired comparisons need."""
+    """A number with its interval, and the replicates that paired comparisons need.
+
+    Attributes
+    ----------
+    value : float
+        The number; NaN where it is undefined.
+    ci_low : float
+        Lower end of its 95 % interval, in the unit of the number, or NaN.
+    ci_high : float
+        Upper end of the interval.
+    n : int
+        Clusters that contribute.
+    replicates : Floats
+        Bootstrap replicates, (B,), in the unit of the number. All of a run come from
+        one set of weights.
+    closed_error : float or None
+        Standard error where it has a closed form.
+    effective : float
+        Effective clusters, n^2 / sum m^2; NaN where their sizes are not known.
+    """
 
     value: float
     ci_low: float = np.nan
     ci_high: float = np.nan
-    n: int = 0  # Clusters that contribute.
+    n: int = 0
     replicates: Floats = field(default_factory=lambda: np.zeros(0))
-    """(B,) bootstrap replicates; the same row of weights in every estimate of a run."""
-    closed_error: float | None = None  # Standard error where it has a closed form.
-    effective: float = (
-        np.nan
-    )  # Effective clusters, where their sizes are known: n^2 / sum m^2.
+    closed_error: float | None = None
+    effective: float = np.nan
 
     @property
     def drawn(self) -> Floats:
-        """(1 + B,) the estimate and its replicates."""
+        """The estimate and its replicates, (1 + B,)."""
         return np.append(self.value, self.replicates)
 
     @property
     def standard_error(self) -> float:
-        """Of the closed form, or of the replicates that are known; NaN without two."""
+        """Standard error in closed form, or that of finite replicates; NaN below two."""
         if self.closed_error is not None:
             return self.closed_error
         drawn = self.replicates[np.isfinite(self.replicates)]
@@ -53,15 +78,18 @@ class Estimate:
 
     @property
     def n_effective(self) -> float:
-        """Clusters of equal size that would tell as much; all of them where no size is known."""
+        """Number of equal clusters that tell as much; `n` where sizes are not known."""
         return self.effective if np.isfinite(self.effective) else float(self.n)
 
 
-def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimate:
-    """Return the estimate that a number and its replicates, (1 + B,), of `n` clusters make.
+def estimate_from_replicates(
+    values: Floats, *, n: int, effective: float = np.nan
+) -> Estimate:
+    """Build an estimate from a number and its bootstrap replicates, (1 + B,).
 
-    Replicates that are not finite are left out of the interval; of fewer than
-    `LEAST_CLUSTERS` effective clusters, where they are known, there is none.
+    `n` clusters contribute. Replicates that are not finite are left out of the
+    interval. Below `LEAST_CLUSTERS` effective clusters, where they are known, there is
+    no interval.
     """
     drawn, ends = values[1:], (np.nan, np.nan)
     if not effective < LEAST_CLUSTERS:
@@ -70,7 +98,20 @@ def estimate_of(values: Floats, *, n: int, effective: float = np.nan) -> Estimat
 
 
 def difference(a: Estimate, b: Estimate) -> Estimate:
-    """Return a - b, paired: both have their replicates from the same rows of weights."""
+    """Return a - b, paired: both have replicates from the same rows of weights.
+
+    The interval is that of percentiles; `n` is the smaller of both.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from isac_track.intervals import Estimate, difference
+    >>> a = Estimate(0.5, n=40, replicates=np.array([0.4, 0.5, 0.6]))
+    >>> b = Estimate(0.3, n=30, replicates=np.array([0.2, 0.3, 0.4]))
+    >>> gap = difference(a, b)
+    >>> round(gap.value, 6), round(gap.ci_low, 6), round(gap.ci_high, 6), gap.n
+    (0.2, 0.2, 0.2, 30)
+    """
     n_drawn = min(a.replicates.size, b.replicates.size)
     drawn = a.replicates[:n_drawn] - b.replicates[:n_drawn]
     return Estimate(
@@ -82,6 +123,13 @@ def wilson(*, hits: float, n: float) -> tuple[float, float]:
     """Return the Wilson score interval of a share (Wilson, JASA 1927).
 
     ValueError unless ``0 <= hits <= n`` and n is positive.
+
+    Examples
+    --------
+    >>> from isac_track.intervals import wilson
+    >>> low, high = wilson(hits=5, n=10)
+    >>> round(low, 3), round(high, 3)
+    (0.237, 0.763)
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
@@ -96,9 +144,18 @@ def wilson(*, hits: float, n: float) -> tuple[float, float]:
 
 
 def exact_binomial(*, hits: int, n: int) -> tuple[float, float]:
-    """Return the interval of a share that holds it at least as often as it says, at any n.
+    """Return the exact interval of a share: its coverage is at least nominal at any n.
 
-    Clopper and Pearson, Biometrika 26, 1934. ValueError as `wilson`.
+    Clopper and Pearson, Biometrika 26, 1934. ValueError as in `wilson`.
+
+    Examples
+    --------
+    Without a hit the upper end is 1 - 0.025^(1/n):
+
+    >>> from isac_track.intervals import exact_binomial
+    >>> low, high = exact_binomial(hits=0, n=10)
+    >>> low, round(high, 4)
+    (0.0, 0.3085)
     """
     if not (n > 0 and 0 <= hits <= n):
         raise ValueError(f"a share needs 0 <= hits <= n and n > 0, got {hits} of {n}")
@@ -113,10 +170,10 @@ def jackknife_interval(
 ) -> tuple[float, float]:
     """Return the interval of a number by the delete-one-cluster jackknife.
 
-    With Student's t of one degree of freedom less than `effective` clusters; that of a
-    share is one of its logit, and of exactly 0 or 1 Wilson's of so many. `values`, (1 +
-    C,), are the number of all clusters, and without each in turn: what is no sum over
-    clusters, such as the gallery of a rank, stays.
+    It uses Student's t with `effective` - 1 degrees of freedom. A share is transformed
+    to its logit; a share of exactly 0 or 1 has Wilson's interval of `effective` trials.
+    `values`, (1 + C,), are the number from all clusters, then without each cluster in
+    turn. Whatever is no sum over clusters, such as the gallery of a rank, stays whole.
 
     Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 11; Kish, Survey
     Sampling, 1965 (the effective number).
@@ -133,39 +190,63 @@ def jackknife_interval(
 
 
 def cluster_weights(
-    *, n_clusters: int, n_replicates: int, seed: int, of: Sequence[str] = ()
+    *,
+    n_clusters: int,
+    n_replicates: int,
+    seed: int,
+    stream_names: Sequence[str] = (),
 ) -> Floats:
     """Return how often each cluster is drawn in each bootstrap replicate, (B, C).
 
-    One matrix serves every metric and mechanism of a run, so that all comparisons are
-    paired; `of` names what has draws of its own.
+    B is `n_replicates`, C is `n_clusters`; each row sums to C. One matrix serves every
+    metric and mechanism of a run, so that all comparisons are paired. With
+    `stream_names` the draws come from a random stream of that name.
     """
-    counts = _counts(n_clusters, n_replicates, seed, *of)
-    return counts.astype(
-        np.float64, order="F"
-    )  # whoever reads some clusters has them in one piece
+    counts = _draw_counts(n_clusters, n_replicates, seed, *stream_names)
+    # Column by column: a caller that reads some clusters finds them in one piece.
+    return counts.astype(np.float64, order="F")
 
 
-@lru_cache(maxsize=2)  # of thousands of clusters half a second to draw
-def _counts(
-    n_clusters: int, n_replicates: int, seed: int, *of: str
+# The last two matrices are kept for the life of the process: to draw thousands of
+# clusters takes half a second.
+@lru_cache(maxsize=2)
+def _draw_counts(
+    n_clusters: int, n_replicates: int, seed: int, *stream_names: str
 ) -> NDArray[np.uint8]:
-    rng, p = stream(seed, "bootstrap", *of), np.full(n_clusters, 1.0 / n_clusters)
-    # Counts are 1 on average: never hundreds.
+    rng = stream(seed, "bootstrap", *stream_names)
+    p = np.full(n_clusters, 1.0 / n_clusters)
+    # A count is 1 on average and never reaches hundreds: eight bits hold it.
     return np.array(
         [rng.multinomial(n_clusters, p).astype(np.uint8) for _ in range(n_replicates)]
     )
 
 
 def cluster_sums(*, values: Floats, cluster: Ints, n_clusters: int) -> Floats:
-    """Return the sum of `values`, (R,), within each cluster, (C,)."""
+    """Return the sum of `values`, (R,), within each cluster, (C,).
+
+    `cluster`, (R,), is the cluster of each value, from 0 to C - 1.
+    """
     return np.asarray(
         np.bincount(cluster, weights=values, minlength=n_clusters).astype(np.float64)
     )
 
 
 def effective_clusters(sizes: Floats) -> float:
-    """Return n^2 / sum m^2 of clusters of m each, (C,), n in all: their number if all are equal."""
+    """Return n^2 / sum m^2 for clusters of sizes m, (C,), with n their sum.
+
+    Kish, Survey Sampling, 1965. 0 without any member.
+
+    Examples
+    --------
+    Ten equal clusters count as ten; a large one beside nine small ones as fewer:
+
+    >>> import numpy as np
+    >>> from isac_track.intervals import effective_clusters
+    >>> effective_clusters(np.full(10, 3.0))
+    10.0
+    >>> round(effective_clusters(np.array([9.0] + [1.0] * 9)), 2)
+    3.6
+    """
     squares = float(sizes @ sizes)
     return float(sizes.sum()) ** 2 / squares if squares > 0 else 0.0
 
@@ -175,17 +256,41 @@ def ratio_estimates(
 ) -> list[Estimate]:
     """Return sum(numerator) / sum(denominator) of each row with its clustered interval.
 
-    It is the percentile interval of whole clusters drawn with replacement (Davison and
-    Hinkley, 1997, ch. 3.8). A share of exactly 0 or 1 has no spread to resample; its
-    interval is Wilson's with the clusters as the sample size. Of fewer than
-    `FEW_CLUSTERS` effective clusters it is the jackknife's, and not below 0 where no
-    numerator is; below `LEAST_CLUSTERS` there is none (NaN), but the exact one of a
-    count: a share of which every cluster has as many trials and one outcome of them.
+    The interval is that of percentiles, with whole clusters drawn with replacement
+    (Davison and Hinkley, 1997, ch. 3.8). There are three exceptions:
+
+    - A share of exactly 0 or 1 has no spread to resample. Its interval is Wilson's,
+      with the clusters as the sample size.
+    - Below `FEW_CLUSTERS` effective clusters the interval is the jackknife's. It does
+      not reach below 0 unless a numerator does.
+    - Below `LEAST_CLUSTERS` only a count has an interval, the exact one. A count is a
+      share where all clusters have equally many trials, and the trials of a cluster
+      have the same outcome.
+      Otherwise the ends are NaN.
+
     Where the denominator is 0 over all clusters there is no number either.
 
     `numerator` and `denominator`, (K, C), are sums within each cluster: hits and trials
     (then the ratio `is_share`, 0..1), or a sum and a count; `weights`, (B, C), are from
-    `cluster_weights`.
+    `cluster_weights`. Returns K estimates in the unit of the ratio.
+
+    Examples
+    --------
+    Fifty people with ten trials each; half of them hit always, the others never:
+
+    >>> import numpy as np
+    >>> from isac_track.intervals import cluster_weights, ratio_estimates
+    >>> hits = np.where(np.arange(50) < 25, 10.0, 0.0)
+    >>> (rate,) = ratio_estimates(
+    ...     numerator=hits[None],
+    ...     denominator=np.full((1, 50), 10.0),
+    ...     weights=cluster_weights(n_clusters=50, n_replicates=1000, seed=0),
+    ...     is_share=[True],
+    ... )
+    >>> rate.value, rate.n, rate.n_effective
+    (0.5, 50, 50.0)
+    >>> bool(0.3 < rate.ci_low < 0.42 and 0.58 < rate.ci_high < 0.7)
+    True
     """
     # Rows in succession often have one denominator.
     is_new = np.append([True], (denominator[1:] != denominator[:-1]).any(axis=1))
@@ -194,29 +299,37 @@ def ratio_estimates(
     with np.errstate(divide="ignore", invalid="ignore"):
         values = (numerator.sum(axis=1) / denominator.sum(axis=1)).tolist()
         replicates: Floats = drawn[: len(place)] / drawn[len(place) :][place]
-    effective = [effective_clusters(one) for one in denominator[is_new]]
-    n_clusters, found = (denominator > 0).sum(axis=1).tolist(), []
+    effective = [effective_clusters(sizes) for sizes in denominator[is_new]]
+    n_clusters = (denominator > 0).sum(axis=1).tolist()
+    estimates: list[Estimate] = []
     for row, (low, high) in enumerate(percentile_intervals(replicates).T.tolist()):
         value, n, few = values[row], n_clusters[row], effective[place[row]]
         ends = low, high
         if few < FEW_CLUSTERS:
-            sums = numerator[row], denominator[row]
-            ends = _interval_of_few(*sums, effective=few, is_share=is_share[row])
+            ends = _small_sample_interval(
+                numerator[row],
+                denominator[row],
+                effective=few,
+                is_share=is_share[row],
+            )
         elif is_share[row] and value in (0.0, 1.0):
             ends = wilson(hits=value * n, n=n)
-        found.append(Estimate(value, *ends, n, replicates[row], effective=few))
-    return found
+        estimates.append(Estimate(value, *ends, n, replicates[row], effective=few))
+    return estimates
 
 
-def _interval_of_few(
+def _small_sample_interval(
     numerator: Floats, denominator: Floats, *, effective: float, is_share: bool
 ) -> tuple[float, float]:
-    there = denominator > 0
-    hits, trials = numerator[there], denominator[there]
+    """Return the jackknife's interval, or the exact one of a count, or NaN."""
+    contributes = denominator > 0
+    hits, trials = numerator[contributes], denominator[contributes]
     if effective >= LEAST_CLUSTERS:
-        rest, of = (sums.sum() - np.append(0.0, sums) for sums in (hits, trials))
+        # In all clusters, then without each in turn.
+        hits_left = hits.sum() - np.append(0.0, hits)
+        trials_left = trials.sum() - np.append(0.0, trials)
         low, high = jackknife_interval(
-            rest / of, effective=effective, is_share=is_share
+            hits_left / trials_left, effective=effective, is_share=is_share
         )
         return (low if hits.min() < 0.0 else max(0.0, low)), high
     is_count = (trials == trials[:1]).all() and np.isin(hits, (0.0, *trials[:1])).all()
@@ -226,16 +339,17 @@ def _interval_of_few(
 
 
 def percentile_interval(replicates: Floats) -> tuple[float, float]:
-    """Return the percentile interval of bootstrap replicates; empty ones (NaN) are left out."""
+    """Return the percentile interval of bootstrap replicates, (B,); NaN is left out."""
     low, high = percentile_intervals(replicates[None])
     return float(low[0]), float(high[0])
 
 
 def percentile_intervals(replicates: Floats) -> Floats:
-    """Return the ends of the percentile interval of each row of replicates, (K, B) -> (2, K).
+    """Return the ends of each row's percentile interval, (K, B) -> (2, K).
 
-    The quantiles are numpy's, which takes several times as long for so few numbers.
-    NaN, which sorts last, is left out; a row without a number has no interval.
+    The quantiles equal those of `np.quantile`, which takes several times as long for
+    so few numbers. NaN, which sorts last, is left out; a row without a number has no
+    interval.
     """
     if not replicates.size:
         return np.full((2, len(replicates)), np.nan)
@@ -243,10 +357,9 @@ def percentile_intervals(replicates: Floats) -> Floats:
     tail = (1.0 - CONFIDENCE) / 2.0
     place = np.array([[tail], [1.0 - tail]]) * last
     below = place.astype(np.int64)
-    both = np.stack([below, np.minimum(below + 1, last)])
-    a, b = np.partition(replicates, np.unique(both), axis=1)[
-        np.arange(len(replicates)), both
-    ]
+    neighbours = np.stack([below, np.minimum(below + 1, last)])
+    partitioned = np.partition(replicates, np.unique(neighbours), axis=1)
+    a, b = partitioned[np.arange(len(replicates)), neighbours]
     part, step = place - below, b - a
-    # From the nearer of the two, as numpy does it.
+    # Interpolate from the nearer of the two, as numpy does.
     return np.asarray(np.where(part < 0.5, a + step * part, b - step * (1.0 - part)))  # noqa: PLR2004 - half way

@@ -1,4 +1,4 @@
-"""How noisy is a track? What anybody can tell from the shared positions alone."""
+"""Estimate how noisy a track is from the shared positions alone."""
 
 from importlib import import_module
 
@@ -8,7 +8,7 @@ from isac_track.types import Floats, Ints, check_offsets, check_times
 
 MIN_VARIANCE_M2 = 1e-6  # (1 mm)^2: below it a filter would trust rounding.
 UNKNOWN_VARIANCE_M2 = 0.25
-"""For a track of fewer than three samples, which says nothing of its noise."""
+"""For a track of fewer than three samples, which does not show its noise."""
 
 
 def innovation_variance_m2(
@@ -16,21 +16,23 @@ def innovation_variance_m2(
 ) -> Floats:
     """Return the error variance per axis of each track, (N,) m^2, from its innovations.
 
-    The innovations are those of the shortest constant-velocity predictor, which carries
-    the line through two samples on to the third: a + b times the later less b times the
-    earlier. For independent errors of variance r and a straight walk they have the
-    variance r (1 + (1 + b)^2 + b^2), with b the ratio of the two steps; the mean of
-    their squares over the track, so scaled, estimates r. A filter's own innovations
-    would mix in its process noise and, behind a gate, shrink with what the gate cuts
-    off; at ten samples a second a walk of 1 m/s^2 adds but a centimetre to these. If
-    `running` it is what was known by each sample, (M,): that of the samples up to it.
+    The innovations are those of the shortest constant-velocity predictor, which extends
+    the line through two samples to the third: (1 + b) times the later sample less b
+    times the earlier, with b the ratio of the two steps. For independent errors of
+    variance r and a straight walk an innovation has the variance r (1 + (1 + b)^2 +
+    b^2). The mean of its scaled squares over the track estimates r. The innovations of
+    a filter would contain its process noise, and its gate would cut off the large ones.
+    At ten samples a second an acceleration of 1 m/s^2 adds only a centimetre to these.
+
+    If `running`, the estimate at each sample, (M,), uses only the samples up to it.
     ValueError if the shapes of `t`, (M,) s, `xy`, (M, 2) m, and `offsets`, (N + 1,),
     disagree, a number is not finite or times do not increase.
     """
     if offsets.dtype.kind not in "iu":
         raise ValueError("offsets must be integers")
     offsets = np.ascontiguousarray(offsets, dtype=np.int64)
-    t, xy = (np.ascontiguousarray(one, dtype=np.float64) for one in (t, xy))
+    t = np.ascontiguousarray(t, dtype=np.float64)
+    xy = np.ascontiguousarray(xy, dtype=np.float64)
     check_offsets(offsets, t.size)
     check_times(t, offsets)
     if xy.shape != (t.size, 2):
@@ -45,15 +47,16 @@ def innovation_variance_m2(
         import_module("isac_track.kalman._linear_loops").innovation_level(
             t, xy, offsets, variance
         )
-        variance[np.diff(offsets) < 3] = UNKNOWN_VARIANCE_M2  # noqa: PLR2004 - as many make one
+        variance[np.diff(offsets) < 3] = UNKNOWN_VARIANCE_M2  # noqa: PLR2004 - samples of an innovation
     return np.asarray(np.maximum(variance, MIN_VARIANCE_M2))
 
 
 def scaled_innovations_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
-    """Return the squared innovations of `innovation_variance_m2`, each an estimate, (M - 2,) m^2.
+    """Return the scaled squared innovations of consecutive samples, (M - 2,) m^2.
 
-    They are those of the third of all samples, the fourth, and so on; those that reach
-    from one track into the next mean nothing. Of sound arrays: nothing is checked.
+    Each estimates the variance of `innovation_variance_m2`. Entry k belongs to sample k
+    + 2; entries that reach from one track into the next mean nothing. The arrays are
+    not checked.
     """
     step = np.diff(t)
     step[offsets[1:-1] - 1] = 1.0  # from one track to the next
@@ -64,16 +67,16 @@ def scaled_innovations_m2(*, t: Floats, xy: Floats, offsets: Ints) -> Floats:
 
 
 def running_means(inner: Floats, offsets: Ints, *, start: float) -> Floats:
-    """Return the mean of a track's innovations up to each sample, (M,); `start` for its first two.
+    """Return the mean of a track's innovations up to each sample, (M,).
 
-    `inner`, (M - 2,), are those that end with the third of all samples, the fourth, and
-    so on; those that reach from one track into the next count nowhere.
+    `inner`, (M - 2,), is what `scaled_innovations_m2` returns; entries that reach from
+    one track into the next are left out. The first two samples of a track get `start`.
     """
-    found = np.full(offsets[-1], start)
+    means = np.full(offsets[-1], start)
     total = np.concatenate([[0.0], np.cumsum(inner)])
     first = np.repeat(offsets[:-1], np.diff(offsets))
     last = np.arange(offsets[-1])
-    has = last >= first + 2
-    first, last = first[has], last[has] - 1
-    found[has] = (total[last] - total[first]) / (last - first)
-    return found
+    has_mean = last >= first + 2
+    first, last = first[has_mean], last[has_mean] - 1
+    means[has_mean] = (total[last] - total[first]) / (last - first)
+    return means

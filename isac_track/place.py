@@ -1,10 +1,9 @@
-"""Where a recording stands relative to the base station: geometry is of the experiment.
+"""Place a recording relative to the base station.
 
-The origin of a file is an accident of whoever annotated it, and the noise depends on
-the distance from the station. A recording is therefore moved, as a whole, until the
-middle of its crowd lies where the robots start; station and robots have places of their
-own (`sensing.bs_x_m`, `scenes.robot_x_m`). Nothing is turned: the crowd keeps its
-orientation.
+The origin of a file is arbitrary, but the noise depends on the distance from the
+station. A recording is therefore shifted as a whole until the middle of its crowd lies
+where the robots start. Station and robots have places of their own (`sensing.bs_x_m`,
+`scenes.robot_x_m`). Nothing is turned: the crowd keeps its orientation.
 """
 
 from collections.abc import Sequence
@@ -16,48 +15,48 @@ from isac_track.config import StageSettings
 from isac_track.types import Bools, Floats, Ints, Tracks, derived, squared_lengths
 
 ROUNDED_OFF_M: Final = 1e-3
-"""Distances r are taken as sqrt(r^2 + this^2): so the median is unique, on a line, too."""
-_CLOSE_M: Final = 1e-10  # Steps below end the search.
+"""Distances r count as sqrt(r^2 + this^2), so that the median is unique on a line."""
+_CLOSE_M: Final = 1e-10  # A step below this ends the search.
 _MOST_STEPS: Final = 500
 
 
 def geometric_median(points: Floats) -> Floats:
     """Return the point with the least sum of distances to `points`, (K, 2) m -> (2,) m.
 
-    Whatever shifts, turns or mirrors the points does the same to it. The distances are
-    rounded off within `ROUNDED_OFF_M`, without which an even number of points on a line
-    has many medians.
+    It moves with the points when they are shifted, turned or mirrored. The distances
+    are rounded off within `ROUNDED_OFF_M`, without which an even number of points on a
+    line has many medians.
     """
     (median,) = geometric_medians(points, np.array([0, len(points)]))
     return np.asarray(median)
 
 
 def geometric_medians(xy: Floats, offsets: Ints) -> Floats:
-    """Return the geometric median of the samples of each of N tracks, (M, 2) m -> (N, 2) m.
+    """Return the geometric median of each track, (M, 2) m -> (N, 2) m.
 
-    Newton's step where it brings the sum of distances down further than Weiszfeld's
-    (Tohoku Math. J. 43, 1937), which always does.
+    Each iteration takes the step of Newton or of Weiszfeld (Tohoku Math. J. 43, 1937),
+    whichever lowers the sum of distances further; Weiszfeld's always lowers it.
     """
     sizes = np.diff(offsets)
-    origin = xy[offsets[:-1]]  # Nothing is lost of coordinates far from the file's own.
+    origin = xy[offsets[:-1]]  # Relative to it, coordinates lose no digits.
     points = xy - np.repeat(origin, sizes, axis=0)
     median: Floats = np.add.reduceat(points, offsets[:-1]) / sizes[:, None]
-    left: Bools = np.ones(sizes.size, dtype=bool)
+    is_moving: Bools = np.ones(sizes.size, dtype=bool)
     for _ in range(_MOST_STEPS):
-        rows = np.flatnonzero(left)
-        own, start = (
-            points[np.repeat(left, sizes)],
-            np.cumsum(sizes[left]) - sizes[left],
-        )
-        nearer = _step(own, median[left], start, sizes[left])
-        left[rows] = np.sqrt(squared_lengths(nearer - median[left])) > _CLOSE_M
+        rows = np.flatnonzero(is_moving)
+        own_points = points[np.repeat(is_moving, sizes)]
+        start = np.cumsum(sizes[rows]) - sizes[rows]
+        nearer = _improve_medians(own_points, median[rows], start, sizes[rows])
+        is_moving[rows] = np.sqrt(squared_lengths(nearer - median[rows])) > _CLOSE_M
         median[rows] = nearer
-        if not left.any():
+        if not is_moving.any():
             break
     return origin + median
 
 
-def _step(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
+def _improve_medians(
+    points: Floats, median: Floats, start: Ints, sizes: Ints
+) -> Floats:
     """Return better medians, (N, 2), of the samples that begin at `start`, (N,)."""
     gap = np.repeat(median, sizes, axis=0) - points
     weight = 1.0 / np.sqrt(squared_lengths(gap) + ROUNDED_OFF_M**2)
@@ -74,12 +73,13 @@ def _step(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
     )
     newton = median - across / (a * d - xy**2)[:, None]
     weiszfeld = median - slope / total[:, None]
-    sums = (_distances(points, at, start, sizes) for at in (newton, weiszfeld))
-    is_better = np.less_equal(*sums)
-    return np.where(is_better[:, None], newton, weiszfeld)
+    newton_m = _distance_sums(points, newton, start, sizes)
+    weiszfeld_m = _distance_sums(points, weiszfeld, start, sizes)
+    return np.where((newton_m <= weiszfeld_m)[:, None], newton, weiszfeld)
 
 
-def _distances(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
+def _distance_sums(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floats:
+    """Return the sum of rounded-off distances of each track's points, (N,) m."""
     square = (
         squared_lengths(np.repeat(median, sizes, axis=0) - points) + ROUNDED_OFF_M**2
     )
@@ -87,32 +87,35 @@ def _distances(points: Floats, median: Floats, start: Ints, sizes: Ints) -> Floa
 
 
 def placed(tracks: Tracks, *, settings: StageSettings) -> Tracks:
-    """Return the tracks of a recording where they are sensed: see `placed_together`."""
+    """Return the tracks of a recording at the place where they are sensed.
+
+    See `placed_together`.
+    """
     return placed_together([tracks], settings=settings)[0]
 
 
 def placed_together(
     sessions: Sequence[Tracks], *, settings: StageSettings
 ) -> tuple[Tracks, ...]:
-    """Return sessions where they are sensed, all in one frame.
+    """Return sessions at the place where they are sensed, all in one frame.
 
     With `sensing.place` *centred* the geometric median of the tracks' own medians comes
-    to lie where the robots start. It is that of all recorded tracks, however short,
-    each of which counts once: who stands for an hour weighs no more than who passes by.
-    With *file* they stay.
+    to lie where the robots start. All recorded tracks count once, however short: a
+    person who stands for an hour weighs no more than a passer-by. With *file* the
+    sessions stay where they are.
     """
     if settings.sensing.place == "file":
         return tuple(sessions)
-    origin = sessions[0].xy[
-        0
-    ]  # Before anything else: far from it coordinates lose digits.
-    near = [one.xy - origin for one in sessions]
+    # First of all: coordinates far from the origin lose digits.
+    origin = sessions[0].xy[0]
+    near = [session.xy - origin for session in sessions]
     medians = [
-        geometric_medians(xy, one.offsets)
-        for xy, one in zip(near, sessions, strict=True)
+        geometric_medians(xy, session.offsets)
+        for xy, session in zip(near, sessions, strict=True)
     ]
     start_m = np.array([settings.scenes.robot_x_m, settings.scenes.robot_y_m])
     shift_m = start_m - geometric_median(np.concatenate(medians))
     return tuple(
-        derived(one, xy=xy + shift_m) for xy, one in zip(near, sessions, strict=True)
+        derived(session, xy=xy + shift_m)
+        for xy, session in zip(near, sessions, strict=True)
     )

@@ -1,8 +1,8 @@
-"""Plug-ins by name: built-ins, entry points, ``package.module:Class``; in a notebook, objects.
+"""Plug-ins by name: built-in, by entry point, by ``package.module:Class``, or objects.
 
-SPEC is ``name[:VALUE][,key=value...]``. VALUE sets the first field; for a mechanism
-that is the level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class says
-(``sweep``). Parameters that differ from their default stay in the name:
+A SPEC is ``name[:VALUE][,key=value...]``. VALUE sets the first field; for a mechanism
+that is the level. ``fid:1..1000/10`` is a sweep of ten levels, spaced as the class
+declares (``sweep``). Parameters that differ from their default stay in the name:
 ``fid:adding=independent``.
 """
 
@@ -30,8 +30,8 @@ from isac_track.errors import (
     PluginError,
     SettingsError,
     did_you_mean,
+    error_text,
     quoted,
-    told,
 )
 
 Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks", "policies"]
@@ -88,46 +88,46 @@ _MECHANISMS = (
     "isac_track.mechanisms.protections",
     "isac_track.mechanisms.withholding",
 )
-"""Modules with a table ``MECHANISMS``: one that is added there is known here."""
+"""Modules with a table ``MECHANISMS``, whose entries are built-in plug-ins."""
 _METHOD: dict[Kind, str] = {
     "attacks": "fit",
     "mechanisms": "share",
     "predictors": "predict",
     "policies": "select",
 }
-_WITH_LEVEL: tuple[Kind, ...] = (
-    "mechanisms",
-    "policies",
-)  # Their first number is a level.
+# Kinds whose first parameter, if a number, is the level.
+_WITH_LEVEL: tuple[Kind, ...] = ("mechanisms", "policies")
 _MOST_LEVELS = 1000
 _WHOLE_LIMIT = 10**12  # Names show 12 digits.
 _PATH = re.compile(r"([A-Za-z]:(?=[\\/]|[^:,=]*\.py\b)|[\\/]|\.[\\/]|[^:,=]*\\)[^:]*")
-"""A path at the beginning of a SPEC: ./x.py, /x.py, C:\\x.py, a\\x.py; x and C:0.5 are none."""
-_CLASS_NAME = re.compile(
-    r"([A-Z]\w*)(?::|$)"
-)  # Behind a path; a value begins otherwise.
+"""A path at the beginning of a SPEC: ./x.py, /x.py, C:\\x.py, a\\x.py; not x, C:0.5."""
+# A class name after a path; a value does not begin with a capital letter.
+_CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")
 
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """One configured plug-in: a mechanism or policy at one level, a predictor or an attack."""
+    """A configured mechanism or policy at a level, or a predictor, or an attack."""
 
     # As in the result columns: family and non-default parameters, without the level.
     name: str
     level: float | None
-    """Level of a mechanism or policy; None where it has none or it is not a number."""
-    spec: str  # Canonical SPEC that gives this very plug-in again.
+    """Level of a mechanism or policy; None without a level that is a number."""
+    spec: str  # Canonical SPEC of this plug-in.
     origin: str  # ``module:Class``
     instance: Any  # The frozen object.
     family: str = ""  # Its name without parameters.
     adding: str = ""  # Adding rule that a mechanism declares; empty if it has none.
     protects: bool = True  # Whether a mechanism claims to protect: a control does not.
-    # Of what was given as an object: what its cells depend on beside its SPEC.
+    # Digest of a plug-in given as an object; its cells depend on it besides the SPEC.
     digest: str = ""
 
 
 def names(kind: Kind) -> dict[str, str]:
-    """Return ``{name: "module:Class"}`` of all; only the built-in mechanisms are imported."""
+    """Return ``{name: "module:Class"}`` of all plug-ins of a kind.
+
+    Only the modules of the built-in mechanisms are imported.
+    """
     known = dict(_BUILT_IN.get(kind, {}))
     if kind == "mechanisms":
         for module in _MECHANISMS:
@@ -139,14 +139,14 @@ def names(kind: Kind) -> dict[str, str]:
 
 
 def broken(kind: Kind) -> dict[str, str]:
-    """Import every discovered third-party plug-in and return ``{name: what is wrong}``."""
-    wrong = {}
+    """Import all plug-ins from entry points; return ``{name: message}`` of failures."""
+    faults = {}
     for point in _entry_points(kind):
         try:
-            _load(kind, point.name)
+            _load_class(kind, point.name)
         except PluginError as error:
-            wrong[point.name] = str(error)
-    return wrong
+            faults[point.name] = str(error)
+    return faults
 
 
 @cache
@@ -159,88 +159,100 @@ def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
 def parse(kind: Kind, spec: str) -> tuple[Plugin, ...]:
     """Return the plug-ins that a SPEC names: one, or one per level of a sweep.
 
-    It is a SettingsError if a name, parameter or value does not exist or does not fit,
-    and a PluginError if the plug-in cannot be imported or is not what its kind must be.
+    SettingsError if a name, parameter or value does not exist or does not fit;
+    PluginError if the plug-in cannot be imported or does not meet its interface.
     """
-    name, pairs = _split(kind, spec)
-    cls, origin = _load(kind, name)
-    with _naming(spec):
-        hints = _hints(cls, origin)
+    name, pairs = _split_spec(kind, spec)
+    cls, origin = _load_class(kind, name)
+    with _name_spec_in_errors(spec):
+        hints = _parameter_types(cls, origin)
         changes: list[dict[str, Any]] = [{}]
         for key, text in pairs:
             parameter = key or next(iter(hints), "")
             if not parameter:
                 raise SettingsError(f"{name} takes no value")
             if parameter not in hints:
-                what = f"{name} has no parameter {quoted(parameter)}"
-                raise SettingsError(f"{what}{_nearest(parameter, hints)}")
+                fault = f"{name} has no parameter {quoted(parameter)}"
+                raise SettingsError(f"{fault}{_nearest_hint(parameter, hints)}")
             if parameter in changes[0]:
                 raise SettingsError(f"{parameter} is given twice")
             texts = [text]
             if not key and ".." in text:
-                texts = _sweep(text, is_log=getattr(cls, "sweep", "linear") == "log")
-            given = [_read(one, hints[parameter], parameter) for one in texts]
-            changes = [
-                {**change, parameter: one} for change in changes for one in given
+                texts = _sweep_levels(
+                    text, is_log=getattr(cls, "sweep", "linear") == "log"
+                )
+            values = [
+                _read_value(value, hints[parameter], parameter) for value in texts
             ]
-        return tuple(configured(kind, name, cls, origin, change) for change in changes)
+            changes = [
+                {**change, parameter: value} for change in changes for value in values
+            ]
+        return tuple(configure(kind, name, cls, origin, change) for change in changes)
 
 
-def plugins_of(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - anything at all
-    """Return the plug-ins that a SPEC or an object stands for.
+def resolve_plugins(kind: Kind, given: Any) -> tuple[Plugin, ...]:  # noqa: ANN401 - anything at all
+    """Return the plug-ins of a SPEC, or of an object.
 
-    An object is called as its SPEC would be: by its name if it has one, else
-    `module:Class`. SettingsError and PluginError as `parse` raises them, and for what
-    is no plug-in.
+    An object has the name of its SPEC: that of a known plug-in, else `module:Class`.
+    SettingsError and PluginError are raised as by `parse`, also for an object that is
+    no plug-in.
     """
     if isinstance(given, str):
         return parse(kind, given)
     cls = given if isinstance(given, type) else type(given)
     if isinstance(given, type) or not hasattr(cls, "__dataclass_params__"):
         way_out = f": write {cls.__name__}()" if isinstance(given, type) else ""
-        what = f"{kind} are SPECs or objects of frozen dataclasses"
-        raise SettingsError(f"{what}, got {quoted(given)}{way_out}")
+        expected = f"{kind} are SPECs or objects of frozen dataclasses"
+        raise SettingsError(f"{expected}, got {quoted(given)}{way_out}")
     origin = f"{cls.__module__}:{cls.__qualname__}"
     check_class(kind, cls, origin)
-    known = {its: name for name, its in names(kind).items()}
-    values = {one.name: getattr(given, one.name) for one in _parameters(cls)}
-    found = configured(kind, known.get(origin, origin), cls, origin, values)
-    if origin in known and (named := parse(kind, found.spec))[0].instance == given:
-        return named  # the same cells
-    return (dataclasses.replace(found, instance=given, digest=_digest(given, origin)),)
+    name_by_origin = {origin: name for name, origin in names(kind).items()}
+    values = {item.name: getattr(given, item.name) for item in _parameters(cls)}
+    name = name_by_origin.get(origin, origin)
+    plugin = configure(kind, name, cls, origin, values)
+    if origin in name_by_origin:
+        named = parse(kind, plugin.spec)
+        if named[0].instance == given:
+            return named  # shares its cells with the SPEC
+    return (dataclasses.replace(plugin, instance=given, digest=_digest(given, origin)),)
 
 
 def parse_all(kind: Kind, given: Iterable[Any]) -> tuple[Plugin, ...]:
-    """Return the plug-ins of all that is given, each once; SettingsError for two of one name."""
-    found: dict[str, Plugin] = {}
-    for one in (plugin for some in given for plugin in plugins_of(kind, some)):
-        if found.setdefault(one.spec, one).digest != one.digest:
-            raise SettingsError(
-                f"two {kind} are both called {one.spec!r}; rename one of them"
-            )
-    return tuple(found.values())
+    """Return the plug-ins of SPECs and objects, without repetition.
+
+    SettingsError for two different plug-ins with the same name.
+    """
+    plugins: dict[str, Plugin] = {}
+    for item in given:
+        for plugin in resolve_plugins(kind, item):
+            if plugins.setdefault(plugin.spec, plugin).digest != plugin.digest:
+                raise SettingsError(
+                    f"two {kind} are both called {plugin.spec!r}; rename one of them"
+                )
+    return tuple(plugins.values())
 
 
 def _digest(given: object, origin: str) -> str:
-    """Return a digest of an object and its class as they travel; a random one if it is unstable."""
+    """Return a digest of an object and its class as they are sent to a worker.
+
+    It is random if pickling gives different bytes each time.
+    """
     from cloudpickle import dumps, loads  # noqa: PLC0415 - SPECs need none
 
     cls = type(given)
     own = dict(vars(cls))
     try:
-        # What two objects share is written once, so that only what was read is written
-        # alike.
+        # Pickle writes shared parts once: compare only bytes of objects that were read.
         content = dumps(loads(dumps(given)))
         is_stable = content == dumps(loads(content))
-        # Reading defines a session's class anew in place: its methods forget the file
-        # they are in. Python 3.13 notes the first line of a class, which does not come
-        # back.
+        # Reading redefines a session's class in place: its methods lose their file, and
+        # Python 3.13 loses the first line of the class. Restore the attributes.
         for name, value in own.items():
             if vars(cls).get(name) is not value:
                 setattr(cls, name, value)
-    except Exception as error:  # a stranger's __reduce__ may do anything
+    except Exception as error:  # a third-party __reduce__ may raise anything
         raise PluginError(
-            f"{origin} cannot be sent to a worker ({told(error)}); leave out what"
+            f"{origin} cannot be sent to a worker ({error_text(error)}); leave out what"
             " cannot be pickled"
         ) from error
     return (
@@ -248,23 +260,23 @@ def _digest(given: object, origin: str) -> str:
     )
 
 
-def kind_named(spec: str) -> Kind:
-    """Return the kind of a SPEC by its name or its class's method; attacks if neither tells it."""
+def find_kind(spec: str) -> Kind:
+    """Return the kind of a SPEC by its name or its class's method, else attacks."""
     for kind in _METHOD:
         with contextlib.suppress(PluginError, SettingsError):
-            _load(kind, _split(kind, spec)[0])
+            _load_class(kind, _split_spec(kind, spec)[0])
             return kind
     return "attacks"
 
 
 def is_own_class(kind: Kind, spec: str) -> bool:
-    """Whether a SPEC names a class by its module, ``package.module:Class``; imports nothing."""
-    return ":" in _split(kind, spec)[0]
+    """Return whether a SPEC is ``package.module:Class``; imports nothing."""
+    return ":" in _split_spec(kind, spec)[0]
 
 
 @contextlib.contextmanager
-def _naming(spec: str) -> Iterator[None]:
-    """Begin the message of what is wrong with the SPEC that it is about."""
+def _name_spec_in_errors(spec: str) -> Iterator[None]:
+    """Prefix the message of an error with the SPEC that caused it."""
     try:
         yield
     except IsacTrackError as error:
@@ -272,16 +284,16 @@ def _naming(spec: str) -> Iterator[None]:
         raise kind(f"{quoted(spec)}: {error}") from error.__cause__
 
 
-def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
-    """Return the name in a SPEC and its parameters, as text; VALUE has no name."""
-    name, _, rest = _from_path(kind, spec.strip()).partition(":")
+def _split_spec(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
+    """Split a SPEC into its name and its parameters as text; VALUE has the key ""."""
+    name, _, rest = _rewrite_path(kind, spec.strip()).partition(":")
     attribute = rest.partition(":")[0]
     may_be_module = (
         name.isidentifier() and attribute.isidentifier() and name not in names(kind)
     )
     pairs: list[tuple[str, str]] = []
-    with _naming(spec):
-        # A module without a package is a file of one's own.
+    with _name_spec_in_errors(spec):
+        # A module without a package is a file of the user.
         if "." in name or (may_be_module and find_spec(name) is not None):
             name, rest = f"{name}:{attribute}", rest.partition(":")[2]
             if not attribute.isidentifier():
@@ -291,7 +303,7 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
         if not name:
             raise SettingsError("a SPEC begins with a name")
         for position, part in enumerate(rest.split(",") if rest else []):
-            key, equals, text = (one.strip() for one in part.partition("="))
+            key, equals, text = (text.strip() for text in part.partition("="))
             if equals and key and text:
                 pairs.append((key, text))
             elif not equals and position == 0 and key:
@@ -301,11 +313,11 @@ def _split(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
     return name, pairs
 
 
-def _from_path(kind: Kind, spec: str) -> str:
-    """Return a SPEC with a path to a Python file or its folder, as `package.module:Class[...]`.
+def _rewrite_path(kind: Kind, spec: str) -> str:
+    """Rewrite a path to a Python file or its folder as `package.module:Class[...]`.
 
-    A folder of `attacks new` needs no ./ where nothing else has its name. A path may be
-    of Windows; behind it stands a class, unless that is called like the file.
+    A folder made by `attacks new` needs no ./ if nothing else has its name. The path
+    may be a Windows path. A class follows it, unless its name follows from the file's.
     """
     match = _PATH.match(spec)
     path = match[0] if match else spec.partition(":")[0]
@@ -338,7 +350,7 @@ def _from_path(kind: Kind, spec: str) -> str:
 
 
 def parts_below(path: str, *, folder: str) -> tuple[str, ...] | None:
-    """Return the parts of a path from a folder, POSIX or Windows; None if it is not below it."""
+    """Return the parts of a path below a folder, POSIX or Windows; None if outside."""
     is_windows = "\\" in path or path[1:2] == ":"
     pure = PureWindowsPath(path) if is_windows else PurePosixPath(path)
     if not pure.anchor:
@@ -347,43 +359,53 @@ def parts_below(path: str, *, folder: str) -> tuple[str, ...] | None:
     return pure.relative_to(base).parts if pure.is_relative_to(base) else None
 
 
-def _load(kind: Kind, name: str) -> tuple[type, str]:
-    """Return the class that a name means and its ``module:Class``, or what is wrong with it."""
+def _load_class(kind: Kind, name: str) -> tuple[type, str]:
+    """Import the class of a name; return it and its ``module:Class``.
+
+    SettingsError for an unknown name, PluginError for a class that cannot be used.
+    """
     known = names(kind)
     origin = name if ":" in name else known.get(name)
     singular = _SINGULAR[kind]
     if origin is None:
-        raise SettingsError(f"unknown {singular} {quoted(name)}{_nearest(name, known)}")
+        raise SettingsError(
+            f"unknown {singular} {quoted(name)}{_nearest_hint(name, known)}"
+        )
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
-    except BaseException as error:  # a plug-in's import may do anything at all
+    except BaseException as error:  # a plug-in's import may raise anything
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
         raise PluginError(
-            f"{singular} {name!r} cannot be loaded from {origin}: {told(error)}"
+            f"{singular} {name!r} cannot be loaded from {origin}: {error_text(error)}"
         ) from error
     check_class(kind, cls, f"{singular} {name!r}: {origin}")
     return cls, origin
 
 
-def check_class(kind: Kind, cls: Any, who: str) -> None:  # noqa: ANN401 - anything at all
-    """Raise PluginError for what is not the class of a plug-in."""
+def check_class(kind: Kind, cls: Any, subject: str) -> None:  # noqa: ANN401 - anything
+    """Raise PluginError unless `cls` is the class of a plug-in.
+
+    `subject` begins the message.
+    """
     declared = getattr(cls, "__dataclass_params__", None)
     if not (isinstance(cls, type) and declared and declared.frozen):
-        raise PluginError(f"{who} must be a frozen dataclass: @dataclass(frozen=True)")
+        raise PluginError(
+            f"{subject} must be a frozen dataclass: @dataclass(frozen=True)"
+        )
     method = _METHOD[kind]
     if not callable(getattr(cls, method, None)):
-        raise PluginError(f"{who} has no method {method}()")
+        raise PluginError(f"{subject} has no method {method}()")
 
 
-def _hints(cls: type, origin: str) -> dict[str, Any]:
-    """Return the type of every parameter; of one that is inherited, as its own module reads it."""
+def _parameter_types(cls: type, origin: str) -> dict[str, Any]:
+    """Return the type of every parameter, resolved in the module that declares it."""
     known: dict[str, Any] = {}
-    for one in reversed(cls.__mro__):
-        known |= vars(sys.modules[one.__module__])
+    for base in reversed(cls.__mro__):
+        known |= vars(sys.modules[base.__module__])
     hints: dict[str, Any] = {}
-    # Only the parameters: a ClassVar may well name a type that is not there at run
+    # Only for the parameters: a ClassVar may name a type that does not exist at run
     # time.
     for item in _parameters(cls):
         holder = type("Parameter", (), {"__annotations__": {item.name: item.type}})
@@ -391,8 +413,8 @@ def _hints(cls: type, origin: str) -> dict[str, Any]:
             hints |= typing.get_type_hints(holder, globalns=known)
         except Exception as error:  # an annotation is code
             raise PluginError(
-                f"{origin}: the type of {item.name}: {told(error)}; it must be imported"
-                " at run time, not under TYPE_CHECKING"
+                f"{origin}: the type of {item.name}: {error_text(error)};"
+                " it must be imported at run time, not under TYPE_CHECKING"
             ) from error
     return hints
 
@@ -401,16 +423,16 @@ def _parameters(cls: type) -> list[dataclasses.Field[Any]]:
     return [item for item in dataclasses.fields(cls) if item.init]
 
 
-def _read(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as annotated
-    """Return what text stands for as a parameter of this type."""
+def _read_value(text: str, annotation: Any, key: str) -> Any:  # noqa: ANN401 - as annotated
+    """Convert text to the type of a parameter."""
     if typing.get_origin(annotation) in (Union, types.UnionType):
         kinds = [kind for kind in typing.get_args(annotation) if kind is not type(None)]
         if text.lower() == "none" and type(None) in typing.get_args(annotation):
             return None
         for kind in kinds[:-1]:
             with contextlib.suppress(IsacTrackError):
-                return _read(text, kind, key)
-        return _read(text, kinds[-1], key)
+                return _read_value(text, kind, key)
+        return _read_value(text, kinds[-1], key)
     if annotation is bool or typing.get_origin(annotation) is Literal:
         choices = (True, False) if annotation is bool else typing.get_args(annotation)
         for choice in choices:
@@ -435,11 +457,11 @@ def _read_number(text: str, kind: type[int | float], key: str) -> float:
         raise SettingsError(f"{key} must have at most 12 digits, got {quoted(text)}")
     if not math.isfinite(number):
         raise SettingsError(f"{key} must be finite, got {quoted(text)}")
-    # The 12 digits that names show: what two spellings share is one level, not two.
+    # Names show 12 digits: spellings that agree in them are the same level.
     return number if kind is int else float(f"{number:.12g}")
 
 
-def _sweep(value: str, *, is_log: bool) -> list[str]:
+def _sweep_levels(value: str, *, is_log: bool) -> list[str]:
     """Return the levels of LOW..HIGH/COUNT, as text."""
     try:
         bounds, _, count_text = value.partition("/")
@@ -461,10 +483,10 @@ def _sweep(value: str, *, is_log: bool) -> list[str]:
     return [f"{level:.12g}" for level in levels]
 
 
-def configured(
+def configure(
     kind: Kind, name: str, cls: type, origin: str, changes: dict[str, Any]
 ) -> Plugin:
-    """Return the plug-in of a class and its parameters, checked, with the names that it has."""
+    """Return the checked plug-in of a class and its parameters, with its names."""
     needed = [
         item.name
         for item in _parameters(cls)
@@ -480,13 +502,34 @@ def configured(
     except IsacTrackError:
         raise
     except ValueError as error:
-        raise SettingsError(told(error).removeprefix("ValueError: ")) from None
+        raise SettingsError(error_text(error).removeprefix("ValueError: ")) from None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
-        why = f"{told(error)}; a plug-in refuses a value by a ValueError"
-        raise PluginError(f"{origin} cannot be made: {why}") from error
+        reason = f"{error_text(error)}; a plug-in refuses a value by a ValueError"
+        raise PluginError(f"{origin} cannot be made: {reason}") from error
     adding = check_declared(kind, instance, origin)
+    level, parameters = _split_level(kind, cls, instance, changes)
+    column = f"{name}:{','.join(parameters)}" if parameters else name
+    spec = column
+    if level is not None:
+        spec = ",".join([f"{name}:{_format_value(level)}", *parameters])
+    return Plugin(
+        name=column,
+        level=level,
+        spec=spec,
+        origin=origin,
+        instance=instance,
+        family=name,
+        adding=adding,
+        protects=kind != "mechanisms" or claims_protection(instance, origin),
+    )
+
+
+def _split_level(
+    kind: Kind, cls: type, instance: object, changes: dict[str, Any]
+) -> tuple[float | None, list[str]]:
+    """Return the level of a plug-in, if any, and its other changed parameters."""
     level: float | None = None
     parameters: list[str] = []
     for position, item in enumerate(_parameters(cls)):
@@ -495,30 +538,23 @@ def configured(
         if position == 0 and kind in _WITH_LEVEL and is_number:
             level = float(value)
         elif item.name in changes and value != item.default:
-            parameters.append(f"{item.name}={_text(value)}")
-    column = f"{name}:{','.join(parameters)}" if parameters else name
-    spec = (
-        column if level is None else ",".join([f"{name}:{_text(level)}", *parameters])
-    )
-    protects = kind != "mechanisms" or claims_protection(instance, origin)
-    return Plugin(
-        column, level, spec, origin, instance, name, adding, protects=protects
-    )
+            parameters.append(f"{item.name}={_format_value(value)}")
+    return level, parameters
 
 
-def _declared(
+def _read_declaration(
     instance: object, origin: str, attribute: str, default: object = None
-) -> Any:  # noqa: ANN401 - a stranger's
-    """Return what a plug-in declares; PluginError if asking fails: it may be a property."""
+) -> Any:  # noqa: ANN401 - third-party
+    """Return an attribute of a plug-in; PluginError if a property raises an error."""
     try:
         return getattr(instance, attribute, default)
     except Exception as error:
-        raise PluginError(f"{origin}.{attribute}: {told(error)}") from error
+        raise PluginError(f"{origin}.{attribute}: {error_text(error)}") from error
 
 
 def claims_protection(mechanism: object, origin: str) -> bool:
-    """Return whether a mechanism claims to protect; PluginError if it says neither yes nor no."""
-    protects = _declared(mechanism, origin, "protects", default=True)
+    """Return whether a mechanism claims protection; PluginError if not a bool."""
+    protects = _read_declaration(mechanism, origin, "protects", default=True)
     if not isinstance(protects, bool):
         raise PluginError(
             f"{origin}.protects must be True or False, got {quoted(protects)}"
@@ -527,64 +563,65 @@ def claims_protection(mechanism: object, origin: str) -> bool:
 
 
 def check_form(policy: object, origin: str) -> None:
-    """Raise PluginError for a policy whose answers have no known form."""
+    """Raise PluginError for a policy whose form of answers is unknown."""
     from isac_track.policies.query import (  # noqa: PLC0415 - a list of names needs no numpy
         Form,
     )
 
-    form = _declared(policy, origin, "form")
-    if form not in (known := typing.get_args(Form)):
-        wanted = ", ".join(known)
+    form = _read_declaration(policy, origin, "form")
+    known_forms = typing.get_args(Form)
+    if form not in known_forms:
+        wanted = ", ".join(known_forms)
         raise PluginError(f"{origin}.form must be one of {wanted}, got {quoted(form)}")
 
 
 def check_declared(kind: Kind, instance: object, origin: str) -> str:
-    """Return a mechanism's adding rule, else nothing; PluginError for what is declared wrongly."""
+    """Check the declarations of a plug-in; return a mechanism's adding rule, or "".
+
+    PluginError for a wrong declaration.
+    """
     from isac_track.protocols import (  # noqa: PLC0415 - a list of names needs no numpy
-        kind_of,
+        attack_kind,
     )
     from isac_track.types import (  # noqa: PLC0415 - a list of names needs no numpy
         Adding,
         Knowledge,
     )
 
-    declared = partial(_declared, instance, origin)
+    declared = partial(_read_declaration, instance, origin)
     if kind == "mechanisms":
         claims_protection(instance, origin)
-        # A rule for an error that is not there is none.
+        # Without an added error no rule applies.
         adding = declared("adding") if declared("adds_error", default=True) else ""
-        return (
-            adding
-            if isinstance(adding, str) and adding in typing.get_args(Adding)
-            else ""
-        )
+        is_rule = isinstance(adding, str) and adding in typing.get_args(Adding)
+        return adding if is_rule else ""
     if kind == "policies":
         check_form(instance, origin)
         return ""
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)
         if not isinstance(needs, frozenset) or not all(
-            isinstance(one, Knowledge) for one in needs
+            isinstance(item, Knowledge) for item in needs
         ):
             raise PluginError(f"{origin}.{attribute} must be a frozenset of Knowledge")
     if kind == "predictors" and (denied := needs - {Knowledge.SIGMA}):
-        names_of = ", ".join(sorted(one.name for one in denied))
+        denied_names = ", ".join(sorted(item.name for item in denied))
         raise PluginError(
-            f"{origin} requires {names_of}, which a robot is never granted"
+            f"{origin} requires {denied_names}, which a robot is never granted"
         )
     try:
-        kind_of(instance)
+        attack_kind(instance)
     except ValueError as error:
         raise PluginError(f"{origin}: {error}") from None
     return ""
 
 
-def _text(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, bool):
-        return str(value).lower()  # as it is written in a SPEC
+        return str(value).lower()  # as in a SPEC
     return f"{value:.12g}" if isinstance(value, float) else str(value)
 
 
-def _nearest(name: str, known: Collection[str]) -> str:
+def _nearest_hint(name: str, known: Collection[str]) -> str:
     listed = f"; known: {', '.join(sorted(known))}" if known else "; it has none"
     return did_you_mean(name, known, quote="'") or listed

@@ -1,8 +1,7 @@
 """The paper's privacy descriptors: leakage indicator, PLR, AEL and MEL.
 
-All work on flat ragged arrays (see `isac_track.types`): one value per trajectory comes
-back. They describe the samples as shared; they say nothing of what an adversary can
-rebuild.
+All work on flat ragged arrays (see `isac_track.types`) and return one value per
+trajectory. They describe the samples as shared, not what an adversary can reconstruct.
 """
 
 from dataclasses import dataclass
@@ -12,29 +11,55 @@ from typing import Final
 import numpy as np
 
 from isac_track.config import IntervalsOf, PrivacySettings
-from isac_track.types import Bools, Floats, Ints, squared_lengths
+from isac_track.types import Bools, Complexes, Floats, Ints, squared_lengths
+
+__all__ = ["Exposure", "alignment_error", "described", "distance_m", "exposure"]
+__all__ += ["N_DESCRIBED", "WIDE_TIMES", "leakage_indicator", "mean_interval_s"]
 
 WIDE_TIMES: Final = 4.0 / 3.0
-"""Times epsilon: the distance at which errors that a mechanism parks just outside epsilon show."""
-N_DESCRIBED: Final = 7  # Numbers of each trajectory.
+"""Factor on epsilon that shows errors placed just outside of epsilon."""
+N_DESCRIBED: Final = 7
+"""Number of descriptors of each trajectory that `described` returns."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Exposure:
-    """Leakage of N trajectories."""
+    """Leakage of N trajectories.
 
-    plr: Floats  # (N,) share of leaked samples, 0..1 (eq. plr_definition).
-    # (N,) s, mean duration of a trajectory's leaked segments; 0 without one.
+    Attributes
+    ----------
+    plr : Floats
+        Share of leaked samples, (N,), 0..1 (eq. plr_definition).
+    ael_s : Floats
+        Mean duration of a trajectory's leaked segments, (N,) s; 0 without one.
+    mel_s : Floats
+        Duration of its longest leaked segment, (N,) s; 0 without one.
+    segments : Ints
+        Number of leaked segments, (N,).
+    """
+
+    plr: Floats
     ael_s: Floats
-    mel_s: Floats  # (N,) s, duration of its longest leaked segment; 0 without one.
-    segments: Ints  # (N,) number of leaked segments.
+    mel_s: Floats
+    segments: Ints
 
 
 def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -> Bools:
-    """Return which samples leak: the shared position lies closer than epsilon to the truth.
+    """Return which samples leak: shared closer than epsilon to the truth, (M,).
 
-    Eq. leakage_indicator, of (M, 2) m each. The inequality is strict. ValueError if the
-    shapes differ or epsilon is not positive.
+    Eq. leakage_indicator, for positions of (M, 2) m. The inequality is strict.
+    ValueError if the shapes differ or epsilon is not positive.
+
+    Examples
+    --------
+    Shared positions 0.1 m, 0.3 m and 0.5 m off the truth:
+
+    >>> import numpy as np
+    >>> from isac_track.privacy import leakage_indicator
+    >>> truth = np.zeros((3, 2))
+    >>> shared = np.array([[0.1, 0.0], [0.0, 0.3], [0.3, 0.4]])
+    >>> leakage_indicator(shared_xy=shared, true_xy=truth, epsilon_m=0.3)
+    array([ True, False, False])
     """
     if (
         shared_xy.shape != true_xy.shape
@@ -51,7 +76,7 @@ def leakage_indicator(*, shared_xy: Floats, true_xy: Floats, epsilon_m: float) -
 
 
 def distance_m(*, shared_xy: Floats, true_xy: Floats) -> Floats:
-    """Return how far each shared position (M, 2) m lies from the truth, (M,) m."""
+    """Return how far each shared position, (M, 2) m, lies from the truth, (M,) m."""
     return np.sqrt(squared_lengths(shared_xy - true_xy))
 
 
@@ -60,17 +85,33 @@ def exposure(
 ) -> Exposure:
     """Return PLR, AEL and MEL of every trajectory.
 
-    Consecutive leaked samples form a segment, and it lasts as long as its samples do:
-    by the intervals of its `segment` half the interval before each and half the one
-    after it (at either end of the trajectory the one interval that there is), by those
-    of its `trajectory` the mean interval of the whole. AEL is the mean over a
-    trajectory's segments, MEL its longest; both are 0 without a leaked sample. A
-    trajectory of one sample has no interval: if that sample leaks, AEL and MEL are NaN
-    (unknown, not zero).
+    Consecutive leaked samples form a segment, whose duration is the sum over its
+    samples. With `intervals` *segment* the duration of a sample is half the interval
+    before it plus half the interval after it; at either end of the trajectory it is the
+    only interval there. With *trajectory* it is the trajectory's mean interval. AEL is
+    the mean over a trajectory's segments, MEL its longest; both are 0 without a leaked
+    sample. A trajectory of one sample has no interval: if that sample leaks, AEL and
+    MEL are NaN (unknown, not zero).
 
     `leaked` is the indicator z_i(k), (M,) bool, and `t` are the sampling times, (M,) s;
-    trajectory i owns the samples ``offsets[i]:offsets[i + 1]``. It is a ValueError if
-    lengths disagree or a trajectory is empty.
+    trajectory i owns the samples ``offsets[i]:offsets[i + 1]``. ValueError if lengths
+    disagree or a trajectory is empty.
+
+    Examples
+    --------
+    Five samples, each of 1 s. The first two and the last leak: segments of 2 s and 1 s.
+
+    >>> import numpy as np
+    >>> from isac_track.privacy import exposure
+    >>> leaks = exposure(
+    ...     leaked=np.array([True, True, False, False, True]),
+    ...     t=np.arange(5.0),
+    ...     offsets=np.array([0, 5]),
+    ... )
+    >>> leaks.plr, leaks.segments
+    (array([0.6]), array([2]))
+    >>> leaks.ael_s, leaks.mel_s
+    (array([1.5]), array([2.]))
     """
     if leaked.shape != t.shape or leaked.ndim != 1:
         raise ValueError(
@@ -78,8 +119,7 @@ def exposure(
         )
     if offsets[0] != 0 or offsets[-1] != t.size or (np.diff(offsets) < 1).any():
         raise ValueError("offsets must run from 0 to M without an empty trajectory")
-    # As of positions that are the truth where they leak, and lie beyond epsilon where
-    # not.
+    # Positions that lie at the truth where they leak, and beyond epsilon elsewhere.
     away_m = np.repeat(2.0 * ~leaked[:, None], 2, axis=1)
     plr, ael_s, mel_s, segments, *_ = described(
         xy=away_m,
@@ -103,51 +143,73 @@ def described(
     moved: tuple[Floats, Floats] | None = None,
     turn: complex = 1.0,
 ) -> Floats:
-    """Return what is known of every trajectory, (`N_DESCRIBED`, N).
+    """Return the descriptors of every trajectory, (`N_DESCRIBED`, N).
 
     PLR, AEL, MEL, number of segments, mean squared error in m^2, PLR at `WIDE_TIMES`
-    epsilon, and the median distance to the truth in m. As `exposure` of
-    `leakage_indicator`, in one pass over sound arrays: `xy` and `truth` are (M, 2) m.
-    What was `moved`, from positions to others in a frame that is turned by the angle of
-    the unit number `turn`, takes these steps from `xy` in the true frame; what was not
-    stays as it is, bit by bit.
+    epsilon, and the median distance to the truth in m. They are those of `exposure` and
+    `leakage_indicator`, in one pass over arrays that are not checked: `xy` and `truth`
+    are (M, 2) m, `t` (M,) s, `offsets` (N + 1,).
+
+    `moved` holds the positions to which and from which an attack moved the samples. Its
+    frame is turned by the angle of the unit number `turn`; the steps are turned back
+    and added to `xy`. A sample that was not moved stays exactly where it is.
     """
     to, since = moved or (xy, xy)
-    places = tuple(np.ascontiguousarray(one) for one in (xy, truth, to, since))
-    times, out = np.ascontiguousarray(t), np.empty((N_DESCRIBED, offsets.size - 1))
-    wide_m, by_segment = (
+    places = tuple(np.ascontiguousarray(points) for points in (xy, truth, to, since))
+    rule = (
+        turn.real,
+        turn.imag,
+        settings.epsilon_m,
         WIDE_TIMES * settings.epsilon_m,
         float(settings.intervals == "segment"),
     )
-    rule = turn.real, turn.imag, settings.epsilon_m, wide_m, by_segment
+    out = np.empty((N_DESCRIBED, offsets.size - 1))
     import_module("isac_track._privacy_loop").described(
-        places, times, offsets, rule, out
+        places, np.ascontiguousarray(t), offsets, rule, out
     )
     return out
 
 
 def alignment_error(*, xy: Floats, truth: Floats, offsets: Ints) -> Floats:
-    """Return the root-mean-square distance of each trajectory to its true walk, (N,) m, at best.
+    """Return the RMS distance of each trajectory to its aligned true walk, (N,) m.
 
-    That is after the rotation and the translation that bring them closest (Umeyama,
-    IEEE TPAMI 13(4), 1991, without scale): what nobody undoes who knows not where, nor
-    which way, a walk went. NaN for a single sample. `xy` and `truth` are (M, 2) m,
-    `offsets` (N + 1,).
+    The walk is aligned by the rotation and translation that bring it closest (Umeyama,
+    IEEE TPAMI 13(4), 1991, without scale). This error remains for an adversary who
+    knows neither the place nor the direction of a walk. NaN for a single sample. `xy`
+    and `truth` are (M, 2) m, `offsets` (N + 1,).
+
+    Examples
+    --------
+    A walk that is turned and moved, but keeps its shape, has no error:
+
+    >>> import numpy as np
+    >>> from isac_track.privacy import alignment_error
+    >>> truth = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    >>> shared = np.array([[5.0, 5.0], [5.0, 6.0], [3.0, 6.0]])
+    >>> error_m = alignment_error(xy=shared, truth=truth, offsets=np.array([0, 3]))
+    >>> bool(error_m[0] < 1e-6)
+    True
     """
     starts, sizes = offsets[:-1], np.diff(offsets)
-    first, second = (
-        points - np.repeat(np.add.reduceat(points, starts) / sizes, sizes)
-        for points in (one[:, 0] + 1j * one[:, 1] for one in (xy, truth))
-    )
-    squares = np.add.reduceat(np.abs(first) ** 2 + np.abs(second) ** 2, starts)
-    # The sum of products is as long as it is for the best rotation, which makes it
-    # real.
-    squares -= 2.0 * np.abs(np.add.reduceat(first.conj() * second, starts))
+    shared, true = _centred(xy, offsets), _centred(truth, offsets)
+    squares = np.add.reduceat(np.abs(shared) ** 2 + np.abs(true) ** 2, starts)
+    # The best rotation makes the sum of products real: its modulus.
+    squares -= 2.0 * np.abs(np.add.reduceat(shared.conj() * true, starts))
     return np.where(sizes == 1, np.nan, np.sqrt(np.maximum(squares, 0.0) / sizes))
 
 
+def _centred(xy: Floats, offsets: Ints) -> Complexes:
+    """Return positions as complex numbers about the mean of their track, (M,) m."""
+    starts, sizes = offsets[:-1], np.diff(offsets)
+    points = xy[:, 0] + 1j * xy[:, 1]
+    return points - np.repeat(np.add.reduceat(points, starts) / sizes, sizes)
+
+
 def mean_interval_s(*, t: Floats, offsets: Ints) -> Floats:
-    """Return the mean sampling interval of each trajectory, (N,) s; NaN for a single sample."""
+    """Return the mean sampling interval of each trajectory, (N,) s.
+
+    NaN for a single sample. `t` is (M,) s, `offsets` (N + 1,).
+    """
     intervals = np.diff(offsets) - 1
     span_s = t[offsets[1:] - 1] - t[offsets[:-1]]
     unknown = np.full(span_s.shape, np.nan)

@@ -1,7 +1,7 @@
-"""What a plug-in must offer: a frozen dataclass of its parameters plus one method.
+"""Interfaces of plug-ins: a frozen dataclass of parameters with one method.
 
-The threat model is here as well: which adversary is granted which knowledge, and the
-context that hands an attack what it was granted and nothing else.
+The threat model is here as well: the knowledge that each adversary is granted, and the
+context that gives an attack the granted knowledge and nothing else.
 """
 
 from __future__ import annotations
@@ -30,88 +30,101 @@ from isac_track.types import (
 if TYPE_CHECKING:
     from isac_track.policies.query import Form, Query
 
+__all__ = ["ADVERSARIES", "USUAL", "WALK_KNOWLEDGE", "Adversary", "AttackContext"]
+__all__ += ["LinkageAttack", "LinkageTrainingSet", "Linker", "Mechanism", "Policy"]
+__all__ += ["Predictor", "ReconstructionAttack", "Reconstructor", "TrainingSet"]
+__all__ += ["attack_kind", "grants", "knowing"]
+
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
-"""What turns a release into a reconstruction, sample for sample."""
-# Scores (P, G), higher = same person.
+"""Function from a release to its reconstruction, sample for sample."""
 Linker: TypeAlias = "Callable[[Release, Release], Floats]"
+"""Function from P probes and G gallery tracks to scores, (P, G), higher for the same person."""
 _INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),
     "informed": _INFORMED,
-    # Robots that put together what each was sent lay it upon each other in one frame.
+    # Robots that combine their releases need the true frame to align them.
     "repeats": _INFORMED | {Knowledge.REPEATS, Knowledge.SCENE},
     "anchor": _INFORMED | {Knowledge.ANCHOR},
     "companions": _INFORMED | {Knowledge.COMPANIONS},
     "insider": _INFORMED | {Knowledge.SCENE},
     "oracle": frozenset(Knowledge),
 }
-"""Weakest first. The oracle is a reference, never the headline; see docs/threat-model.md."""
-OF_WALKS = frozenset({Knowledge.REPEATS, Knowledge.ANCHOR, Knowledge.COMPANIONS})
-"""What tells whose walk a release is, so that nobody who links is granted it."""
-USUAL: tuple[str, ...] = (
-    "blind",
-    "informed",
-    "oracle",
-)  # Of every run; the others are asked for.
+"""Knowledge that each adversary is granted, by name, weakest first.
+
+The oracle is only a reference.
+"""
+WALK_KNOWLEDGE = frozenset({Knowledge.REPEATS, Knowledge.ANCHOR, Knowledge.COMPANIONS})
+"""Knowledge that reveals whose walk a release is; no linkage attack is granted it."""
+USUAL: tuple[str, ...] = ("blind", "informed", "oracle")
+"""Adversaries of every run; the others run on request."""
 
 
 @runtime_checkable
 class Mechanism(Protocol):
-    """Turns what was sensed into what is shared.
+    """Interface of a sharing mechanism: from what was sensed to what is shared.
 
-    A class attribute ``sweep = "log"`` or ``"linear"`` says how
-    ``name:LOW..HIGH/COUNT`` spaces the first field; ``protects = False`` that it claims
-    no protection, so that no level of it is ever proposed to a site (without it a
-    mechanism does claim that).
+    It is a frozen dataclass, whose first field is the level, if it has a level. A class
+    attribute ``sweep = "log"`` or ``"linear"`` says how ``name:LOW..HIGH/COUNT`` spaces
+    the first field. ``protects = False`` says that the mechanism claims no protection:
+    no level of it is ever proposed to a site. Without the attribute a mechanism claims
+    protection.
     """
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
-        """Return the release; `rng` starts alike for every mechanism (common random numbers)."""
+        """Return the release of N sensed tracks, M samples in all.
+
+        `rng` starts equal for every mechanism, so that all share their draws.
+        """
 
 
 @runtime_checkable
 class Predictor(Protocol):
-    """The robot's forecast of where each pedestrian will be.
+    """Interface of a robot's predictor: where each pedestrian will be.
 
-    One that is aware has a method ``knowing(mechanism)``, which returns the predictor
-    as it is where that mechanism shares; it is called before `predict`. One that has a
-    method ``track(release)`` returns its causal estimate of every sample, (M, 2) m, for
+    A predictor that adapts to the mechanism has a method ``knowing(mechanism)``, which
+    returns the adapted predictor; it is called before `predict`. An optional method
+    ``track(release)`` returns the causal estimate of every sample, (M, 2) m, for
     `plr_robot`.
     """
 
     @property
     def requires(self) -> frozenset[Knowledge]:
-        """Knowledge that it cannot run without; a robot has no SIGMA unless this asks for it."""
+        """Knowledge that it cannot run without; at most SIGMA, which it then gets."""
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
-        """Return positions of the N tracks at `t_future`, (N, H) s on each track's clock."""
+        """Return the positions of N tracks at H future times each.
+
+        `t_future`, (N, H) s, is on the clock of each track. The prediction has means,
+        (N, H, 2) m, and covariances, (N, H, 2, 2) m^2, or None.
+        """
 
 
 def knowing(predictor: Predictor, mechanism: Mechanism) -> Any:  # noqa: ANN401 - another predictor
-    """Return a predictor as it is where a mechanism shares: one that is aware knows it."""
-    told = getattr(predictor, "knowing", None)
-    return predictor if told is None else told(mechanism)
+    """Return the predictor, adapted to the mechanism if it has a method `knowing`."""
+    adapt = getattr(predictor, "knowing", None)
+    return predictor if adapt is None else adapt(mechanism)
 
 
 @runtime_checkable
 class Policy(Protocol):
-    """Decides what the answer to a robot's query discloses.
+    """Interface of a policy: what the answer to a robot's query discloses.
 
-    A class attribute ``protects = False`` says that it claims no protection;
-    ``forecasts = True`` that it decides by the network's forecast, which a robot may
-    share.
+    A class attribute ``protects = False`` says that it claims no protection.
+    ``forecasts = True`` says that it decides by the network's forecast, which may equal
+    that of a robot.
     """
 
     @property
     def form(self) -> Form:
-        """What is sent: ``samples``, or in their place a ``state`` or a ``flag``."""
+        """Form of the answer, which is ``samples``, a ``state`` or a ``flag``."""
 
     def select(self, query: Query) -> Bools:
-        """Return which samples of the query are sent, (M,)."""
+        """Return which of the M samples of the query are sent, (M,)."""
 
 
 class Adversary(Protocol):
-    """Who says which knowledge it needs and which it takes."""
+    """An attack that declares the knowledge it needs and the knowledge it can use."""
 
     @property
     def requires(self) -> frozenset[Knowledge]:
@@ -119,59 +132,77 @@ class Adversary(Protocol):
 
     @property
     def uses(self) -> frozenset[Knowledge]:
-        """Knowledge that it takes if granted."""
+        """Knowledge that it uses if granted."""
 
 
 @runtime_checkable
 class ReconstructionAttack(Adversary, Protocol):
-    """An adversary who estimates where people truly were from what was shared.
+    """Interface of an attack that estimates true positions from a release.
 
     A class attribute ``slow = True`` keeps an attack out of the presets and runs it on
-    one release of each source track; ``seconds_per_sample`` then says what it costs.
+    one release of each source track; ``seconds_per_sample`` then states its cost.
     """
 
     def fit(self, context: AttackContext) -> Callable[[Release], Reconstruction]:
-        """Return what turns a release into a reconstruction, sample for sample."""
+        """Return a function from a release to its reconstruction, sample for sample.
+
+        The reconstruction has positions, (M, 2) m, and their standard deviations on
+        each axis, (M,) m, or None. KnowledgeDenied if it reads what was not granted.
+        """
 
 
 @runtime_checkable
 class LinkageAttack(Adversary, Protocol):
-    """An adversary who tells which releases of two sessions are of one person.
+    """Interface of an attack that links the releases of the same person.
 
-    A class attribute ``kind = "linkage"`` tells it from a reconstruction attack
-    (`kind_of`); ``one_stretch = True`` that it links the same steps, and nothing where
-    a task has none; ``across_gap = True`` that it bridges a silence within one walk.
-    What it scores may be a whole search, or with `linkage.candidates=K` one probe and K
-    candidates: the score of a pair should not depend on who else is there.
+    Class attributes describe it. ``kind = "linkage"`` separates it from a
+    reconstruction attack (`attack_kind`). ``one_stretch = True``: it links releases of
+    the same steps, and nothing in a task without such releases. ``across_gap = True``:
+    it bridges a silence within one walk. It may be given a whole gallery, or with
+    `linkage.candidates=K` one probe and K candidates: the score of a pair should not
+    depend on the other tracks.
     """
 
     def fit(self, context: AttackContext) -> Callable[[Release, Release], Floats]:
-        """Return what scores P probes against G gallery tracks: (P, G), higher = same person."""
+        """Return a function from P probes and G gallery tracks to scores, (P, G).
+
+        A higher score makes the same person likelier. KnowledgeDenied if it reads what
+        was not granted.
+        """
 
 
-def kind_of(attack: object) -> Literal["reconstruction", "linkage"]:
-    """Return which of the two kinds an attack is.
+def attack_kind(attack: object) -> Literal["reconstruction", "linkage"]:
+    """Return the kind of an attack.
 
-    A class attribute ``kind`` says so (ValueError if it says anything else); without it
-    the annotation of what ``fit`` returns does (two releases in: linkage), and without
-    either it is a reconstruction attack.
+    It is the class attribute ``kind``; ValueError if that has another value. Without
+    the attribute the annotated return type of ``fit`` decides: a function of two
+    releases is linkage. Without either it is a reconstruction attack.
     """
-    said = getattr(attack, "kind", None)
-    if said is None:
+    kind = getattr(attack, "kind", None)
+    if kind is None:
         annotations = getattr(getattr(type(attack), "fit", None), "__annotations__", {})
         releases = re.findall(r"\bRelease\b", str(annotations.get("return", "")))
         return "linkage" if len(releases) > 1 else "reconstruction"
-    if said not in ("reconstruction", "linkage"):
-        raise ValueError(f'kind must be "reconstruction" or "linkage", got {said!r}')
-    return "linkage" if said == "linkage" else "reconstruction"
+    if kind not in ("reconstruction", "linkage"):
+        raise ValueError(f'kind must be "reconstruction" or "linkage", got {kind!r}')
+    return "linkage" if kind == "linkage" else "reconstruction"
 
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class TrainingSet:
-    """A release of other people, perturbed by the same mechanism, and where they truly were."""
+    """A release of other people by the same mechanism, with their true positions.
+
+    Attributes
+    ----------
+    release : Release
+        N tracks, M samples in all.
+    truth : Floats
+        True positions in the frame of the release, (M, 2) m; ValueError for another
+        shape.
+    """
 
     release: Release
-    truth: Floats  # (M, 2) m, in the frame of the release.
+    truth: Floats
 
     def __post_init__(self) -> None:
         shape = self.release.xy.shape
@@ -182,11 +213,22 @@ class TrainingSet:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkageTrainingSet:
-    """Two releases of other people, perturbed by the same mechanism, and who is who in them."""
+    """Two releases of other people by the same mechanism, with the true pairs.
+
+    Attributes
+    ----------
+    probe : Release
+        P probes.
+    gallery : Release
+        G candidates.
+    mate : Ints
+        Track of the gallery of the same person, (P,); -1 if there is none. ValueError
+        for another shape, for a track that does not exist, or for a track of two
+        probes.
+    """
 
     probe: Release
     gallery: Release
-    # (P,) track of the gallery that is the same person, or -1 if there is none.
     mate: Ints
 
     def __post_init__(self) -> None:
@@ -204,7 +246,19 @@ class LinkageTrainingSet:
 
 
 class AttackContext:
-    """What an attack is given to prepare with; it holds nothing that was not granted."""
+    """The granted knowledge with which an attack prepares, and nothing else.
+
+    A property raises KnowledgeDenied if its knowledge was not granted.
+
+    Attributes
+    ----------
+    rng : Generator
+        The attack's own random stream.
+    epsilon_m : float
+        Distance below which a sample counts as leaked, m.
+    granted : frozenset of Knowledge
+        Knowledge that the adversary has and the attack declares.
+    """
 
     __slots__ = ("_held", "epsilon_m", "granted", "rng")
 
@@ -220,12 +274,11 @@ class AttackContext:
         anchor: Release | None = None,
         companions: tuple[Release, ...] | None = None,
     ) -> None:
-        """Keep what was granted; ValueError if something is not there.
+        """Store the granted knowledge; ValueError if some of it is missing.
 
-        `rng` is the attack's own stream, `epsilon_m` the distance below which a sample
-        counts as leaked, m. SIGMA and SCENE show in the release itself: declared
-        standard deviations, and the true frame and clock. The others are properties of
-        the same names.
+        SIGMA and SCENE are part of the release itself: declared standard deviations,
+        and the true frame and clock. The other kinds of knowledge are properties of the
+        same names.
         """
         self.rng = rng
         self.epsilon_m = epsilon_m
@@ -237,8 +290,8 @@ class AttackContext:
             Knowledge.ANCHOR: anchor,
             Knowledge.COMPANIONS: companions,
         }
-        self._held = {what: held for what, held in offered.items() if what in granted}
-        missing = sorted(what.name for what, held in self._held.items() if held is None)
+        self._held = {kind: offered[kind] for kind in offered if kind in granted}
+        missing = sorted(kind.name for kind, held in self._held.items() if held is None)
         if missing:
             raise ValueError(f"granted, but not given: {', '.join(missing)}")
 
@@ -260,23 +313,27 @@ class AttackContext:
 
     @property
     def anchor(self) -> Release:
-        """One true position of each walk, in the frame and on the clock of the release."""
+        """One true position of each walk, in frame and on the clock of the release."""
         anchor: Release = self._get(Knowledge.ANCHOR)
         return anchor
 
     @property
     def companions(self) -> tuple[Release, ...]:
-        """Releases in the same frame: track i is of who walks along with track i, or one sample."""
+        """Releases of companions, in the same frame.
+
+        Track i belongs to a person who walks along with track i, or has one sample if
+        there is none.
+        """
         companions: tuple[Release, ...] = self._get(Knowledge.COMPANIONS)
         return companions
 
-    def _get(self, what: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
-        if what not in self._held:
+    def _get(self, kind: Knowledge) -> Any:  # noqa: ANN401 - each kind has a type of its own
+        if kind not in self._held:
             raise KnowledgeDenied(
-                f"{what.name} was not granted; an attack gets what its adversary knows"
+                f"{kind.name} was not granted; an attack gets what its adversary knows"
                 " and what it declares in `requires` or `uses`"
             )
-        return self._held[what]
+        return self._held[kind]
 
 
 def grants(
@@ -286,12 +343,26 @@ def grants(
     nobody: frozenset[Knowledge] = frozenset(),
     asked: tuple[str, ...] = (),
 ) -> dict[str, frozenset[Knowledge]]:
-    """Return ``{adversary: what it is granted}`` of every row that an attack makes.
+    """Return ``{adversary: knowledge}`` for every adversary that runs an attack.
 
-    An attack runs once for each adversary that grants all of its `requires`; of those
-    that grant it the same, the weakest names the row. A task may grant some knowledge
-    to `everyone`, and withhold some from all (`nobody`). Beside the usual adversaries
-    those `asked` for count.
+    An attack runs for each adversary that has all of its `requires`. Among adversaries
+    with the same granted knowledge only the weakest runs it. A task may grant knowledge
+    to `everyone`, and withhold some from all (`nobody`). `asked` names adversaries
+    besides the usual ones.
+
+    Examples
+    --------
+    An attack that can use training data, but does without:
+
+    >>> from isac_track.protocols import grants
+    >>> from isac_track.types import Knowledge
+    >>> class Smoother:
+    ...     requires = frozenset()
+    ...     uses = frozenset({Knowledge.TRAIN})
+    >>> for adversary, granted in grants(Smoother()).items():
+    ...     print(adversary, [kind.name for kind in granted])
+    blind []
+    informed ['TRAIN']
     """
     rows: dict[str, frozenset[Knowledge]] = {}
     for name, always in ADVERSARIES.items():

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 SPEED_LIMIT_MPS = 4.0
 _USUAL = ResampleSettings()
 _FRACTIONS = np.arange(1, 16) / 16.0
-"""Of an interval: where its distance from the chord and its speed are looked at."""
-_ROUNDING = 1e-6  # Relative, of speeds.
+"""Places within an interval where distance from the chord and speed are checked."""
+_ROUNDING = 1e-6  # Relative tolerance of speeds.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,8 +26,8 @@ class Walk:
     """A continuous walk through the samples of a recorded track."""
 
     curve: "PPoly"
-    n_monotone: int  # Intervals where a monotone cubic (PCHIP) stands for the spline,
-    n_linear: int  # and where a straight line does.
+    n_monotone: int  # Intervals with a monotone cubic (PCHIP) instead of the spline.
+    n_linear: int  # Intervals with a straight line.
 
     def __call__(self, t: Floats) -> Floats:
         """Return the positions (K, 2) m at times (K,) s."""
@@ -38,11 +38,11 @@ class Walk:
 def walk(track: Tracks, *, max_overshoot_m: float = _USUAL.max_overshoot_m) -> Walk:
     """Return the continuous walk of a recorded track, exact at its samples.
 
-    A cubic spline (not-a-knot). An interval in which it leaves the chord of both
-    samples by more than `max_overshoot_m`, or is faster than both `SPEED_LIMIT_MPS` and
-    the chord, is a monotone cubic instead (Fritsch and Butland, SIAM J. Sci. Comput. 5,
-    300, 1984), or a line where that does no better. ValueError for several tracks or
-    one sample.
+    It is a cubic spline (not-a-knot). In some intervals the spline overshoots: it
+    leaves the chord of both samples by more than `max_overshoot_m`, or is faster than
+    both `SPEED_LIMIT_MPS` and the chord. There it is replaced by a monotone cubic
+    (Fritsch and Butland, SIAM J. Sci. Comput. 5, 300, 1984), or by a line where that
+    overshoots, too. ValueError for several tracks or one sample.
     """
     if len(track) != 1 or track.t.size < 2:  # noqa: PLR2004 - a walk needs two points
         raise ValueError("a walk needs one track of at least two samples")
@@ -60,23 +60,20 @@ def walk(track: Tracks, *, max_overshoot_m: float = _USUAL.max_overshoot_m) -> W
     curve.c[:, bad] = monotone[:, bad]
     curve.c[:2, straight] = 0.0
     slope = np.diff(track.xy, axis=0) / np.diff(track.t)[:, None]
-    curve.c[2, straight], curve.c[3, straight] = (
-        slope[straight],
-        track.xy[:-1][straight],
-    )
+    curve.c[2, straight] = slope[straight]
+    curve.c[3, straight] = track.xy[:-1][straight]
     return Walk(curve, int((bad & ~straight).sum()), int(straight.sum()))
 
 
 def _overshoots(
     coefficients: Floats, track: Tracks, *, max_overshoot_m: float
 ) -> Bools:
-    """Return (K - 1,) which intervals of cubics (4, K - 1, 2) leave the chord or are too fast."""
+    """Return which intervals of cubics (4, K - 1, 2) overshoot, (K - 1,)."""
     step_s, chord = np.diff(track.t), np.diff(track.xy, axis=0)
     after_s = _FRACTIONS[:, None, None] * step_s[:, None]  # (15, K - 1, 1)
     cubic, square, slope, _ = coefficients
-    offset = (
-        (cubic * after_s + square) * after_s + slope
-    ) * after_s  # from the first sample
+    # From the first sample of the interval.
+    offset = ((cubic * after_s + square) * after_s + slope) * after_s
     length = np.hypot(chord[:, 0], chord[:, 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.clip((offset * chord).sum(axis=2) / length**2, 0.0, 1.0)
@@ -94,20 +91,16 @@ def _overshoots(
 def sampling_times(
     *, start_s: float, end_s: float, settings: ResampleSettings, rng: Generator
 ) -> Floats:
-    """Draw the sensing update times of one walk: (K,) s from `start_s`, none after `end_s`.
+    """Draw the sensing update times of a walk between `start_s` and `end_s`, (K,) s.
 
     The update rate is uniform in ``rate_min_hz..rate_max_hz`` and drawn anew every
     ``rate_hold_s`` of track: this reading gives the paper's 366 points at 0.083 s.
     """
     n_holds = int(np.ceil((end_s - start_s) / settings.rate_hold_s)) + 1
-    # Python's own numbers: numpy's take five times as long one by one.
+    # Python's own numbers: numpy scalars take five times as long in the loop.
     rates = rng.uniform(settings.rate_min_hz, settings.rate_max_hz, n_holds).tolist()
-    now, start_s, end_s, hold_s = (
-        float(start_s),
-        float(start_s),
-        float(end_s),
-        settings.rate_hold_s,
-    )
+    start_s, end_s, hold_s = float(start_s), float(end_s), settings.rate_hold_s
+    now = start_s
     times: list[float] = []
     while now <= end_s or not times:
         times.append(now)
@@ -116,11 +109,14 @@ def sampling_times(
 
 
 def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks:
-    """Return the tracks of at least `min_duration_s`, interpolated and adaptively sampled.
+    """Interpolate and adaptively sample the tracks of at least `min_duration_s`.
 
     Every track draws from a stream of its own. ValueError if none is long enough.
     """
-    parts: list[tuple[Floats, Floats, str, str]] = []
+    times: list[Floats] = []
+    positions: list[Floats] = []
+    source: list[str] = []
+    group: list[str] = []
     for track in tracks:
         start_s, end_s = float(track.t[0]), float(track.t[-1])
         # A recorded duration carries rounding of the clock: 21.6 s at 25 Hz is 540
@@ -129,18 +125,17 @@ def resample(tracks: Tracks, *, settings: ResampleSettings, seed: int) -> Tracks
             continue
         rng = stream(seed, "resample", track.source[0])
         t = sampling_times(start_s=start_s, end_s=end_s, settings=settings, rng=rng)
-        parts.append(
-            (
-                t,
-                walk(track, max_overshoot_m=settings.max_overshoot_m)(t),
-                track.source[0],
-                track.group[0],
-            )
-        )
-    if not parts:
+        continuous = walk(track, max_overshoot_m=settings.max_overshoot_m)
+        times.append(t)
+        positions.append(continuous(t))
+        source.append(track.source[0])
+        group.append(track.group[0])
+    if not times:
         raise ValueError(f"no track lasts {settings.min_duration_s:g} s")
-    t_parts, xy_parts, source, group = zip(*parts, strict=True)
-    offsets = np.cumsum([0, *map(len, t_parts)])
     return Tracks(
-        np.concatenate(t_parts), np.concatenate(xy_parts), offsets, source, group
+        t=np.concatenate(times),
+        xy=np.concatenate(positions),
+        offsets=np.cumsum([0, *map(len, times)]),
+        source=tuple(source),
+        group=tuple(group),
     )

@@ -12,12 +12,12 @@ from numpy.random import Generator
 
 from isac_track.config import ConflictSettings, StageSettings
 from isac_track.conflict import (
+    count_steps,
     is_conflict,
     minimum_separation,
     prediction_grid,
     robot_path,
     seconds_grid,
-    steps_of,
     time_to_conflict_s,
 )
 from isac_track.errors import DataError
@@ -31,131 +31,151 @@ from isac_track.types import (
     Tracks,
     derived,
     end_to_end,
-    runs_of,
+    sample_runs,
 )
 
-_FEW_REDRAWS = 16
-FEW_PEOPLE = 20  # With fewer nothing is decided.
+_FEW_REDRAWS = 16  # Places that are drawn at a time.
+FEW_PEOPLE = 20  # With fewer people nothing is decided.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cut(Tracks):
-    """N resampled tracks up to now, which is known history, and their future on the grid."""
+    """N resampled tracks, split now into history and future on the grid."""
 
     t_future: Floats = field(metadata=TRACK)
-    """(N, H) s; step 0 is the last history sample, a shorter grid repeats its last instant."""
-    xy_future: Floats = field(
-        metadata=TRACK
-    )  # (N, H, 2) m, true positions on the grid.
+    """Times of the grid, (N, H) s; step 0 is the last sample of the history.
+
+    A shorter grid repeats its last instant.
+    """
+    # (N, H, 2) m, true positions on the grid.
+    xy_future: Floats = field(metadata=TRACK)
     too_short: int  # Recorded tracks below `min_duration_s`.
     # Tracks that are long enough but do not cover the horizon after the split.
     no_future: int
     further: "Mapping[float, Cut]" = field(default_factory=dict, kw_only=True)
-    """By horizon, s: the same tracks with a longer future, those that cover it."""
+    """By horizon in s: those of the tracks that cover this longer future."""
     n_replaced: int = field(default=0, kw_only=True)
-    """Pieces of the walks of these tracks that are no spline, lest it overshoots."""
+    """Intervals of these walks where the spline would overshoot and was replaced."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _CutTrack:
+    """History and future of one track."""
+
+    t: Floats  # (K,) s, history.
+    xy: Floats  # (K, 2) m
+    t_future: Floats  # (H,) s
+    xy_future: Floats  # (H, 2) m
+    source: str
+    group: str
+    n_replaced: int  # Intervals of the walk where the spline was replaced.
 
 
 def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     """Resample the recorded tracks and split each at `history_ratio` of its samples.
 
-    The future is that of the continuous walk at the very timestamps of the prediction
-    grid: the label has no interpolation of its own. DataError if fewer tracks remain
-    than a scene has agents.
+    The future is the continuous walk at the timestamps of the prediction grid, so that
+    the label needs no further interpolation. DataError if fewer tracks remain than a
+    scene has agents.
     """
     try:
         sampled = resample(recorded, settings=settings.resample, seed=seed)
     except ValueError as error:
         raise DataError(
-            f"{error}; {what_would_help(recorded, settings=settings)}"
+            f"{error}; {recording_advice(recorded, settings=settings)}"
         ) from None
-    whole_of = dict(zip(recorded.source, recorded, strict=True))
-    conflict, n_replaced = settings.conflict, 0
-    parts: list[tuple[Floats, Floats, Floats, Floats, str, str]] = []
+    recorded_tracks = dict(zip(recorded.source, recorded, strict=True))
+    parts: list[_CutTrack] = []
     for track in sampled:
-        n_history = history_samples(
-            n_samples=track.t.size, ratio=settings.scenes.history_ratio
-        )
-        if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
-            continue
-        t, xy, alone = (
-            track.t[:n_history],
-            track.xy[:n_history],
-            np.array([0, n_history]),
-        )
-        (t_future,) = prediction_grid(
-            t=t,
-            offsets=alone,
-            window=conflict.window,
-            horizon_steps=conflict.horizon_steps,
-        )
-        whole = whole_of[track.source[0]]
-        if t_future[-1] <= whole.t[-1]:
-            names = track.source[0], track.group[0]
-            continuous = walk(whole, max_overshoot_m=settings.resample.max_overshoot_m)
-            n_replaced += continuous.n_monotone + continuous.n_linear
-            parts.append((t, xy, t_future, continuous(t_future), *names))
+        part = _cut_track(track, recorded_tracks[track.source[0]], settings=settings)
+        if part is not None:
+            parts.append(part)
     if len(parts) < settings.scenes.agents:
         raise DataError(
             f"{len(parts)} of {len(recorded)} tracks last"
             f" {settings.resample.min_duration_s:g} s and cover the horizon, but a"
             f" scene needs {settings.scenes.agents};"
-            f" {what_would_help(recorded, settings=settings)}"
+            f" {recording_advice(recorded, settings=settings)}"
         )
-    ts, xys, t_futures, xy_futures, source, group = zip(*parts, strict=True)
     return Cut(
-        t=np.concatenate(ts),
-        xy=np.concatenate(xys),
-        offsets=np.cumsum([0, *map(len, ts)]),
-        t_future=np.stack(t_futures),
-        xy_future=np.stack(xy_futures),
-        source=source,
-        group=group,
+        t=np.concatenate([part.t for part in parts]),
+        xy=np.concatenate([part.xy for part in parts]),
+        offsets=np.cumsum([0, *(len(part.t) for part in parts)]),
+        t_future=np.stack([part.t_future for part in parts]),
+        xy_future=np.stack([part.xy_future for part in parts]),
+        source=tuple(part.source for part in parts),
+        group=tuple(part.group for part in parts),
         too_short=len(recorded) - len(sampled),
         no_future=len(sampled) - len(parts),
-        n_replaced=n_replaced,
+        n_replaced=sum(part.n_replaced for part in parts),
+    )
+
+
+def _cut_track(
+    track: Tracks, recorded: Tracks, *, settings: StageSettings
+) -> _CutTrack | None:
+    """Split a resampled track; None if its recording does not cover the horizon."""
+    n_history = history_samples(
+        n_samples=track.t.size, ratio=settings.scenes.history_ratio
+    )
+    if n_history < 2:  # noqa: PLR2004 - the grid needs an interval
+        return None
+    t = track.t[:n_history]
+    (t_future,) = prediction_grid(
+        t=t,
+        offsets=np.array([0, n_history]),
+        window=settings.conflict.window,
+        horizon_steps=settings.conflict.horizon_steps,
+    )
+    if t_future[-1] > recorded.t[-1]:
+        return None
+    continuous = walk(recorded, max_overshoot_m=settings.resample.max_overshoot_m)
+    return _CutTrack(
+        t=t,
+        xy=track.xy[:n_history],
+        t_future=t_future,
+        xy_future=continuous(t_future),
+        source=track.source[0],
+        group=track.group[0],
+        n_replaced=continuous.n_monotone + continuous.n_linear,
     )
 
 
 def with_horizons(tracks: Cut, recorded: Tracks, *, settings: StageSettings) -> Cut:
-    """Return the tracks with their futures at the further horizons, ``conflict.horizons_s``.
+    """Return the tracks with futures at the further horizons, ``conflict.horizons_s``.
 
     A horizon that fewer tracks cover than a scene has agents is left out.
     """
-    further = {
-        horizon_s: longer
-        for horizon_s in settings.conflict.horizons_s
-        if (
-            longer := _at_horizon(
-                tracks, recorded, horizon_s=horizon_s, settings=settings
-            )
-        )
-    }
+    further = {}
+    for horizon_s in settings.conflict.horizons_s:
+        longer = _at_horizon(tracks, recorded, horizon_s=horizon_s, settings=settings)
+        if longer:
+            further[horizon_s] = longer
     return replace(tracks, further=further)
 
 
 def _at_horizon(
     tracks: Cut, recorded: Tracks, *, horizon_s: float, settings: StageSettings
 ) -> Cut | None:
-    """Return the tracks whose recording covers a horizon; None if they do not fill a scene."""
-    whole_of = dict(zip(recorded.source, recorded, strict=True))
+    """Return the tracks that cover a horizon; None if too few for a scene."""
+    recorded_tracks = dict(zip(recorded.source, recorded, strict=True))
     window = settings.conflict.window
     ahead, _ = seconds_grid(
         t=tracks.t, offsets=tracks.offsets, window=window, horizon_s=horizon_s
     )
-    wholes = [whole_of[name] for name in tracks.source]
-    ends_s = np.array([whole.t[-1] for whole in wholes])
+    sources = [recorded_tracks[name] for name in tracks.source]
+    ends_s = np.array([source.t[-1] for source in sources])
     covered = ahead[:, -1] <= ends_s
     rows = np.flatnonzero(covered)
     if rows.size < settings.scenes.agents:
         return None
     overshoot_m = settings.resample.max_overshoot_m
     futures = [
-        walk(wholes[row], max_overshoot_m=overshoot_m)(ahead[row]) for row in rows
+        walk(sources[row], max_overshoot_m=overshoot_m)(ahead[row]) for row in rows
     ]
-    if covered.all():  # the histories are the very same arrays
+    if covered.all():  # share the arrays of the histories
         return derived(tracks, t_future=ahead, xy_future=np.stack(futures))
-    runs, offsets = runs_of(tracks.offsets, rows)
+    runs, offsets = sample_runs(tracks.offsets, rows)
     return Cut(
         t=end_to_end(tracks.t, runs),
         xy=end_to_end(tracks.xy, runs),
@@ -169,21 +189,21 @@ def _at_horizon(
     )
 
 
-def what_would_help(recorded: Tracks, *, settings: StageSettings, used: int = 0) -> str:
-    """Return how a recording could be used of which so few tracks, `used`, are long enough.
+def recording_advice(
+    recorded: Tracks, *, settings: StageSettings, used: int = 0
+) -> str:
+    """Return advice for a recording with only `used` tracks that are long enough.
 
-    Enough are `FEW_PEOPLE` tracks, or else as many as a scene has agents. None may be
-    so short that its last part, at the slowest rate of sampling, does not cover the
-    horizon.
+    `FEW_PEOPLE` tracks are enough, or at least as many as a scene has agents. A track
+    is long enough if its last part, at the slowest sampling rate, covers the horizon.
     """
     durations = np.sort(
         recorded.t[recorded.offsets[1:] - 1] - recorded.t[recorded.offsets[:-1]]
     )
     horizon_s = (settings.conflict.horizon_steps - 1) / settings.resample.rate_min_hz
     least_s = max(horizon_s / (1.0 - settings.scenes.history_ratio), 0.1)
-    longest = (
-        f"the longest last {', '.join(f'{one:.1f}' for one in durations[::-1][:4])} s"
-    )
+    longest_s = ", ".join(f"{duration:.1f}" for duration in durations[::-1][:4])
+    longest = f"the longest last {longest_s} s"
     wanted = [
         people for people in (FEW_PEOPLE, settings.scenes.agents) if people > used
     ]
@@ -203,7 +223,7 @@ def what_would_help(recorded: Tracks, *, settings: StageSettings, used: int = 0)
 
 
 def history_samples(*, n_samples: int, ratio: float) -> int:
-    """Return how many of a track's samples are history: the whole part of the share.
+    """Return how many of a track's samples are history: the share, rounded down.
 
     0.7 of 330 is 231, although 0.7 * 330 is a hair less in floating point.
     """
@@ -223,9 +243,8 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
     passes: list[Ints] = []
     for number in range(-(-needed // n_tracks)):
         order = stream(seed, "scenes", "pass", number).permutation(n_tracks)
-        open_seats = (
-            -(number * n_tracks) % agents
-        )  # agents of the scene that the pass begins in
+        # Agents that the scene of the previous pass still lacks.
+        open_seats = -(number * n_tracks) % agents
         if open_seats:
             seated = passes[-1][-(agents - open_seats) :]
             clash = np.isin(order, seated)
@@ -239,62 +258,45 @@ def track_order(*, n_tracks: int, n_scenes: int, agents: int, seed: int) -> Ints
 def make_scenes(
     tracks: Cut, *, order: Ints, first: int, settings: StageSettings, seed: int
 ) -> Scenes:
-    """Build the scenes from `first` on, each from its own stream and row of `order`, (S, A) int."""
-    n_scenes, n_agents = order.shape
+    """Build the scenes with numbers from `first` on.
+
+    `order`, (S, A), holds the tracks of the agents of each scene. Every scene draws
+    from a random stream of its own.
+    """
+    n_scenes = len(order)
     elapsed_s = (tracks.t_future - tracks.t_future[:, :1])[order]  # (S, A, H)
     futures = tracks.xy_future[order]  # (S, A, H, 2), unshifted
-    rules, place = settings.conflict, settings.scenes
-    n_steps = steps_of(tracks.t_future)[
-        order[:, 0]
-    ].tolist()  # of each first agent's own grid
+    radius_m = settings.conflict.safety_radius_m
     rngs = [stream(seed, "scenes", "scene", first + scene) for scene in range(n_scenes)]
-    start, destination = np.empty((n_scenes, 2)), np.empty((n_scenes, 2))
-    for scene, rng in enumerate(rngs):
-        aside = rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
-        start[scene] = np.array([place.robot_x_m, place.robot_y_m]) + aside
-        angle = rng.uniform(0.0, 2.0 * np.pi)
-        # Beyond the horizon.
-        way_m = 2.0 * (rules.robot_speed_mps * float(elapsed_s[scene].max())) + 1.0
-        destination[scene] = start[scene] + way_m * np.array(
-            [np.cos(angle), np.sin(angle)]
-        )
+    start, destination = _draw_robots(rngs, elapsed_s=elapsed_s, settings=settings)
     robot = robot_path(
         start=start,
         destination=destination,
-        speed_mps=rules.robot_speed_mps,
+        speed_mps=settings.conflict.robot_speed_mps,
         elapsed_s=elapsed_s,
     )
-    shift, exhausted = (
-        np.empty((n_scenes, n_agents, 2)),
-        np.zeros(n_scenes, dtype=np.int64),
-    )
+    shift = np.empty((*order.shape, 2))
+    exhausted = np.zeros(n_scenes, dtype=np.int64)
+    # The first agent's grid may repeat its last step, which is drawn once.
+    n_steps = count_steps(tracks.t_future)[order[:, 0]].tolist()
     for scene, rng in enumerate(rngs):
-        if (first + scene) % 2 == 0:  # on the robot's point at a random step
-            # Of the future: step 0 is now. A longer horizon scales the same uniform
-            # number.
-            step = int(rng.integers(min(1, n_steps[scene] - 1), n_steps[scene]))
-            shift[scene, 0] = robot[scene, 0, step] - futures[scene, 0, step]
-        else:
-            shift[scene, 0] = _past_robot(
-                robot[scene, 0], futures[scene, 0], settings, rng
-            )
-        for agent in range(1, n_agents):
-            # A stream of its own: how often one is redrawn must not move the next one.
-            own = stream(seed, "scenes", "scene", first + scene, "agent", agent)
-            shift[scene, agent], found = _around_the_robot(
-                robot[scene, agent], futures[scene, agent], settings, own
-            )
-            exhausted[scene] += not found
+        shift[scene], exhausted[scene] = _place_agents(
+            robot[scene],
+            futures[scene],
+            number=first + scene,
+            n_steps=n_steps[scene],
+            settings=settings,
+            rng=rng,
+            seed=seed,
+        )
     futures = futures + shift[:, :, None, :]
     separation = minimum_separation(robot=robot, agents=futures)
     rows = order.reshape(-1)
-    runs, offsets = runs_of(tracks.offsets, rows)
-    xy = end_to_end(tracks.xy, runs) + np.repeat(
-        shift.reshape(-1, 2), np.diff(offsets), axis=0
-    )
+    runs, offsets = sample_runs(tracks.offsets, rows)
+    sample_shift = np.repeat(shift.reshape(-1, 2), np.diff(offsets), axis=0)
     return Scenes(
         t=end_to_end(tracks.t, runs),
-        xy=xy,
+        xy=end_to_end(tracks.xy, runs) + sample_shift,
         offsets=offsets,
         track=rows,
         index=np.arange(first, first + n_scenes),
@@ -303,17 +305,87 @@ def make_scenes(
         robot_start=start,
         robot_destination=destination,
         separation=separation,
-        conflict=is_conflict(
-            separation_m=separation, safety_radius_m=rules.safety_radius_m
-        ),
+        conflict=is_conflict(separation_m=separation, safety_radius_m=radius_m),
         time_to_conflict_s=time_to_conflict_s(
             robot=robot,
             agents=futures,
             elapsed_s=elapsed_s,
-            safety_radius_m=rules.safety_radius_m,
+            safety_radius_m=radius_m,
         ),
         exhausted=exhausted,
     )
+
+
+def _draw_robots(
+    rngs: list[Generator], *, elapsed_s: Floats, settings: StageSettings
+) -> tuple[Floats, Floats]:
+    """Draw start and destination of the robot of each scene, (S, 2) m each.
+
+    `elapsed_s` are the times of the grid since now, (S, A, H) s. A destination lies
+    beyond the horizon.
+    """
+    place, speed_mps = settings.scenes, settings.conflict.robot_speed_mps
+    start, destination = np.empty((len(rngs), 2)), np.empty((len(rngs), 2))
+    for scene, rng in enumerate(rngs):
+        aside = rng.uniform(-place.robot_spread_m, place.robot_spread_m, 2)
+        start[scene] = np.array([place.robot_x_m, place.robot_y_m]) + aside
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        way_m = 2.0 * (speed_mps * float(elapsed_s[scene].max())) + 1.0
+        heading = np.array([np.cos(angle), np.sin(angle)])
+        destination[scene] = start[scene] + way_m * heading
+    return start, destination
+
+
+def _place_agents(
+    robot: Floats,
+    futures: Floats,
+    *,
+    number: int,
+    n_steps: int,
+    settings: StageSettings,
+    rng: Generator,
+    seed: int,
+) -> tuple[Floats, int]:
+    """Return the shifts of a scene's agents, (A, 2) m, and how many lack clearance.
+
+    `robot` and `futures` are (A, H, 2) m; `rng` places the first agent, whose grid has
+    `n_steps`. Every other agent has a random stream of its own, so that its redraws do
+    not move the next agent.
+    """
+    shift, n_exhausted = np.empty((len(futures), 2)), 0
+    shift[0] = _place_first_agent(
+        robot[0],
+        futures[0],
+        n_steps=n_steps,
+        is_conflict_scene=number % 2 == 0,
+        settings=settings,
+        rng=rng,
+    )
+    for agent in range(1, len(futures)):
+        own_rng = stream(seed, "scenes", "scene", number, "agent", agent)
+        shift[agent], is_clear = _around_the_robot(
+            robot[agent], futures[agent], settings, own_rng
+        )
+        n_exhausted += not is_clear
+    return shift, n_exhausted
+
+
+def _place_first_agent(
+    robot: Floats,
+    future: Floats,
+    *,
+    n_steps: int,
+    is_conflict_scene: bool,
+    settings: StageSettings,
+    rng: Generator,
+) -> Floats:
+    """Return the shift of the agent that makes a conflict, or a near miss, (2,) m."""
+    if not is_conflict_scene:
+        return _past_robot(robot, future, settings, rng)
+    # The agent meets the robot at a random step of the future, since step 0 is now. A
+    # longer horizon scales the same uniform number.
+    step = int(rng.integers(min(1, n_steps - 1), n_steps))
+    return np.asarray(robot[step] - future[step])
 
 
 def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
@@ -330,10 +402,10 @@ def robot_positions(scenes: Scenes, *, settings: ConflictSettings) -> Floats:
 def _past_robot(
     robot: Floats, future: Floats, settings: StageSettings, rng: Generator
 ) -> Floats:
-    """Return the shift of a near miss: the smallest separation is a drawn distance, exactly.
+    """Return the shift of a near miss, whose smallest separation is drawn exactly.
 
-    The agent is pushed along a random direction u until its relative path q, as a
-    whole, just touches the circle of that distance d: the largest root over all steps
+    The agent is pushed along a random direction u until its whole relative path q just
+    touches the circle of the drawn distance d: s is the largest root over all steps h
     of |q_h + s u| = d.
     """
     distance_m = rng.uniform(
@@ -354,14 +426,14 @@ def _past_robot(
 def _around_the_robot(
     robot: Floats, future: Floats, settings: StageSettings, rng: Generator
 ) -> tuple[Floats, bool]:
-    """Return the shift of a background agent, and whether a place with clearance was found."""
+    """Return the shift of a background agent, and whether its place has clearance."""
     place = settings.scenes
     relative = (future - future[0]) - robot
-    left = place.max_redraws
+    draws_left = place.max_redraws
     while True:
-        # The first few nearly always do: a share of the draws is a prefix of all.
-        draws = rng.random((min(left, _FEW_REDRAWS), 2))
-        left -= len(draws)
+        # A few draws nearly always suffice; they are a prefix of all draws.
+        draws = rng.random((min(draws_left, _FEW_REDRAWS), 2))
+        draws_left -= len(draws)
         radius_m = np.sqrt(
             place.ring_min_m**2
             + draws[:, 0] * (place.ring_max_m**2 - place.ring_min_m**2)
@@ -372,6 +444,6 @@ def _around_the_robot(
         )
         gap = now[:, None, :] + relative
         clear = (gap * gap).sum(axis=2).min(axis=1) >= place.clearance_m**2
-        found = bool(clear.any())
-        if found or not left:
-            return now[int(clear.argmax()) if found else -1] - future[0], found
+        is_clear = bool(clear.any())
+        if is_clear or not draws_left:
+            return now[int(clear.argmax()) if is_clear else -1] - future[0], is_clear

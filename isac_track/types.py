@@ -1,10 +1,15 @@
-"""Frozen containers: flat arrays and offsets, checked once at the door.
+"""Frozen containers of flat arrays and offsets, checked once when they are made.
 
 A ragged batch of N tracks with M samples in all is flat arrays of length M and
 `offsets` of length N + 1, as in Arrow: track i owns the samples ``offsets[i]:offsets[i
-+ 1]``. Tracks differ in length by 20x, so nothing is padded. Arrays are read-only;
-``len``, iteration and indexing give zero-copy views of one track, so that a plug-in can
-be a plain loop.
++ 1]``. Track lengths differ by a factor of 20, so nothing is padded. Arrays are
+read-only. Iteration and indexing give views of single tracks without a copy, so that a
+plug-in can be a plain loop. ``len(batch)`` is N.
+
+Shapes in the docstrings: N tracks, M samples, S scenes, A agents, H future steps. A
+container raises ValueError for an array of a wrong shape, for masked or complex
+numbers, for times that do not rise within a track, and for a position that is not
+finite.
 """
 
 from __future__ import annotations
@@ -20,42 +25,69 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
+__all__ = ["Adding", "Bools", "Complexes", "ErrorLaw", "Floats", "Ints", "Knowledge"]
+__all__ += ["Prediction", "Reconstruction", "Release", "Scenes", "Sensed", "Tracks"]
+__all__ += ["ESTIMATE_LIMIT_M", "SHARED_LIMIT_M"]
+
 Floats: TypeAlias = NDArray[np.float64]
+"""Array of 64-bit floating-point numbers."""
 Complexes: TypeAlias = NDArray[np.complex128]
+"""Array of complex numbers of 128 bits, points x + iy of the plane."""
 Ints: TypeAlias = NDArray[np.int64]
+"""Array of 64-bit integers."""
 Bools: TypeAlias = NDArray[np.bool_]
+"""Array of truth values."""
 ErrorLaw: TypeAlias = Literal["radial", "isotropic", "fixed_direction"]
+"""Law of a positioning error of standard deviation sigma.
+
+``radial``: the error's length is that of a normal number, abs(N(0, sigma)), in a random
+direction. ``isotropic``: N(0, sigma) on each axis. ``fixed_direction``: as ``radial``,
+in a single direction per track.
+"""
 Adding: TypeAlias = Literal["linear", "independent"]
+"""How noise joins the raw error, as `isac_track.sharing.perturb` explains."""
 
 SHARED_LIMIT_M: Final = 1e10
-"""Of a coordinate or std that is shared: ten times what is recorded, and no power overflows."""
-# Of what is estimated from it: an extrapolation goes beyond it.
+"""Limit of a shared coordinate or std, ten times that of recordings, safe to square."""
 ESTIMATE_LIMIT_M: Final = 1e12
-# Of a covariance over the larger variance: float32 after many steps.
+"""Limit of an estimate, which may lie beyond the shared positions."""
+# Tolerance of a covariance, relative to the larger variance: float32 after many steps.
 _ROUNDING: Final = 1e-5
 
 
 class Knowledge(Enum):
-    """What a receiver of a release may be granted beyond times, positions and pseudonyms."""
+    """Knowledge of a receiver beyond times, positions and pseudonyms.
 
-    MECHANISM = (  # The frozen mechanism object with its parameters (Kerckhoffs).
-        "mechanism"
-    )
-    SIGMA = "sigma"  # The standard deviation declared with each sample.
-    # Releases of other people, with their truth, perturbed by the same mechanism.
+    Attributes
+    ----------
+    MECHANISM
+        The frozen mechanism object with its parameters (Kerckhoffs).
+    SIGMA
+        The standard deviation declared with each sample.
+    TRAIN
+        Releases of other people, with their truth, perturbed by the same mechanism.
+    SCENE
+        The true frame and clock; without it both are random per release.
+    REPEATS
+        Further releases of the same walks.
+    ANCHOR
+        One true position of every walk, with its time: from a door or a camera.
+    COMPANIONS
+        Releases of companions, with independent errors.
+    """
+
+    MECHANISM = "mechanism"
+    SIGMA = "sigma"
     TRAIN = "train"
-    SCENE = "scene"  # The true frame and clock; without it both are random per release.
-    REPEATS = "repeats"  # Further releases of the same walks.
-    ANCHOR = (  # One true position of every walk, at its instant: a door, a camera.
-        "anchor"
-    )
-    COMPANIONS = "companions"  # Releases of who walks along, with errors of their own.
+    SCENE = "scene"
+    REPEATS = "repeats"
+    ANCHOR = "anchor"
+    COMPANIONS = "companions"
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}
-TRACK: Mapping[str, str] = {
-    "per": "track"
-}  # Metadata of a field that holds one value a track.
+# Metadata of a field that holds one value per track.
+TRACK: Mapping[str, str] = {"per": "track"}
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
 
 
@@ -63,7 +95,8 @@ def _n_tracks(batch: _Batch) -> int:
     return batch.offsets.size - 1
 
 
-def _one_track(batch: _Batch, index: int) -> _Batch:
+def _view_track(batch: _Batch, index: int) -> _Batch:
+    """Return a batch of a single track, with views of its arrays."""
     n_tracks = _n_tracks(batch)
     if not -n_tracks <= index < n_tracks:
         raise IndexError(f"track {index} of {n_tracks}")
@@ -74,32 +107,49 @@ def _one_track(batch: _Batch, index: int) -> _Batch:
         value, per = getattr(batch, item.name), item.metadata.get("per")
         if per is not None and value is not None:
             part[item.name] = value[lo:hi] if per == "sample" else value[row : row + 1]
-    return derived(batch, **part)  # one of sound tracks is sound
+    return derived(batch, **part)
 
 
-def _each_track(batch: _Batch) -> Iterator[_Batch]:
-    return (_one_track(batch, index) for index in range(_n_tracks(batch)))
+def _iterate_tracks(batch: _Batch) -> Iterator[_Batch]:
+    return (_view_track(batch, index) for index in range(_n_tracks(batch)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Tracks:
     """The truth: N recorded or interpolated walks, M samples in all.
 
-    `source` and `group` never reach a predictor or an attack.
+    Names and groups never reach a predictor or an attack.
+
+    Attributes
+    ----------
+    t : Floats
+        Times, (M,) s, strictly increasing within a track.
+    xy : Floats
+        True positions, (M, 2) m.
+    offsets : Ints
+        First sample of each track, then M: (N + 1,).
+    source : tuple of str
+        Id of the recorded track, (N,), unique.
+    group : tuple of str
+        Cluster of the intervals, (N,): people who walk together share a group.
+    person : tuple of str or None
+        Identity, (N,); None for several sessions without lasting ids.
+    session : tuple of str or None
+        Session, (N,), if there are several.
+
+    Raises
+    ------
+    ValueError
+        Also if two tracks have one source id.
     """
 
-    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
-    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, true position.
-    offsets: Ints  # (N + 1,) first sample of each track, then M.
-    source: tuple[str, ...] = field(
-        metadata=TRACK
-    )  # (N,) id of the recorded track, unique.
+    t: Floats = field(metadata=_SAMPLE)
+    xy: Floats = field(metadata=_SAMPLE)
+    offsets: Ints
+    source: tuple[str, ...] = field(metadata=TRACK)
     group: tuple[str, ...] = field(metadata=TRACK)
-    """(N,) the cluster of every interval: people who walk together share one."""
     person: tuple[str, ...] | None = field(default=None, kw_only=True, metadata=TRACK)
-    """(N,) who it is; of several sessions None unless ids last over them."""
     session: tuple[str, ...] | None = field(default=None, kw_only=True, metadata=TRACK)
-    """(N,) in which session, if there are several."""
 
     def __post_init__(self) -> None:
         _check_batch(self)
@@ -107,10 +157,10 @@ class Tracks:
             raise ValueError("source ids must be unique")
 
     def __repr__(self) -> str:
-        """Return how many tracks and samples there are, in a line."""
+        """Return the number of tracks and samples, in a line."""
         return f"<Tracks: {len(self):,} tracks, {self.t.size:,} samples>"
 
-    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
+    __len__, __getitem__, __iter__ = _n_tracks, _view_track, _iterate_tracks
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -119,25 +169,56 @@ class Scenes:
 
     Times are those of each agent's own recording; step h of the prediction grid is
     ``t_future[:, h]``, with h = 0 at the last history sample (eq. future_time_grid).
+    ``len(scenes)`` is S.
+
+    Attributes
+    ----------
+    t : Floats
+        History times of the S * A agents, (M,) s.
+    xy : Floats
+        True history after the shift into the scene, (M, 2) m.
+    offsets : Ints
+        First sample of each agent, then M: (S * A + 1,).
+    track : Ints
+        Row of the source track in the `Tracks` that the scenes were made of, (S * A,).
+    index : Ints
+        Number of the scene in the run, (S,): the key of its random streams.
+    t_future : Floats
+        Prediction grid, (S * A, H) s.
+    xy_future : Floats
+        True positions on the grid, (S * A, H, 2) m.
+    robot_start : Floats
+        Position of the robot at step 0, (S, 2) m.
+    robot_destination : Floats
+        End of its straight path, (S, 2) m.
+    separation : Floats
+        True minimum separation of robot and agents over the horizon, (S,) m.
+    conflict : Bools
+        True label c, (S,): eq. conflict_rule on the true future.
+    exhausted : Ints
+        Agents whose placement ran out of redraws and kept the last draw, (S,).
+    time_to_conflict_s : Floats
+        Time until an agent is inside, (S,) s; 0: now; NaN: no conflict, or unknown.
+
+    Raises
+    ------
+    ValueError
+        Also if the agents do not fill the scenes evenly.
     """
 
-    t: Floats  # (M,) s, history times of the S * A agents.
-    xy: Floats  # (M, 2) m, true history after the shift into the scene.
-    offsets: Ints  # (S * A + 1,)
-    # (S * A,) row of the source track in the `Tracks` that the scenes were made of.
+    t: Floats
+    xy: Floats
+    offsets: Ints
     track: Ints
-    index: Ints  # (S,) number of the scene in the run: the key of its random streams.
-    t_future: Floats  # (S * A, H) s, prediction grid.
-    xy_future: Floats  # (S * A, H, 2) m, true positions on the grid.
-    robot_start: Floats  # (S, 2) m
-    robot_destination: Floats  # (S, 2) m
-    # (S,) m, true minimum separation between robot and agents over the horizon.
+    index: Ints
+    t_future: Floats
+    xy_future: Floats
+    robot_start: Floats
+    robot_destination: Floats
     separation: Floats
-    conflict: Bools  # (S,) ground-truth label c (eq. conflict_rule on the true future).
-    # (S,) agents whose placement ran out of redraws and kept the last draw.
+    conflict: Bools
     exhausted: Ints
     time_to_conflict_s: Floats = field(default_factory=lambda: np.empty(0))
-    """(S,) s until any agent is inside; 0: one is already; NaN: no conflict, or it is not known."""
 
     def __post_init__(self) -> None:
         if np.size(self.time_to_conflict_s) == 0:
@@ -166,41 +247,55 @@ class Scenes:
 
     @property
     def inside_now(self) -> Bools:
-        """Whether somebody is inside the safety radius at step 0 already, (S,)."""
+        """Whether an agent is inside the safety radius at step 0 already, (S,)."""
         return np.asarray(self.time_to_conflict_s == 0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sensed:
-    """What the sensing network holds about N tracks; a mechanism sees this and no ids.
+    """Data of the sensing network about N tracks, the input of a mechanism; no ids.
 
-    The truth is ``xy - sigma_raw[:, None] * unit_error``: a mechanism is trusted.
+    A mechanism is trusted: the truth is ``xy - sigma_raw[:, None] * unit_error``.
+
+    Attributes
+    ----------
+    t : Floats
+        Times, (M,) s, strictly increasing within a track.
+    xy : Floats
+        Raw estimates, (M, 2) m.
+    unit_error : Floats
+        Raw errors in units of `sigma_raw`, (M, 2).
+    sigma_raw : Floats
+        Standard deviation of the raw error under `law`, (M,) m.
+    information : Floats
+        Fisher information (eq. swarm_fi), (M,) 1/m^2.
+    fid : Floats
+        Fisher information density (eq. swarm_fid), (M,) 1/(m^2 s).
+    offsets : Ints
+        First sample of each track, then M: (N + 1,).
+    law : ErrorLaw
+        Law of the raw error.
+    walk : Ints
+        Opaque numbers, (N,), equal for releases of one walk in one session. By default
+        all differ.
+
+    Raises
+    ------
+    ValueError
+        Also if a standard deviation is negative or NaN.
     """
 
-    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
-    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, raw estimate.
-    unit_error: Floats = field(
-        metadata=_SAMPLE
-    )  # (M, 2) raw error in units of `sigma_raw`.
-    sigma_raw: Floats = field(
-        metadata=_SAMPLE
-    )  # (M,) m, std of the raw error under `law`.
-    information: Floats = field(
-        metadata=_SAMPLE
-    )  # (M,) 1/m^2, Fisher information (eq. swarm_fi).
-    fid: Floats = field(
-        metadata=_SAMPLE
-    )  # (M,) 1/(m^2 s), density of it (eq. swarm_fid).
-    offsets: Ints  # (N + 1,)
+    t: Floats = field(metadata=_SAMPLE)
+    xy: Floats = field(metadata=_SAMPLE)
+    unit_error: Floats = field(metadata=_SAMPLE)
+    sigma_raw: Floats = field(metadata=_SAMPLE)
+    information: Floats = field(metadata=_SAMPLE)
+    fid: Floats = field(metadata=_SAMPLE)
+    offsets: Ints
     law: ErrorLaw = "radial"
-    """Law of the raw error: `radial` (the norm is |N(0, sigma)|), `isotropic` (N(0, sigma) per
-    axis) or `fixed_direction` (as `radial`, on one line through the truth along a
-    track)."""
-
     walk: Ints = field(
         default_factory=lambda: np.empty(0, dtype=np.int64), metadata=TRACK
     )
-    """(N,) opaque numbers: equal for releases of one walk in one session; by default all differ."""
 
     def __post_init__(self) -> None:
         if np.size(self.walk) == 0:
@@ -210,33 +305,67 @@ class Sensed:
         if not (self.sigma_raw >= 0).all():
             raise ValueError("sigma_raw must not be negative or NaN")
 
-    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
+    __len__, __getitem__, __iter__ = _n_tracks, _view_track, _iterate_tracks
 
 
 @dataclass(frozen=True, eq=False, slots=True, weakref_slot=True)
 class Release:
-    """All that a robot or an adversary ever receives. N tracks, M samples in all."""
+    """All that a robot or an adversary ever receives. N tracks, M samples in all.
 
-    t: Floats = field(metadata=_SAMPLE)  # (M,) s, strictly increasing within a track.
-    xy: Floats = field(metadata=_SAMPLE)  # (M, 2) m, shared position.
-    sigma: Floats | None = field(
-        metadata=_SAMPLE
-    )  # (M,) m, std declared; None without SIGMA.
-    offsets: Ints  # (N + 1,)
-    pseudonym: tuple[str, ...] = field(
-        metadata=TRACK
-    )  # (N,) opaque, fresh for every release.
+    Attributes
+    ----------
+    t : Floats
+        Times, (M,) s, strictly increasing within a track.
+    xy : Floats
+        Shared positions, (M, 2) m.
+    sigma : Floats or None
+        Declared standard deviations, (M,) m; None without `Knowledge.SIGMA`.
+    offsets : Ints
+        First sample of each track, then M: (N + 1,).
+    pseudonym : tuple of str
+        Opaque names, (N,), fresh for every release.
+
+    Examples
+    --------
+    Two tracks, of three and of two samples:
+
+    >>> import numpy as np
+    >>> from isac_track.types import Release
+    >>> release = Release(
+    ...     t=np.array([0.0, 0.4, 0.8, 0.0, 0.4]),
+    ...     xy=np.array([[0, 0], [1, 0], [2, 0], [5, 5], [5, 6]]),
+    ...     sigma=None,
+    ...     offsets=np.array([0, 3, 5]),
+    ...     pseudonym=("a", "b"),
+    ... )
+    >>> len(release)
+    2
+    >>> [track.t.size for track in release]
+    [3, 2]
+    >>> release[1].xy
+    array([[5., 5.],
+           [5., 6.]])
+    """
+
+    t: Floats = field(metadata=_SAMPLE)
+    xy: Floats = field(metadata=_SAMPLE)
+    sigma: Floats | None = field(metadata=_SAMPLE)
+    offsets: Ints
+    pseudonym: tuple[str, ...] = field(metadata=TRACK)
 
     def __post_init__(self) -> None:
         _check_batch(self)
 
-    __len__, __getitem__, __iter__ = _n_tracks, _one_track, _each_track
+    __len__, __getitem__, __iter__ = _n_tracks, _view_track, _iterate_tracks
 
     def tracks(self, rows: Ints | Sequence[int]) -> Release:
-        """Return some of the tracks, in the order of `rows`."""
+        """Return some of the tracks, in the order of `rows`, (K,) numbers from 0.
+
+        IndexError for a row that does not exist.
+        """
         rows = np.asarray(rows, dtype=np.int64)
         names = self.pseudonym
-        runs, offsets = runs_of(self.offsets, rows)
+        runs, offsets = sample_runs(self.offsets, rows)
         return derived(
             self,
             t=end_to_end(self.t, runs),
@@ -253,15 +382,28 @@ class Release:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
-    """Predicted positions of N tracks on a grid of H future times."""
+    """Predicted positions of N tracks on a grid of H future times.
 
-    mean: Floats  # (N, H, 2) m
-    # (N, H, 2, 2) m^2, symmetric positive semidefinite; None without.
+    Attributes
+    ----------
+    mean : Floats
+        Positions, (N, H, 2) m, at most `ESTIMATE_LIMIT_M` from the origin on each axis.
+    cov : Floats or None
+        Covariances, (N, H, 2, 2) m^2, symmetric and positive semidefinite.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a position is not finite or beyond the limit, or a matrix
+        is no covariance.
+    """
+
+    mean: Floats
     cov: Floats | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, mean=("N", "H", 2))
-        _check_estimate(self.mean, what="a predicted position")
+        _check_estimate(self.mean, noun="a predicted position")
         if self.cov is not None:
             _freeze(self, cov=(*self.mean.shape, 2))
             _check_covariances(self.cov)
@@ -269,15 +411,29 @@ class Prediction:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reconstruction:
-    """An adversary's estimate of where the N people of a release were, sample by sample."""
+    """An adversary's estimate of the true positions of a release, for each sample.
 
-    xy: Floats  # (M, 2) m, in the frame of the release.
-    # (M,) m, standard deviation per axis that the attack claims, if any.
+    Attributes
+    ----------
+    xy : Floats
+        Positions, (M, 2) m, in the frame of the release, at most `ESTIMATE_LIMIT_M`
+        from the origin on each axis.
+    std : Floats or None
+        Standard deviation on each axis that the attack claims, (M,) m.
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a number is not finite or beyond the limit, or a standard
+        deviation is negative.
+    """
+
+    xy: Floats
     std: Floats | None = None
 
     def __post_init__(self) -> None:
         _freeze(self, xy=("M", 2))
-        _check_estimate(self.xy, what="a reconstructed position")
+        _check_estimate(self.xy, noun="a reconstructed position")
         if self.std is not None:
             _freeze(self, std=self.xy.shape[:1])
             if not within(self.std, 0.0, ESTIMATE_LIMIT_M):
@@ -289,10 +445,10 @@ _Container = TypeVar("_Container", bound="DataclassInstance")
 
 
 def derived(container: _Container, **changes: object) -> _Container:
-    """Return a container with other values that are sound because those it had are.
+    """Return a copy with changed fields, without checking them.
 
-    As `dataclasses.replace`, but what was checked when the container was made is not
-    again.
+    As `dataclasses.replace`, but without the checks: the caller makes the changes from
+    checked values.
     """
     new: _Container = object.__new__(type(container))
     for item in fields(container):
@@ -303,7 +459,7 @@ def derived(container: _Container, **changes: object) -> _Container:
 
 
 def _check_batch(batch: _Batch) -> None:
-    """Freeze the arrays of a ragged batch and check shapes, times and finiteness."""
+    """Freeze the arrays of a ragged batch; check shapes, times and finiteness."""
     _freeze(batch, np.int64, offsets="N")
     _freeze(batch, t="M")
     check_offsets(batch.offsets, batch.t.size)
@@ -324,23 +480,22 @@ def _check_batch(batch: _Batch) -> None:
 
 
 def within(values: Floats, low: float, high: float) -> bool:
-    """Whether all values lie within both bounds; NaN lies nowhere."""
-    # Smallest and largest take no room; a comparison of all would.
+    """Return whether all values lie within both bounds; NaN does not."""
+    # Minimum and maximum need no memory; comparing all values would.
     return values.size == 0 or bool(values.min() >= low and values.max() <= high)
 
 
-def _check_estimate(xy: Floats, *, what: str) -> None:
-    # If the sum of the squares, which takes one pass, is not beyond the limit's, no
-    # coordinate is.
+def _check_estimate(xy: Floats, *, noun: str) -> None:
+    # The sum of squares takes one pass: if it is within the limit, so are all values.
     is_small = np.vdot(xy, xy) <= ESTIMATE_LIMIT_M**2
     if not is_small and not within(xy, -ESTIMATE_LIMIT_M, ESTIMATE_LIMIT_M):
         is_far = np.isfinite(xy).all()
         fault = f"lies beyond {ESTIMATE_LIMIT_M:g} m" if is_far else "is not finite"
-        raise ValueError(f"{what} {fault}")
+        raise ValueError(f"{noun} {fault}")
 
 
 def _check_covariances(cov: Floats) -> None:
-    """Check that (..., 2, 2) could be covariances: what rounding does to them is let pass."""
+    """Check that matrices (..., 2, 2) are covariances within rounding."""
     limit_m2 = ESTIMATE_LIMIT_M**2
     if not within(cov, -limit_m2, limit_m2):
         raise ValueError(
@@ -364,7 +519,10 @@ def _freeze(
     /,
     **shapes: Sequence[int | str],
 ) -> None:
-    """Make fields read-only arrays of one kind of numbers; a letter in a shape is any length."""
+    """Turn fields into read-only arrays of a kind of numbers and check their shapes.
+
+    A letter in a shape stands for any length.
+    """
     for name, shape in shapes.items():
         given = getattr(container, name)
         if np.ma.isMaskedArray(given) or np.iscomplexobj(given):
@@ -390,45 +548,45 @@ _Scalar = TypeVar("_Scalar", bound=np.generic)
 
 
 def read_only(array: NDArray[_Scalar]) -> NDArray[_Scalar]:
-    """Return the array as nobody can write to it."""
+    """Return the array itself if it is read-only, else a read-only view."""
     if array.flags.writeable:
-        # A view, not a copy: a copy of every release would double the memory of a
-        # block.
+        # A copy of every release would double the memory of a block.
         array = array.view()
         array.flags.writeable = False
     return array
 
 
-Runs: TypeAlias = list[
-    tuple[int, int]
-]  # Stretches of samples: from which on, and before which.
+# Stretches of samples: the first, and the first after the end.
+Runs: TypeAlias = list[tuple[int, int]]
 
 
 def stretches(first: Ints, sizes: Ints) -> tuple[Ints, Ints]:
-    """Return so many samples from each first one on, end to end, and the offsets among them."""
+    """Return the sample numbers of stretches, end to end, and the stretches' offsets.
+
+    Stretch i has ``sizes[i]`` samples from ``first[i]`` on.
+    """
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     return np.repeat(first - offsets[:-1], sizes) + np.arange(offsets[-1]), offsets
 
 
-def runs_of(offsets: Ints, rows: Ints) -> tuple[Runs, Ints]:
-    """Return the stretches that some tracks fill, and the offsets of the tracks among them.
+def sample_runs(offsets: Ints, rows: Ints) -> tuple[Runs, Ints]:
+    """Return the stretches of samples of some tracks, and the offsets of their copies.
 
-    Neighbours are one stretch. IndexError for a row that is none.
+    Adjacent tracks form one stretch. IndexError for a row that does not exist.
     """
     if rows.size and rows.min() < 0:
         raise IndexError(f"track {rows.min()} of {offsets.size - 1}")
     sizes = np.diff(offsets)[rows]
     ends = np.flatnonzero(np.diff(rows, append=-2) != 1)
     starts = np.append(0, ends[:-1] + 1)[: ends.size]
-    runs = zip(
-        offsets[rows[starts]].tolist(), offsets[rows[ends] + 1].tolist(), strict=True
-    )
-    return list(runs), np.concatenate([[0], np.cumsum(sizes)])
+    firsts, after = offsets[rows[starts]].tolist(), offsets[rows[ends] + 1].tolist()
+    runs = list(zip(firsts, after, strict=True))
+    return runs, np.concatenate([[0], np.cumsum(sizes)])
 
 
 def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
-    """Return stretches of samples one after the other; a view if it is but one."""
-    # To copy slices takes a fraction of the time of an index for every sample.
+    """Return stretches of samples one after the other; a view of a single stretch."""
+    # Copying slices takes a fraction of the time of indexing every sample.
     parts = [values[first:end] for first, end in runs]
     return parts[0] if len(parts) == 1 else np.concatenate(parts or [values[:0]])
 
@@ -436,8 +594,8 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
 def squared_lengths(vectors: Floats) -> Floats:
     """Return the squared lengths (...,) of vectors of the plane, (..., 2).
 
-    Their root is a tenth of the work of np.hypot, whose guard against overflow nobody
-    needs.
+    Their root takes a tenth of the time of np.hypot, whose guard against overflow is
+    not needed here.
     """
     x, y = vectors[..., 0], vectors[..., 1]
     square: Floats = x * x
@@ -446,14 +604,14 @@ def squared_lengths(vectors: Floats) -> Floats:
 
 
 def positive(name: str, value: float, *, finite: bool = True) -> float:
-    """Return a number, or raise ValueError if it is not positive, or infinite where `finite`."""
+    """Return a positive number; ValueError for others, or infinity if `finite`."""
     if not value > 0 or (finite and not np.isfinite(value)):
         raise ValueError(f"{name} must be positive, got {value}")
     return float(value)
 
 
 def check_offsets(offsets: Ints, n_samples: int) -> None:
-    """Raise ValueError unless the offsets cut so many samples into tracks, none of them empty."""
+    """Raise ValueError unless offsets cut the samples into tracks, none empty."""
     if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != n_samples:
         raise ValueError(f"offsets must run from 0 to {n_samples}")
     if (np.diff(offsets) < 1).any():
@@ -464,7 +622,7 @@ def check_times(t: Floats, offsets: Ints) -> None:
     """Raise ValueError unless times are finite and rise within each track."""
     rising = t[1:] > t[:-1]  # False for NaN
     rising[offsets[1:-1] - 1] = True  # from one track to the next
-    # What rises from a finite number to another is finite.
+    # Between two finite numbers all rising times are finite.
     ends = t[offsets[:-1]], t[offsets[1:] - 1]
     if not (rising.all() and np.isfinite(ends).all()):
         raise ValueError("times must be finite and strictly increasing within a track")

@@ -1,4 +1,4 @@
-"""The least that a predictor can do: nobody moves on. What others must beat."""
+"""The simplest predictor, the baseline of all others: nobody moves."""
 
 from dataclasses import dataclass
 from typing import ClassVar

@@ -1,9 +1,9 @@
-"""The trackers run by filterpy itself, a loop per track: the readable reference.
+"""The trackers as a loop over filterpy for each track: the readable reference.
 
 The compiled kernels of `isac_track.kalman` give the same numbers much faster;
-``kalman_cv:engine=filterpy`` runs this instead. Traps of filterpy 2.0.0 are heeded
-here: F, Q and H are written out, H is set once, x stays one-dimensional, Q is that of
-continuous white noise (which composes over steps), M is row-stochastic, a rejected
+``kalman_cv:engine=filterpy`` runs this instead. This code avoids traps of filterpy
+2.0.0: F, Q and H are written out, H is set once, x stays one-dimensional, Q is that of
+continuous white noise (which composes over steps), M is row-stochastic, and a rejected
 sample never reaches `update`.
 """
 
@@ -24,14 +24,14 @@ from isac_track.types import Floats
 def last_states(
     batch: Batch, *, q: float, gate: float, error: SlowError | None = None
 ) -> tuple[Floats, Floats]:
-    """Filter every track and return its last state: mean (N, 2, d) and covariance (N, d, d).
+    """Return the last state of every track: mean (N, 2, d), covariance (N, d, d).
 
-    Parameters are those of `isac_track.kalman.kalman_last`. A slow `error` is the last
-    state.
+    Parameters are those of `isac_track.kalman.kalman_last`. A slow `error` is a further
+    state, the last one.
     """
     n, d = len(batch), len(batch.prior_std) + (error is not None)
     mean, cov = np.empty((n, 2, d)), np.empty((n, d, d))
-    for track, (kf, _) in enumerate(_filtered(batch, (q,), gate, error=error)):
+    for track, (kf, _) in enumerate(_run_filters(batch, (q,), gate, error=error)):
         mean[track], cov[track] = kf.x.reshape(2, d), kf.P[:d, :d]
     return mean, cov
 
@@ -39,75 +39,72 @@ def last_states(
 def last_modes(
     batch: Batch, moods: Moods, *, gate: float
 ) -> tuple[Floats, Floats, Floats]:
-    """Run an interacting-multiple-model filter over every track and return its last modes.
+    """Return the last modes of an interacting-multiple-model filter of every track.
 
-    Every mode is a constant-velocity model with its own q; they change as a
-    continuous-time Markov chain, so that M belongs to the step that follows. Otherwise
-    as `isac_track.kalman.imm_last`.
+    Every mode is a constant-velocity model with its own q. The modes change as a
+    continuous-time Markov chain, so that M belongs to the step that follows. Parameters
+    are those of `isac_track.kalman.imm_last`.
     """
     n = len(batch)
-    mean, cov, probability = (
-        np.empty((n, 2, 2, 2)),
-        np.empty((n, 2, 4, 4)),
-        np.empty((n, 2)),
-    )
-    for track, (imm, modes) in enumerate(_filtered(batch, moods.q, gate, moods)):
+    mean, cov = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4))
+    probability = np.empty((n, 2))
+    for track, (imm, modes) in enumerate(_run_filters(batch, moods.q, gate, moods)):
         for number, mode in enumerate(modes):
             mean[track, number], cov[track, number] = mode.x.reshape(2, 2), mode.P
         probability[track] = imm.mu
     return mean, cov, probability
 
 
-def _filtered(
+def _run_filters(
     batch: Batch,
     q: tuple[float, ...],
     gate: float,
     moods: Moods | None = None,
     error: SlowError | None = None,
 ) -> Iterator[tuple[Any, list[Any]]]:
-    """Yield the filter of each track after its last sample, and its modes: one without moods."""
+    """Yield the filter of each track after its last sample, and its list of modes.
+
+    Without moods there is one mode, the filter itself.
+    """
     for lo, hi in pairwise(batch.offsets):
-        modes = [_filter(batch.xy[lo], batch.prior_std, error) for _ in q]
+        modes = [_make_filter(batch.xy[lo], batch.prior_std, error) for _ in q]
         steps = np.diff(batch.t[lo:hi], append=batch.t[hi - 1])
-        whole = modes[0]
+        tracker = modes[0]
         if moods:
             leave, come = 1.0 / np.array(moods.stay_s)
             rates = np.array([[-leave, leave], [come, -come]])
-            # The mixing for a step is computed with M at the end of the update before
-            # it, and the first sample is updated without a step before it: M is the
-            # identity there.
-            whole = IMMEstimator(modes, moods.probability, np.eye(2))
+            # An update ends with the mixing for the next step, by M. No step precedes
+            # the first sample: M is the identity there.
+            tracker = IMMEstimator(modes, moods.probability, np.eye(2))
         misses = 0
         for k, z in enumerate(batch.xy[lo:hi]):
             if k > 0:
                 for mode, density in zip(modes, q, strict=True):
-                    mode.F, mode.Q = _model(
+                    mode.F, mode.Q = _transition(
                         steps[k - 1], density, len(batch.prior_std), error
                     )
-                whole.predict()
+                tracker.predict()
             for mode in modes:
                 mode.R = np.eye(2) * batch.variance[lo + k]
             if moods:
-                whole.M = expm(rates * steps[k])
-            if (
-                min(_distance2(mode, z) for mode in modes) > gate
-                and misses < MAX_REJECTIONS
-            ):
+                tracker.M = expm(rates * steps[k])
+            nearest = min(_squared_distance(mode, z) for mode in modes)
+            if nearest > gate and misses < MAX_REJECTIONS:
                 misses += 1
                 if moods:
-                    whole.mu = (
-                        whole.cbar.copy()
-                    )  # update(None) would weigh the modes all the same
-                    whole._compute_mixing_probabilities()  # noqa: SLF001 - there is no public way
+                    # update(None) would change the weights of the modes.
+                    tracker.mu = tracker.cbar.copy()
+                    tracker._compute_mixing_probabilities()  # noqa: SLF001 - no public way
                 continue
             misses = 0
-            whole.update(z)
-        yield whole, modes
+            tracker.update(z)
+        yield tracker, modes
 
 
-def _model(
+def _transition(
     dt: float, q: float, d: int, error: SlowError | None
 ) -> tuple[Floats, Floats]:
+    """Return F and Q of a step of both axes."""
     motion = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
     noise = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
     if error:
@@ -118,22 +115,23 @@ def _model(
     return np.kron(np.eye(2), motion), np.kron(np.eye(2), noise)
 
 
-def _filter(
+def _make_filter(
     start: Floats, prior_std: tuple[float, ...], error: SlowError | None
 ) -> Any:  # noqa: ANN401 - no types
     """Return a filter of positions, at rest at `start`."""
     std = [*prior_std, float(error.std_m)] if error else list(prior_std)
     position = np.eye(1, len(std))
     kf = KalmanFilter(dim_x=2 * len(std), dim_z=2)
-    kf.H = np.kron(
-        np.eye(2), position + np.eye(1, len(std), len(std) - 1) if error else position
-    )
+    # A slow error adds to the measured position.
+    measured = position + np.eye(1, len(std), len(std) - 1) if error else position
+    kf.H = np.kron(np.eye(2), measured)
     kf.x = start @ np.kron(np.eye(2), position)
     kf.P = np.kron(np.eye(2), np.diag(std) ** 2)
     return kf
 
 
-def _distance2(mode: Any, z: Floats) -> float:  # noqa: ANN401 - filterpy has no types
+def _squared_distance(mode: Any, z: Floats) -> float:  # noqa: ANN401 - no types
+    """Return the squared Mahalanobis distance of a sample from its prediction."""
     innovation = z - mode.H @ mode.x
     return float(
         innovation @ np.linalg.solve(mode.H @ mode.P @ mode.H.T + mode.R, innovation)

@@ -1,8 +1,8 @@
-"""Trackers for the robot: constant velocity, constant acceleration, and both moods of a walk.
+"""Trackers for the robot: constant velocity, constant acceleration, and two modes.
 
 They filter the most recent shared samples and predict the whole horizon with a
-covariance. The noise is estimated from the innovations, since a robot is not told it,
-or taken as declared.
+covariance. The noise is as declared, or estimated from the innovations, since a robot
+usually does not know it.
 """
 
 from collections.abc import Callable
@@ -17,6 +17,7 @@ from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
 from isac_track.types import (
     ErrorLaw,
     Floats,
+    Ints,
     Knowledge,
     Prediction,
     Release,
@@ -25,14 +26,11 @@ from isac_track.types import (
 )
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
-WINDOW = 160  # Samples; what came before no longer moves the prediction (tested).
-# Share of what innovations show that is never put down to a slow error.
+WINDOW = 160  # Samples; earlier ones no longer change the prediction (tested).
+# Least share of the innovations' variance that is not attributed to a slow error.
 LEAST_REST = 0.05
-_PRIOR_STD = (
-    100.0,
-    10.0,
-    10.0,
-)  # m around the first sample, m/s, m/s^2: more than any walk.
+# m around the first sample, m/s, m/s^2: more than in any walk.
+_PRIOR_STD = (100.0, 10.0, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,13 +41,13 @@ class KalmanCV:
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
-    # Of declared noise: a radial one has sigma^2 / 2 per axis.
+    # Law of declared noise: a radial error has the variance sigma^2 / 2 per axis.
     law: ErrorLaw = "radial"
     engine: Literal["kernels", "filterpy"] = "kernels"
-    aware: bool = False  # Told by `knowing`, before a run, which mechanism shares.
-    # Per axis, of the error that is added as far as the robot knows.
+    aware: bool = False  # Whether `knowing` adapts it to the mechanism before a run.
+    # Standard deviation per axis of the added error that the robot knows of, m.
     added_std_m: float = 0.0
-    # Of its correlation; 0: white. Of a slow one the whole history counts.
+    # Correlation time of that error, s; 0: white. With a slow error all history counts.
     tau_s: float = 0.0
 
     states: ClassVar[int] = 2
@@ -83,17 +81,16 @@ class KalmanCV:
         else:
             last = self._last(batch)
             mean, cov = last.mean, last.cov
-        # Where somebody is, not where they are shared: the error, the last state, is
-        # left out.
+        # Leave out the last state, the error: predict the true position.
         mean, cov = mean[..., : self.states], cov[..., : self.states, : self.states]
         planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(
-            *_ahead(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s)
+            *_extrapolate(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s)
         )
 
     def knowing(self, mechanism: object) -> Self:
-        """Return the robot that knows what this mechanism adds; itself if it is not aware."""
+        """Return the predictor, adapted to a mechanism's error if it is `aware`."""
         if not self.aware:
             return self
         std_m, tau_s = added_error(mechanism)
@@ -105,7 +102,7 @@ class KalmanCV:
         return SlowError(self.added_std_m, self.tau_s) if slow else None
 
     def log_likelihood(self, release: Release) -> Floats:
-        """Return the log density of what was shared, (N,), over the window."""
+        """Return the log density of the shared positions in the window, (N,)."""
         return self._last(self.batch(release)).log_likelihood
 
     def _last(self, batch: Batch) -> LastState:
@@ -116,60 +113,66 @@ class KalmanCV:
 
     @property
     def track(self) -> Callable[[Release], Floats] | None:
-        """Where the robot took everybody to be at each sample, (M, 2) m: from no later one.
+        """Function that returns the causal estimate of each sample, (M, 2) m.
 
-        The noise is the estimate by then, and the whole history counts. None for other
+        It uses the noise estimated by then, and the whole history. None for other
         models.
         """
-        return self._tracked if type(self) is KalmanCV else None
+        return self._track_samples if type(self) is KalmanCV else None
 
-    def _tracked(self, release: Release) -> Floats:
+    def _track_samples(self, release: Release) -> Floats:
         error = self._slow_error or SlowError(0.0, 0.0)
         batch = self.batch(release, is_causal=True)
         return filter_tracks(batch, error, q=self.q, gate=self.gate)[1]
 
     def batch(self, release: Release, *, is_causal: bool = False) -> Batch:
-        """Return the last `window` samples of every track, or all that it has, for the filters.
+        """Return the last `window` samples of every track for the filters.
 
         The clock of each track is 0 at its last sample, so that late clocks lose no
-        precision. If it `is_causal`, all samples, each with what was known of the noise
-        by then.
+        precision. With a slow error, or if it `is_causal`, all samples are returned; if
+        causal, each with the noise estimated by then.
         """
-        last, sizes, error = (
-            release.offsets[1:],
-            np.diff(release.offsets),
-            self._slow_error,
-        )
+        last, sizes = release.offsets[1:], np.diff(release.offsets)
+        error = self._slow_error
         if error is None and not is_causal:
             sizes = np.minimum(sizes, self.window)
         runs = list(zip((last - sizes).tolist(), last.tolist(), strict=True))
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         t = end_to_end(release.t, runs) - np.repeat(release.t[last - 1], sizes)
         xy = end_to_end(release.xy, runs)
-        slow_m2 = 0.0 if error is None else self.added_std_m**2
         if self.noise == "declared":
-            assert release.sigma is not None  # the release was granted with it
-            share = 0.5 if self.law == "radial" else 1.0
-            variance = end_to_end(release.sigma, runs) ** 2 - slow_m2
-            variance = np.maximum(
-                variance * share, 1e-12 if error is None else MIN_VARIANCE_M2
-            )
+            assert release.sigma is not None  # granted because it is required
+            variance = self._declared_variance(end_to_end(release.sigma, runs))
         else:
-            level = innovation_variance_m2(
-                t=t, xy=xy, offsets=offsets, running=is_causal
-            )
-            if error is None:  # no less than what is added
-                level = np.maximum(level, self.added_std_m**2)
-            else:  # a little of it looks like noise
-                shown = error.innovation_share(t=t, offsets=offsets, running=is_causal)
-                level = np.maximum(level - slow_m2 * shown, LEAST_REST * level)
+            level = self._estimated_level(t, xy, offsets, is_causal=is_causal)
             variance = level if is_causal else np.repeat(level, sizes)
         return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
+
+    def _declared_variance(self, sigma: Floats) -> Floats:
+        """Return the white variance per axis of samples with declared std, (M,) m^2."""
+        error = self._slow_error
+        slow_m2 = 0.0 if error is None else self.added_std_m**2
+        axis_share = 0.5 if self.law == "radial" else 1.0
+        least_m2 = 1e-12 if error is None else MIN_VARIANCE_M2
+        return np.asarray(np.maximum((sigma**2 - slow_m2) * axis_share, least_m2))
+
+    def _estimated_level(
+        self, t: Floats, xy: Floats, offsets: Ints, *, is_causal: bool
+    ) -> Floats:
+        """Estimate the white variance per axis by innovations, (N,) or (M,) m^2."""
+        error = self._slow_error
+        level = innovation_variance_m2(t=t, xy=xy, offsets=offsets, running=is_causal)
+        if error is None:  # at least the variance of the added error
+            return np.asarray(np.maximum(level, self.added_std_m**2))
+        # A small part of a slow error looks like white noise.
+        share = error.innovation_share(t=t, offsets=offsets, running=is_causal)
+        white = level - self.added_std_m**2 * share
+        return np.asarray(np.maximum(white, LEAST_REST * level))
 
 
 @dataclass(frozen=True, slots=True)
 class KalmanCA(KalmanCV):
-    """Constant acceleration, white-noise jerk: `KalmanCV` with one more state per axis."""
+    """Constant acceleration, white-noise jerk: `KalmanCV` with 3 states per axis."""
 
     q: float = 0.026  # m^2/s^5, from ``python -m benchmarks.tune``
     states: ClassVar[int] = 3
@@ -181,8 +184,8 @@ class KalmanIMM(KalmanCV):
 
     q: float = 0.001  # m^2/s^3 while walking on, from ``python -m benchmarks.tune``
     q_turn: float = 0.12  # m^2/s^3 while stopping or turning, likewise
-    # Mean times of either; set, not tuned: the likelihood would make modes of whole
-    # tracks.
+    # Mean durations of the modes; set by hand, since by likelihood whole tracks would
+    # become modes.
     walk_s: float = 4.0
     turn_s: float = 1.5
 
@@ -197,9 +200,9 @@ class KalmanIMM(KalmanCV):
         return Moods((self.q, self.q_turn), (self.walk_s, self.turn_s))
 
     def predict(self, release: Release, t_future: Floats) -> Prediction:
-        """Return mean and covariance at `t_future`, (N, H) s: a mix of what each mode foresees.
+        """Return mean and covariance at `t_future`, (N, H) s, mixed over the modes.
 
-        Within the horizon of a second the walk keeps its mood.
+        Within the horizon of a second a walk is assumed to stay in its mode.
         """
         batch = self.batch(release)
         if self.engine == "filterpy":
@@ -211,7 +214,7 @@ class KalmanIMM(KalmanCV):
         else:
             last = imm_last(batch, self.moods, gate=self.gate)
             mean, cov, probability = last.mean, last.cov, last.probability
-        mean, cov = _ahead(
+        mean, cov = _extrapolate(
             mean,
             cov.reshape(*cov.shape[:2], 2, 2, 2, 2),
             q=np.array(self.moods.q)[:, None],
@@ -223,14 +226,17 @@ class KalmanIMM(KalmanCV):
         return Prediction(mixed, np.einsum("nj,njhab->nhab", probability, spread))
 
     def log_likelihood(self, release: Release) -> Floats:
-        """Return the log density of what was shared, (N,), over the window."""
+        """Return the log density of the shared positions in the window, (N,)."""
         return imm_last(self.batch(release), self.moods, gate=self.gate).log_likelihood
 
 
-def _ahead(
+def _extrapolate(
     mean: Floats, cov: Floats, *, q: Floats, elapsed_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the forecasts, (..., H), of states (..., 2, d) with covariance (..., 2, d, 2, d)."""
+    """Extrapolate states (..., 2, d) with covariance (..., 2, d, 2, d).
+
+    Returns mean and covariance of the positions at `elapsed_s`, (..., H) s.
+    """
     d = mean.shape[-1]
     # Taylor terms of the motion: position after tau is sum_k tau^k / k! times
     # derivative k.
@@ -239,11 +245,12 @@ def _ahead(
     position = terms[..., None, :, d - 1]
     for k in reversed(range(d - 1)):
         position = terms[..., None, :, k] + tau * position
-    both, tau = cov / (factorial[:, None, None] * factorial), tau[..., None]
+    cov_terms, tau = cov / (factorial[:, None, None] * factorial), tau[..., None]
     spread = np.zeros(())
     for power in reversed(range(2 * d - 1)):
         pairs = range(max(power - d + 1, 0), min(power, d - 1) + 1)
-        spread = tau * spread + sum(both[..., None, :, k, :, power - k] for k in pairs)
-    # White noise on derivative d: its (d - 1)-fold integral has the variance below.
-    grown = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004 - states an axis
-    return position, spread + grown[..., None, None] * np.eye(2)
+        coefficient = sum(cov_terms[..., None, :, k, :, power - k] for k in pairs)
+        spread = tau * spread + coefficient
+    # White noise on derivative d adds the variance of its d-fold integral.
+    added = q * elapsed_s ** (2 * d - 1) / (3.0 if d == 2 else 20.0)  # noqa: PLR2004 - states an axis
+    return position, spread + added[..., None, None] * np.eye(2)

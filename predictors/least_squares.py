@@ -12,11 +12,11 @@ from isac_track.types import Floats, Knowledge, Prediction, Release
 class LeastSquares:
     """First-order polynomials in x and y over the last `window` samples.
 
-    Eqs. linear_fit, velocity_estimate and agent_prediction. A track with fewer samples
-    uses all it has; one with a single sample is predicted to stand still.
+    Eqs. linear_fit, velocity_estimate and agent_prediction. A shorter track uses
+    all its samples; a track of a single sample is predicted to stand still.
     """
 
-    window: int = 16  # q of the paper.
+    window: int = 16  # Number of samples, q of the paper.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
 

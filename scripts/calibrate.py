@@ -36,8 +36,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default="students03",
         help="default: that of the paper",
     )
-    about = "scenes for the missed rates (default: 5000, half a minute)"
-    add("--scenes", metavar="N", type=int, default=5000, help=about)
+    help_text = "scenes for the missed rates (default: 5000, half a minute)"
+    add("--scenes", metavar="N", type=int, default=5000, help=help_text)
     add(
         "--seed",
         metavar="N",
@@ -45,8 +45,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         default=0,
         help="base seed of all draws (default: 0)",
     )
-    about = "also fit with other caps and beam fluctuations (takes minutes)"
-    add("--ridge", action="store_true", help=about)
+    help_text = "also fit with other caps and beam fluctuations (takes minutes)"
+    add("--ridge", action="store_true", help=help_text)
     return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
@@ -56,40 +56,39 @@ def _run(options: argparse.Namespace) -> int:
     recorded = datasets.load(options.dataset).tracks
     cases = {"as committed": dict[str, float]()} | (ridge() if options.ridge else {})
     asked = {"n_scenes": options.scenes, "seed": options.seed}
-    show_constants(
-        {name: calibrate(recorded, changes=of, **asked) for name, of in cases.items()}
-    )
+    fits = {
+        name: calibrate(recorded, changes=changes, **asked)
+        for name, changes in cases.items()
+    }
+    show_constants(fits)
     return DONE
 
 
-def show_constants(found: Mapping[str, Calibration]) -> None:
-    """Print constants and what they predict beside the paper's numbers, case by case."""
-    records = [
-        {"constant or number": make.word(name)}
-        | {
-            case: make.number(getattr(fit, name), digits=2)
-            for case, (fit, _) in found.items()
-        }
-        for name in FITTED
-    ]
-    for mechanism, at, metric, published in PUBLISHED:
-        spec = mechanism if at is None else f"{mechanism}:{at:g}"
+def show_constants(fits: Mapping[str, Calibration]) -> None:
+    """Print constants and their predictions beside the paper's numbers, by case."""
+    records = []
+    for name in FITTED:
+        row = {"constant or number": make.text_cell(name)}
+        for case, (settings, _) in fits.items():
+            row[case] = make.number_cell(getattr(settings, name), digits=2)
+        records.append(row)
+    for mechanism, level, metric, published in PUBLISHED:
+        spec = mechanism if level is None else f"{mechanism}:{level:g}"
         scale, digits = METRICS[metric].scale, 1 if METRICS[metric].is_share else 2
-        number = partial(make.number, scale=scale, digits=digits)
+        number = partial(make.number_cell, scale=scale, digits=digits)
         row = {
-            "constant or number": make.word(f"{spec} {metric}"),
+            "constant or number": make.text_cell(f"{spec} {metric}"),
             "paper": number(published),
         }
-        row |= {case: number(ours[spec, metric]) for case, (_, ours) in found.items()}
+        row |= {case: number(ours[spec, metric]) for case, (_, ours) in fits.items()}
         records.append(row)
-    columns = [
-        make.held("constant or number", align="left"),
-        *map(make.held, ("paper", *found)),
-    ]
+    columns = [make.cell_column("constant or number", align="left")]
+    columns += [make.cell_column(name) for name in ("paper", *fits)]
     title = "paper, and what each set of constants gives"
-    terminal.show(
-        [make.built("calibration", title, records, columns, notes=[_ABOUT_CONSTANTS])]
+    table = make.build_table(
+        "calibration", title, records, columns, notes=[_ABOUT_CONSTANTS]
     )
+    terminal.show([table])
 
 
 if __name__ == "__main__":

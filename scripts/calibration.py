@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from evaluation.compute.tables import ROWS
-from evaluation.compute.work import Block, Levels, cells
+from evaluation.compute.work import Block, Levels, compute_cells
 from evaluation.estimates import paper
 from evaluation.estimates.paper import PREDICTOR, PUBLISHED
 from evaluation.estimates.summary import ratios
@@ -30,23 +30,19 @@ from isac_track.place import placed
 from isac_track.scenes import Cut, cut, make_scenes, track_order
 from isac_track.types import Floats, Ints, Tracks
 
-FITTED = (
-    "processing_gain_db",
-    "large_scale_db",
-    "crb_gap_db",
-)  # Settings of the sensing model.
-_GAINS, _SPREADS, _GAPS = (
-    (-20.0, 60.0),
-    (2.0, 30.0),
-    (0.0, 40.0),
-)  # In dB; gains less the CRB gap.
+# Settings of the sensing model.
+FITTED = ("processing_gain_db", "large_scale_db", "crb_gap_db")
+# Searched ranges in dB.
+_GAINS = (-20.0, 60.0)  # Processing gain less the CRB gap.
+_SPREADS = (2.0, 30.0)
+_GAPS = (0.0, 40.0)
 _RESOLUTION_DB = 0.01
 _FID_ETA = 1000.0
 _LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 
 
 class Link(NamedTuple):
-    """A block of scenes, reduced to what the constants act on."""
+    """The links of a block of scenes, without the constants to fit."""
 
     gain: Floats  # (M,) two-way gain without the large-scale part
     large_scale: Floats  # (M,) that part in standard deviations
@@ -56,19 +52,18 @@ class Link(NamedTuple):
 
 
 Calibration: TypeAlias = "tuple[SensingSettings, Mapping[tuple[str, str], float]]"
-"""Fitted constants, and what they predict, by SPEC and metric."""
+"""Fitted constants, and their predictions by SPEC and metric."""
 
 
 def ridge() -> dict[str, dict[str, float]]:
-    """Return what else could be fixed beforehand: settings, by what they are called."""
-    return (
-        {f"cap {m:g} m": {"sensing.sigma_cap_m": m} for m in (1.5, 2.5, 3.0)}
-        | {
-            f"beam {db:.2g} dB": {"sensing.beam_fluctuation_db": db}
-            for db in (math.sqrt(2.0), 4.0)
-        }
-        | {f"exponent {n:g}": {"sensing.path_loss_exponent": n} for n in (2.0, 3.5)}
-    )
+    """Return other choices of the settings that are fixed beforehand, by name."""
+    cases = {f"cap {m:g} m": {"sensing.sigma_cap_m": m} for m in (1.5, 2.5, 3.0)}
+    cases |= {
+        f"beam {db:.2g} dB": {"sensing.beam_fluctuation_db": db}
+        for db in (math.sqrt(2.0), 4.0)
+    }
+    cases |= {f"exponent {n:g}": {"sensing.path_loss_exponent": n} for n in (2.0, 3.5)}
+    return cases
 
 
 def calibrate(
@@ -76,16 +71,19 @@ def calibrate(
 ) -> Calibration:
     """Return the constants that reproduce the paper's fitted numbers on a recording.
 
-    `changes` is ``{"stage.key": value}``: what is fixed elsewhere than as committed.
+    `changes` is ``{"stage.key": value}``: settings other than the committed ones.
     Raises DataError if no constants in the searched ranges do.
     """
     stages = StageSettings().changed(changes)
     tracks = cut(placed(recorded, settings=stages), settings=stages, seed=seed)
-    published = {tuple(where): value for *where, value in PUBLISHED}
+    published = {tuple(key): value for *key, value in PUBLISHED}
     blocks = links(tracks, stages=stages, n_scenes=n_scenes, seed=seed)
-    found = fit(blocks, stages=stages, targets=[published[one] for one in paper.FITTED])
-    fitted = replace(stages, sensing=found)
-    return found, predictions(tracks, stages=fitted, n_scenes=n_scenes, seed=seed)
+    targets = [published[key] for key in paper.FITTED]
+    sensing_fitted = fit(blocks, stages=stages, targets=targets)
+    fitted = replace(stages, sensing=sensing_fitted)
+    return sensing_fitted, predictions(
+        tracks, stages=fitted, n_scenes=n_scenes, seed=seed
+    )
 
 
 def links(
@@ -94,7 +92,7 @@ def links(
     """Return the links of the run's own scenes, block by block."""
     without_spread = replace(stages.sensing, large_scale_db=0.0)
     station = np.array([stages.sensing.bs_x_m, stages.sensing.bs_y_m])
-    found = []
+    blocks = []
     for block in _blocks(tracks, stages=stages, n_scenes=n_scenes, seed=seed):
         scenes = make_scenes(
             tracks,
@@ -121,10 +119,10 @@ def links(
             settings=without_spread,
         )
         unit_norm = np.hypot(*channel.unit_error.T)
-        found.append(
+        blocks.append(
             Link(gain, channel.large_scale, unit_norm, scenes.t, scenes.offsets)
         )
-    return tuple(found)
+    return tuple(blocks)
 
 
 def descriptors(
@@ -136,18 +134,18 @@ def descriptors(
 ) -> tuple[float, float]:
     """Return mean PLR and mean MEL in s, raw or under FID with linear adding."""
     plr, mel_s = [], []
-    for one in blocks:
-        gain = one.gain * 10.0 ** (settings.large_scale_db * one.large_scale / 10.0)
+    for link in blocks:
+        gain = link.gain * 10.0 ** (settings.large_scale_db * link.large_scale / 10.0)
         info = sensing.information(gain=gain, settings=settings)
         sigma = sensing.sigma_from_information(information=info, settings=settings)
         if eta is not None:
             fid = sensing.fisher_information_density(
-                information=info, t=one.t, offsets=one.offsets
+                information=info, t=link.t, offsets=link.offsets
             )
             sigma = sigma + sharing.fid_d_sigma(fid=fid, eta=eta, alpha_m=0.5, beta=1.5)
-        leaked = sigma * one.unit_norm < rule.epsilon_m
+        leaked = sigma * link.unit_norm < rule.epsilon_m
         exposure = privacy.exposure(
-            leaked=leaked, t=one.t, offsets=one.offsets, intervals=rule.intervals
+            leaked=leaked, t=link.t, offsets=link.offsets, intervals=rule.intervals
         )
         plr.append(exposure.plr)
         mel_s.append(exposure.mel_s)
@@ -180,33 +178,35 @@ def fit(
 
     def net_for(spread: float) -> float:
         return _root(
-            lambda net: trial(net, spread)[0] - raw_plr, _GAINS, what="raw PLR"
+            lambda net: trial(net, spread)[0] - raw_plr, _GAINS, target="raw PLR"
         )
 
     spread_db = _root(
-        lambda db: trial(net_for(db), db)[1] - raw_mel_s, _SPREADS, what="raw MEL"
+        lambda db: trial(net_for(db), db)[1] - raw_mel_s, _SPREADS, target="raw MEL"
     )
     net_db = net_for(spread_db)
     gap_db = _root(
         lambda gap: trial(net_db, spread_db, gap, eta=_FID_ETA)[0] - fid_plr,
         _GAPS,
-        what=f"PLR at eta = {_FID_ETA:g}",
+        target=f"PLR at eta = {_FID_ETA:g}",
     )
-    return fitted(*(round(one, 2) for one in (net_db + gap_db, spread_db, gap_db)))
+    constants = net_db + gap_db, spread_db, gap_db
+    return fitted(*(round(constant, 2) for constant in constants))
 
 
 def predictions(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int
 ) -> dict[tuple[str, str], float]:
-    """Return the run's numbers for the paper's levels and metrics, ``{(spec, metric): value}``."""
+    """Return the run's numbers at the paper's levels, ``{(spec, metric): value}``."""
     (predictor,) = plugins.parse("predictors", PREDICTOR)
     consumers = (Consumer("shared"), Consumer("predictor", predictor))
-    levels = tuple((one, consumers) for one in plugins.parse_all("mechanisms", _LEVELS))
+    mechanisms = plugins.parse_all("mechanisms", _LEVELS)
+    levels = tuple((mechanism, consumers) for mechanism in mechanisms)
     sums: dict[tuple[str, str], Floats] = {}
     for block in _blocks(
         tracks, stages=stages, n_scenes=n_scenes, seed=seed, levels=levels
     ):
-        for _, level, consumer, tables in cells(
+        for _, level, consumer, tables in compute_cells(
             block, tracks=tracks, stages=stages, seed=seed
         ):
             for metric, ratio in ratios(consumer.kind, tables[ROWS]).items():
@@ -232,12 +232,12 @@ def _blocks(
 
 
 def _root(
-    function: Callable[[float], float], bounds: tuple[float, float], *, what: str
+    function: Callable[[float], float], bounds: tuple[float, float], *, target: str
 ) -> float:
     low, high = function(bounds[0]), function(bounds[1])
     if not (math.isfinite(low) and math.isfinite(high) and low * high <= 0):
         raise DataError(
             f"no constant between {bounds[0]:g} and {bounds[1]:g} dB gives the paper's"
-            f" {what} on this recording; the calibration is made for students03"
+            f" {target} on this recording; the calibration is made for students03"
         )
     return float(brentq(function, *bounds, xtol=_RESOLUTION_DB / 2))

@@ -1,17 +1,15 @@
-"""Tracks to test on: small made-up ones everywhere, the real recording where it is at hand."""
+"""Tracks for tests: small made-up ones, and the real recording if it is there."""
 
-# ruff: noqa: E402 - what is said to numpy is said before it is there
+# ruff: noqa: E402 - numpy reads these variables when it is imported
 import gc
 import os
 import sys
 
-# Tests run side by side, and threads of BLAS that fight over the cores take twice their
-# time.
+# Tests run side by side; BLAS threads that compete for the cores double the time.
 for library in ("OPENBLAS", "MKL", "OMP"):
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
-# Bytecode that is not written is compiled again in each of the processes that tests
-# start.
+# Without written bytecode, each process that tests start would compile all again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -21,8 +19,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.commands import Ended
-from helpers.recordings import tracks_of, write_csv
-from helpers.small_runs import cut_once, one_process, without_pictures
+from helpers.recordings import build_tracks, write_csv
+from helpers.small_runs import cut_once, single_process, without_pictures
 
 from isac_track import datasets
 from isac_track.rng import stream
@@ -46,22 +44,21 @@ LONG = {f"test_{name}" for name in (*_LONGEST, "testing")}
 def pytest_cmdline_main(config):
     """Let the whole suite take two processes, where pytest-xdist is installed.
 
-    Files stay whole, since their tests share finished runs; what is asked for by name
-    or with a debugger runs here.
+    Files stay whole, since their tests share finished runs. Tests named on the command
+    line, and tests in a debugger, run in this process.
     """
     option = config.option
-    is_whole = config.args == config.getini("testpaths") and not config.getoption(
-        "usepdb"
-    )
-    # One of the two would start two of its own, and these again.
-    is_one_of_them = "PYTEST_XDIST_WORKER" in os.environ
-    if is_whole and not is_one_of_them and getattr(option, "numprocesses", 0) is None:
+    is_debugged = config.getoption("usepdb")
+    is_whole = config.args == config.getini("testpaths") and not is_debugged
+    # A worker must not start workers of its own.
+    is_worker = "PYTEST_XDIST_WORKER" in os.environ
+    if is_whole and not is_worker and getattr(option, "numprocesses", 0) is None:
         option.numprocesses, option.dist, option.loadscopereorder = 2, "loadfile", False
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection():
-    """Import and collect without garbage collection: nothing of it is garbage."""
+    """Import and collect without garbage collection, as nothing is garbage."""
     gc.disable()
     try:
         return (yield)
@@ -70,12 +67,12 @@ def pytest_collection():
 
 
 def pytest_collection_modifyitems(items):
-    """Begin with the files that take longest: one of them at the end leaves a process idle."""
+    """Run the longest files first: at the end they would leave a process idle."""
     items.sort(key=lambda item: item.path.stem not in LONG)
 
 
-# A shell that starts the tests in the background has them, and all that they start,
-# ignore Ctrl-C.
+# A shell that starts tests in the background makes them and their children ignore
+# Ctrl-C.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -86,11 +83,10 @@ def made_up_tracks(*, n_tracks=12, duration_s=30.0, seed=0):
     parts = []
     for row in range(n_tracks):
         rng = stream(seed, "test", "track", row)
-        velocity = rng.normal(0, 0.6, 2) + 0.1 * rng.standard_normal(
-            (t.size, 2)
-        ).cumsum(axis=0)
+        mean = rng.normal(0, 0.6, 2)
+        velocity = mean + 0.1 * rng.standard_normal((t.size, 2)).cumsum(axis=0)
         parts.append(rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0))
-    return tracks_of(*parts)
+    return build_tracks(*parts)
 
 
 @pytest.fixture(scope="session")
@@ -108,7 +104,7 @@ def students03():
 
 @pytest.fixture
 def csv_recording(tmp_path, tracks):
-    """The made-up tracks as a file of one's own."""
+    """The made-up tracks as a user's file."""
     path = tmp_path / "walks.csv"
     write_csv(path, tracks)
     return path
@@ -125,9 +121,9 @@ def ran(capsys):
     return run
 
 
-@pytest.fixture(name="one_process")
-def _one_process():
-    with one_process():
+@pytest.fixture(name="single_process")
+def _single_process():
+    with single_process():
         yield
 
 

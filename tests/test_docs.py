@@ -1,4 +1,4 @@
-"""What the documents show must run."""
+"""The examples of the documents run."""
 
 import importlib
 import re
@@ -11,10 +11,12 @@ from attacks.testing import run_checks
 from evaluation import matrix
 
 ROOT = Path(__file__).parent.parent
-DOCS = sorted([*ROOT.glob("docs/*.md"), ROOT / "README.md", ROOT / "CHANGELOG.md"])
+DOCS = sorted([*ROOT.glob("docs/**/*.md"), *ROOT.glob("*.md")])
 
 
-@pytest.mark.parametrize("path", DOCS, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    "path", DOCS, ids=lambda path: path.relative_to(ROOT).as_posix()
+)
 def test_links_lead_somewhere(path):
     targets = re.findall(r"\]\((?!https?:|#)([^)#]+)", path.read_text(encoding="utf-8"))
     targets += re.findall(r'src="(?!https?:)([^"]+)"', path.read_text(encoding="utf-8"))
@@ -22,24 +24,24 @@ def test_links_lead_somewhere(path):
     assert missing == []
 
 
-@pytest.mark.usefixtures("undrawn", "one_process")
+@pytest.mark.usefixtures("undrawn", "single_process")
 def test_the_plugin_guide_runs_as_it_stands(
     tmp_path, monkeypatch, csv_recording, capsys
 ):
-    guide = (ROOT / "docs" / "plugins.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "how-to" / "plugins.md").read_text(encoding="utf-8")
     for name, code in re.findall(
         r"```python\n# (\w+\.py)\n(.*?)```", guide, flags=re.DOTALL
     ):
         (tmp_path / name).write_text(code, encoding="utf-8")
-    # Those that name a module of the guide itself: the others take a package of
-    # `attacks new`.
-    every = re.findall(r"python -m evaluation\.matrix (.+)", guide)
-    commands = [command for command in every if re.search(r"\w:[A-Z]", command)]
+    # Commands with a module of the guide; the others need a package of `attacks new`.
+    shown_commands = re.findall(r"python -m evaluation\.matrix (.+)", guide)
+    commands = [text for text in shown_commands if re.search(r"\w:[A-Z]", text)]
     assert len(commands) == 2
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
     for number, command in enumerate(commands):
-        words = f"{command} --scenes 8 --task none --attack kalman_rts --out run{number}".split()
+        options = f"--scenes 8 --task none --attack kalman_rts --out run{number}"
+        words = [*command.split(), *options.split()]
         assert matrix.main([*words, "--dataset", str(csv_recording)]) == 0
         assert (tmp_path / f"run{number}" / "summary.csv").is_file()
     shown = capsys.readouterr().out
@@ -50,7 +52,7 @@ def test_the_plugin_guide_runs_as_it_stands(
 
 
 def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
-    guide = (ROOT / "docs" / "linkage.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs" / "how-to" / "your-linker.md").read_text(encoding="utf-8")
     ((name, code),) = re.findall(
         r"```python\n# (\w+)\.py\n(.*?)```", guide, flags=re.DOTALL
     )

@@ -1,4 +1,4 @@
-"""Data flows one way: which folder may import which, and no file imports itself by a detour."""
+"""Data flows in a single direction: folders import only lower ones, without circles."""
 
 import ast
 from functools import cache
@@ -25,13 +25,13 @@ ORDER = (
     "predictors",
     "isac_track",
 )
-"""Each imports only from itself and from what stands below it; docs/architecture.md draws it."""
+"""A layer imports only from itself and those below it; see docs/explanation/architecture.md."""
 SIDE_BY_SIDE = {"attacks": {"predictors"}}
-"""Neither imports the other."""
+"""Layers that import nothing from each other."""
 
 
-def layer_of(module):
-    """The layer that a module belongs to: the longest name in ORDER that it starts with."""
+def find_layer(module):
+    """The layer of a module: the longest name in ORDER that it starts with."""
     fitting = [
         name for name in ORDER if module == name or module.startswith(f"{name}.")
     ]
@@ -39,26 +39,26 @@ def layer_of(module):
 
 
 @cache
-def names_imported(source):
-    """Every name that a source imports: at the top, within functions, for types only."""
-    found = []
+def imported_names(source):
+    """Every name that a source imports: at the top, in functions, for types only."""
+    names = []
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):
-            found += [alias.name for alias in node.names]
+            names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "imports are absolute"
             # `from package import module` names a module, `from module import thing`
             # does not.
-            found += [f"{node.module}.{alias.name}" for alias in node.names]
-    return found
+            names += [f"{node.module}.{alias.name}" for alias in node.names]
+    return names
 
 
-def imports_of(source, *, modules):
+def project_imports(source, *, modules):
     """Every module of the project that a source imports."""
-    for name in names_imported(source):
-        found = name if name in modules else name.rpartition(".")[0]
-        if found in modules:
-            yield found
+    for name in imported_names(source):
+        module = name if name in modules else name.rpartition(".")[0]
+        if module in modules:
+            yield module
 
 
 def read_tree(root):
@@ -72,26 +72,26 @@ def read_tree(root):
     return tree
 
 
-def against_the_order(tree):
-    """Every import from a layer that stands above, as `importer -> imported`."""
+def upward_imports(tree):
+    """Imports from a layer above or beside, as `importer -> imported`."""
     wrong = []
     for module, source in tree.items():
-        mine = layer_of(module)
-        for other in imports_of(source, modules=tree.keys()):
-            its = layer_of(other)
-            is_above = ORDER.index(its) < ORDER.index(mine)
-            # The package itself only says where its four names are.
-            if (
-                is_above or its in SIDE_BY_SIDE.get(mine, ())
-            ) and module != "evaluation":
+        layer = find_layer(module)
+        for other in project_imports(source, modules=tree.keys()):
+            other_layer = find_layer(other)
+            is_above = ORDER.index(other_layer) < ORDER.index(layer)
+            is_beside = other_layer in SIDE_BY_SIDE.get(layer, ())
+            # The package itself only names the modules of its four names.
+            if (is_above or is_beside) and module != "evaluation":
                 wrong.append(f"{module} -> {other}")
     return sorted(set(wrong))
 
 
-def circle(tree):
-    """Modules that import each other, directly or by a detour; none if there is no circle."""
+def find_circle(tree):
+    """Modules that import each other, directly or by others; none without a circle."""
     graph = {
-        module: set(imports_of(source, modules=tree.keys())) - {module, "evaluation"}
+        module: set(project_imports(source, modules=tree.keys()))
+        - {module, "evaluation"}
         for module, source in tree.items()
         if module != "evaluation"
     }
@@ -107,20 +107,20 @@ def tree():
     return read_tree(ROOT)
 
 
-def test_no_import_goes_against_the_order(tree):
+def test_no_import_goes_upward_imports(tree):
     assert len(tree) > 100
-    assert against_the_order(tree) == []
+    assert upward_imports(tree) == []
 
 
 def test_no_module_imports_itself_by_a_detour(tree):
-    assert circle(tree) == set()
+    assert find_circle(tree) == set()
 
 
-def test_a_planted_fault_of_either_kind_is_found(tree):
+def test_a_planted_fault_of_either_kind_is_detected(tree):
     first = {"predictors.first": "def late():\n    from evaluation.store import second"}
     second = {
         "evaluation.store.second": "if TYPE_CHECKING:\n    import predictors.first"
     }
     planted = tree | first | second
-    assert against_the_order(planted) == ["predictors.first -> evaluation.store.second"]
-    assert circle(planted) == {*first, *second}
+    assert upward_imports(planted) == ["predictors.first -> evaluation.store.second"]
+    assert find_circle(planted) == {*first, *second}

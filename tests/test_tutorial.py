@@ -1,4 +1,4 @@
-"""The tutorial, run as a reader would: in an empty folder, with the two files beside each other."""
+"""The tutorial, run as a reader would: in an empty folder with its two files."""
 
 import io
 import json
@@ -12,14 +12,14 @@ from types import SimpleNamespace
 import pandas as pd
 import pytest
 from helpers.processes import ROOT
-from helpers.small_runs import one_process
+from helpers.small_runs import single_process
 
 from evaluation.api import build
 
 EXAMPLE = ROOT / "examples" / "tutorial"
-TEXT = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+TEXT = (ROOT / "docs" / "tutorial" / "first-study.md").read_text(encoding="utf-8")
 KEY = ["consumer", "metric", "mechanism", "level"]
-MINE = "geometric_median:GeometricMedian"
+ATTACK = "geometric_median:GeometricMedian"
 FILES = (
     "report.html",
     "figures/after_attack.svg",
@@ -31,11 +31,11 @@ FILES = (
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """The run as its files hold it, and what the script said."""
+    """Return the files of the run, and the output of the script."""
     folder, said = tmp_path_factory.mktemp("tutorial"), io.StringIO()
     for path in EXAMPLE.glob("*.py"):
         shutil.copy(path, folder)
-    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), one_process():
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), single_process():
         patch.chdir(folder)
         patch.syspath_prepend(folder)
         runpy.run_path("tutorial.py")
@@ -49,16 +49,16 @@ def finished(tmp_path_factory):
 
 
 def value(finished, consumer, metric, mechanism, level):
-    """What a consumer without knowledge comes to."""
-    found = finished.summary[finished.summary["knowledge"].isin(["", "blind"])]
-    row = found.set_index(KEY).sort_index()["value"]
-    return float(row[(consumer, metric, mechanism, level)])
+    """Return the value of a metric for a consumer without knowledge."""
+    blind = finished.summary[finished.summary["knowledge"].isin(["", "blind"])]
+    values = blind.set_index(KEY).sort_index()["value"]
+    return float(values[(consumer, metric, mechanism, level)])
 
 
 def test_the_run_leaves_a_report(finished):
     out = finished.out
     assert [name for name in FILES if not (out / name).stat().st_size] == []
-    assert MINE in (out / "report.html").read_text("utf-8")
+    assert ATTACK in (out / "report.html").read_text("utf-8")
     dataset = json.loads((out / "manifest.json").read_text("utf-8"))["dataset"]
     assert (dataset["name"], dataset["tracks"]) == ("walks", 474)
     assert "474 tracks; mended on reading: nothing" in finished.said
@@ -67,39 +67,47 @@ def test_the_run_leaves_a_report(finished):
 
 def test_the_attack_is_judged_like_the_built_in_one(finished):
     metrics = finished.summary.groupby("consumer")["metric"].agg(set)
-    assert {"plr", "ael", "mel"} < metrics[MINE] == metrics["kalman_rts"]
-    assert metrics[f"rerelease/shape@{MINE}"] == metrics["rerelease/shape@kalman_rts"]
+    assert {"plr", "ael", "mel"} < metrics[ATTACK] == metrics["kalman_rts"]
+    assert metrics[f"rerelease/shape@{ATTACK}"] == metrics["rerelease/shape@kalman_rts"]
 
 
 def test_what_the_text_says_of_the_attack_is_so(finished):
-    """It undoes less than the smoother, and links more people."""
+    """The attack undoes less noise than the smoother, and links more people."""
     at = "fixed", "1.0"
-    plr = [value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")]
+    plr = [
+        value(finished, consumer, "plr", *at)
+        for consumer in ("shared", ATTACK, "kalman_rts")
+    ]
     assert plr[0] < plr[1] < plr[2]
-    mine, smoother = (f"rerelease/shape@{one}" for one in (MINE, "kalman_rts"))
+    ours, smoother = (
+        f"rerelease/shape@{consumer}" for consumer in (ATTACK, "kalman_rts")
+    )
     assert (
-        value(finished, mine, "rank1", *at)
+        value(finished, ours, "rank1", *at)
         > value(finished, smoother, "rank1", *at)
         > 0.1
     )
     # Moved as a whole, a walk is linked as if it had been shared raw.
     moved, raw = ("offset", "0.3"), ("raw", "")
-    linked = value(finished, mine, "rank1", *moved)
-    assert linked == pytest.approx(value(finished, mine, "rank1", *raw), abs=0.02)
+    linked = value(finished, ours, "rank1", *moved)
+    assert linked == pytest.approx(value(finished, ours, "rank1", *raw), abs=0.02)
     shared = value(finished, "shared", "plr", *moved)
     assert shared < value(finished, "shared", "plr", *raw) - 0.1
 
 
 def test_verdict_and_design_question_are_answered(finished):
     verdict, said = finished.verdict, finished.said
-    sections = {one["section"] for one in verdict["items"]}
+    sections = {item["section"] for item in verdict["items"]}
     assert sections == {"validity", "within", "claim", "inflation"}
     assert all(sentence in said for sentence in verdict["answer"])
-    found = [one for one in verdict["items"] if one["section"] == "validity"]
-    assert {one["decision"] for one in found} == {"not testable"}
-    assert found[0]["sentence"] in " ".join(TEXT.split())
+    validity = [item for item in verdict["items"] if item["section"] == "validity"]
+    assert {item["decision"] for item in validity} == {"not testable"}
+    assert validity[0]["sentence"] in " ".join(TEXT.split())
     offset = [
-        gap for one in found for gap in one["contrasts"] if gap["mechanism"] == "offset"
+        gap
+        for item in validity
+        for gap in item["contrasts"]
+        if gap["mechanism"] == "offset"
     ]
     assert all(
         gap["evidence"] == "construction" and gap["reading"] == "differs"
@@ -135,14 +143,16 @@ def test_the_numbers_of_the_text_are_those_of_the_run(finished):
     }
     assert rows.keys() == places.keys()
     for name, at in places.items():
-        shown = [float(one) for one in rows[name].split("|")]
+        shown = [float(number) for number in rows[name].split("|")]
         plr = [
-            value(finished, one, "plr", *at) for one in ("shared", MINE, "kalman_rts")
+            value(finished, consumer, "plr", *at)
+            for consumer in ("shared", ATTACK, "kalman_rts")
         ]
         assert shown == pytest.approx(plr, abs=6e-4)
     text = " ".join(TEXT.split())
-    assert [one for one in finished.verdict["answer"] if one not in text] == []
+    missing = [line for line in finished.verdict["answer"] if line not in text]
+    assert missing == []
 
 
 def test_a_folder_can_be_redrawn_without_the_attack(finished):
-    assert MINE in set(build(finished.out).summary["consumer"])
+    assert ATTACK in set(build(finished.out).summary["consumer"])

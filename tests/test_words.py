@@ -1,4 +1,4 @@
-"""Plain English is a gate where everybody reads: sentence lengths, and the limits of the README.
+"""Plain English where everybody reads: lengths of sentences, and of the README.
 
 Words to avoid are listed, not refused: `pytest tests/test_words.py -s` prints them.
 """
@@ -23,13 +23,13 @@ from helpers.finished_runs import (
 from helpers.summaries import BAD, GOOD, RAW, SHIFTED, changed, write_run
 
 from evaluation.reporting.answers import answers
-from evaluation.reporting.design_words import answer_of, to_json
+from evaluation.reporting.design_words import answer_question, to_json
 from evaluation.reporting.first_screen import first_screen
 from evaluation.verdict.what_to_share import Question
 
 ROOT = Path(__file__).parent.parent
 PAGES: tuple[str, ...] = ("README.md",)
-"""Pages that must keep within the limits; README.md joins when its rewritten text lands."""
+"""Pages that must keep within the limits."""
 MOST_WORDS = 25
 MOST_LINES, MOST_COLUMNS = 120, 100
 AVOIDED = re.compile(
@@ -75,7 +75,7 @@ QUESTIONS = {
 
 
 def sentences(text):
-    """The sentences of a text: they end with a stop, a colon, a semicolon, or a paragraph."""
+    """The sentences of a text; they end with a stop, colon, semicolon or paragraph."""
     plain = re.sub(r"`[^`]*`", "CODE", text)
     paragraphs = re.split(r"\n\s*\n|\n(?=[-*|] )", plain)
     return [
@@ -93,7 +93,7 @@ def n_words(sentence):
 
 
 def too_long(text):
-    """Sentences with more words than anybody reads with ease."""
+    """Sentences with more than `MOST_WORDS` words."""
     return [sentence for sentence in sentences(text) if n_words(sentence) > MOST_WORDS]
 
 
@@ -113,14 +113,14 @@ def page_faults(page):
 
 
 def prose(page):
-    """A page of Markdown without code, tables, pictures, comments and the targets of links."""
+    """A page of Markdown without code, tables, pictures, comments and link targets."""
     text = re.sub(r"```.*?```|<!--.*?-->|!\[.*?\]\(.*?\)", "", page, flags=re.DOTALL)
     text = re.sub(r"^(\||#).*$", "\n", text, flags=re.MULTILINE)
     return re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", text)
 
 
 class TestTheMeasure:
-    def test_a_long_sentence_is_found_and_a_list_is_not(self):
+    def test_a_long_sentence_is_reported_and_a_list_is_not(self):
         long = "word " * (MOST_WORDS + 1)
         assert too_long(f"Short. {long}.") == [f"{long.strip()} ."]
         assert too_long("; ".join(["three short words"] * MOST_WORDS)) == []
@@ -169,7 +169,7 @@ def test_design_answers_in_short_sentences(name, tmp_path):
     for levels in ((RAW, GOOD, broken, BAD), (RAW, BAD, SHIFTED)):
         out = write_run(tmp_path / str(len(levels)), levels)
         question = Question(adding=("independent",), **QUESTIONS[name])
-        answer = to_json(answer_of(out, question))
+        answer = to_json(answer_question(out, question))
         text = "\n\n".join([answer["answer"], *answer["notes"]])
         list_avoided(f"design, {name}", text)
         assert too_long(text) == []

@@ -1,6 +1,7 @@
-"""Following people through the log of a fleet of robots, which holds no identities.
+"""Follow people through the log of a fleet of robots, which holds no identities.
 
-`pieces` joins answers that repeat a sample, `links` says how likely one piece goes on
-as another, `absence` what it tells that nothing was sent, `chains` joins pieces,
-`followed` scores them. docs/need-to-know.md explains the adversary.
+`pieces` joins answers that repeat a sample, `links` estimates how likely a piece goes
+on as another, `absence` counts evidence from silence, `chains` joins pieces, `logs`
+follows all people, `followed` scores the result. docs/explanation/need-to-know.md explains the
+adversary.
 """

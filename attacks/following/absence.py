@@ -1,7 +1,7 @@
-"""What it tells that nothing was sent: the adversary knows routes, times and the policy.
+"""Evidence from silence, for an adversary who knows routes, times and the policy.
 
 Had the same person walked from the end of one piece to the start of another, the policy
-would have sent her at some queries in between. It did not. Each such query speaks
+would have sent her at some queries in between. It did not. Each such query is evidence
 against the link.
 """
 
@@ -27,8 +27,8 @@ def contradictions(
 ) -> Floats:
     """Return at how many queries within its gap each link should have been sent, (C,).
 
-    The person is thought to walk straight from piece to piece, at constant speed. The
-    policy is asked about her as it is about everybody else, by each robot of the fleet.
+    The person is assumed to walk straight from piece to piece, at constant speed. The
+    policy decides about her as about any person, for each robot of the fleet.
     """
     query_s = patrol.scan_s[patrol.query_scan]
     left_s, right_s = pieces.end.t[links.before], pieces.start.t[links.after]
@@ -37,9 +37,8 @@ def contradictions(
     number, _ = stretches(first, sizes)
     link = np.repeat(np.arange(links.before.size), sizes)
     left = pieces.end.mean[links.before, :, 0]
-    velocity = (pieces.start.mean[links.after, :, 0] - left) / (right_s - left_s)[
-        :, None
-    ]
+    gap_s = right_s - left_s
+    velocity = (pieces.start.mean[links.after, :, 0] - left) / gap_s[:, None]
     place = left[link] + (query_s[number] - left_s[link])[:, None] * velocity[link]
     order = np.argsort(number, kind="stable")
     count = np.zeros(links.before.size)

@@ -1,8 +1,9 @@
-"""Chains: pieces joined one to the next, each at most once, as probable as can be.
+"""Join pieces of a log to chains, by the most probable assignment.
 
 Every piece has at most one successor and at most one predecessor. Among all such sets
-of links the assignment takes the one of largest product of odds against *she does not
-come back* (Jonker and Volgenant's algorithm on the sparse graph of candidates).
+of links the assignment takes that with the largest product of odds against *she does
+not come back*. It uses Jonker and Volgenant's algorithm on the sparse graph of
+candidates.
 """
 
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from isac_track.types import Bools, Floats, Ints
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Followed:
-    """What an adversary makes of the pieces of a log."""
+    """The chains that an adversary makes of the pieces of a log."""
 
     chain: Ints  # (K,) number of the chain of each piece.
     probability: Floats  # (C,) of each candidate link.
@@ -31,8 +32,8 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
     """Return the chains of a log.
 
     Weights for the pieces of one half of the people are learnt on the other half:
-    `is_first_half`, (K,), says whose they are. People who walk together belong to one
-    half.
+    `is_first_half`, (K,), tells the pieces of the first half. People who walk together
+    belong to one half.
     """
     is_next = true_links(pieces, links)
     probability = np.zeros(links.before.size)
@@ -44,12 +45,14 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
 
 
 def join(links: Links, probability: Floats) -> Ints:
-    """Return the chain of each piece, (K,), that probabilities of links, (C,), make."""
-    none = 1.0 - np.bincount(
+    """Return the chain of each piece, (K,), given probabilities of links, (C,)."""
+    stop_probability = 1.0 - np.bincount(
         links.before, weights=probability, minlength=links.n_pieces
     )
     with np.errstate(divide="ignore"):
-        odds = np.log(probability) - np.log(np.maximum(none[links.before], 1e-300))
+        odds = np.log(probability) - np.log(
+            np.maximum(stop_probability[links.before], 1e-300)
+        )
     chosen = _assigned(links, odds)
     graph = coo_array(
         (np.ones(chosen.size), (links.before[chosen], links.after[chosen])),
@@ -60,19 +63,22 @@ def join(links: Links, probability: Floats) -> Ints:
 
 
 def _assigned(links: Links, odds: Floats) -> Ints:
-    """Return the numbers of the links of the best assignment; log odds below 0 join nobody."""
+    """Return the numbers of the links of the best assignment.
+
+    A link of log odds below 0 is never chosen.
+    """
     useful = np.flatnonzero(odds > 0.0)
     if not useful.size:
         return useful
     n_pieces = links.n_pieces
-    # Each piece may also go nowhere, in a column of its own. A constant on every link
-    # of a row moves all full matchings alike, and keeps explicit weights apart from no
-    # link.
+    # Each piece may also have no successor: a column of its own. A constant added to
+    # every link of a row shifts all full matchings by the same cost. It keeps explicit
+    # weights of 0 distinct from missing links.
     most = float(odds[useful].max()) + 1.0
     rows = np.concatenate([links.before[useful], np.arange(n_pieces)])
     columns = np.concatenate([links.after[useful], n_pieces + np.arange(n_pieces)])
     costs = np.concatenate([most - odds[useful], np.full(n_pieces, most)])
-    # The oldest scipy that is supported takes indices of 32 bits alone.
+    # The oldest supported scipy takes indices of 32 bits only.
     places = rows.astype(np.int32), columns.astype(np.int32)
     graph = coo_array((costs, places), shape=(n_pieces, 2 * n_pieces)).tocsr()
     row, column = min_weight_full_bipartite_matching(graph)

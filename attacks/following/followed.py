@@ -16,7 +16,7 @@ from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
     effective_clusters,
-    estimate_of,
+    estimate_from_replicates,
 )
 from isac_track.patrols.intervals import (
     FEWEST_ROUTES,
@@ -35,14 +35,19 @@ _AT_A_TIME: Final = 200  # Replicates, of some megabytes each.
 def following_metrics(
     following: Following, *, group: tuple[str, ...], seed: int
 ) -> dict[str, Estimate]:
-    """Return the metrics of being followed, by name; `group` names each person's cluster.
+    """Return the metrics of being followed, by name.
 
-    - `known_share`: person-time at which a chain states a person's place within epsilon.
-    - `followed_s`: mean time within one pure chain, s; `followed_90_s`: its 90 % quantile;
-      `followed_ceiling_s`: the mean with true identities.
-    - `followed_10s`, `followed_30s`: share followed so long, of those present so long.
-    - `time_to_confusion_s`: mean time to confusion, s, up to `LONGEST_S`, of those seen.
-    - `confident_wrong_share`: of those seen, who end in a sure and wrong link.
+    `group` names each person's cluster. The metrics are:
+
+    - `known_share`: person-time at which a chain states a person's place within
+      epsilon.
+    - `followed_s`: mean time within one pure chain, s; `followed_90_s`: its 90 %
+      quantile; `followed_ceiling_s`: the mean with true identities.
+    - `followed_10s`, `followed_30s`: share followed so long, of people present so long.
+    - `time_to_confusion_s`: mean time to confusion, s, up to `LONGEST_S`, of the people
+      seen.
+    - `confident_wrong_share`: share of the people seen that end in a sure and wrong
+      link.
     """
     cluster = cluster_numbers(group)
     n_people, n_fleets = following.followed_s.shape
@@ -90,25 +95,23 @@ def _weighted_statistic(
 ) -> Estimate:
     """Return a statistic of weights, (B, N F) -> (B,), with its two-way interval.
 
-    `counted`, (N, F), weighs people and fleets before anything is drawn.
+    `counted`, (N, F), weighs people and fleets before replicates are drawn.
     """
     sizes = sum_clusters(counted, cluster)
     people, routes = two_way_weights(
         n_clusters=len(sizes), n_routes=sizes.shape[1], seed=seed
     )
-    values = []
+    parts = []
     for first in range(0, len(people), _AT_A_TIME):
         rows = slice(first, first + _AT_A_TIME)
         drawn = people[rows][:, cluster, None] * routes[rows][:, None, :] * counted
-        values.append(statistic(drawn.reshape(len(drawn), -1)))
-    drawn = np.concatenate(values)
-    effective, n = (
-        effective_clusters(sizes.sum(axis=1)),
-        int((sizes.sum(axis=1) > 0).sum()),
-    )
+        parts.append(statistic(drawn.reshape(len(drawn), -1)))
+    drawn = np.concatenate(parts)
+    effective = effective_clusters(sizes.sum(axis=1))
+    n = int((sizes.sum(axis=1) > 0).sum())
     if (sizes.sum(axis=0) > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         return Estimate(float(drawn[0]), n=n, replicates=drawn[1:], effective=effective)
-    return estimate_of(drawn, n=n, effective=effective)
+    return estimate_from_replicates(drawn, n=n, effective=effective)
 
 
 def _weighted_quantile(values: Floats, weights: Floats) -> Floats:
@@ -123,14 +126,13 @@ def _weighted_quantile(values: Floats, weights: Floats) -> Floats:
 def restricted_mean_s(
     until_s: Floats, is_event: Floats | Ints, weights: Floats
 ) -> Floats:
-    """Return the mean time to an event, up to `LONGEST_S`, under each row of weights, (B,) s.
+    """Return the mean time to an event under each row of weights, (B,) s.
 
-    It is the area under Kaplan and Meier's curve; times without an event, (K,), are
-    censored. NaN where nothing weighs anything.
+    It is the area under Kaplan and Meier's curve up to `LONGEST_S`; times without an
+    event, (K,), are censored. It is NaN where all weights are 0.
     """
-    order = np.lexsort(
-        (~np.asarray(is_event, dtype=bool), until_s)
-    )  # Events before censoring.
+    # Events before censoring.
+    order = np.lexsort((~np.asarray(is_event, dtype=bool), until_s))
     times, events = until_s[order], np.asarray(is_event, dtype=np.float64)[order]
     drawn = weights[:, order]
     at_risk = np.cumsum(drawn[:, ::-1], axis=1)[:, ::-1]

@@ -1,10 +1,11 @@
-"""How likely one piece of a log goes on as another: candidates, evidence, probabilities.
+"""Probability that a piece of a log goes on as another piece.
 
-The evidence of a pair is the log density of the later piece's first state under the
-earlier piece's last one, moved on over the gap at constant velocity. It is Student's t
-with five degrees of freedom: people turn and stop more than white noise does. A
-conditional logit over all later pieces, and over *she does not come back*, turns
-evidence into probabilities. Its few weights are learnt from other people.
+The earlier piece's last state is predicted over the gap at constant velocity. The
+evidence of a pair is the log density of the later piece's first state under this
+prediction. It is Student's t with five degrees of freedom: people turn and stop more
+than under white noise. A conditional logit over all later pieces, and over *she does
+not come back*, turns evidence into probabilities. Its few weights are learnt from other
+people.
 
 References
 ----------
@@ -22,10 +23,10 @@ from scipy.optimize import minimize
 from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints, stretches
 
-LONGEST_GAP_S: Final = 30.0  # Nobody's last state tells anything for longer.
+LONGEST_GAP_S: Final = 30.0  # A last state predicts nothing after a longer gap.
 MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
-# Keeps weights finite where training pieces are told apart without error.
+# Keeps weights finite where training pieces are separable without error.
 _RIDGE: Final = 1e-3
 _APART_S: Final = 1e-6
 _AT_A_TIME: Final = 500  # Pieces whose candidates are held in memory at once.
@@ -34,11 +35,11 @@ _LARGEST: Final = 500.0  # Exponent: a surer link than that is sure.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Links:
-    """C candidate links of K pieces: one may go on as the other, later one."""
+    """C candidate links of K pieces: a piece may go on as the other, later piece."""
 
     before: Ints  # (C,) number of the earlier piece, rising.
     after: Ints  # (C,) number of the later piece.
-    # (C, F): log density, 1, log gap, and what else is known of the gap.
+    # (C, F): log density, 1, log gap, and further evidence about the gap.
     features: Floats
     n_pieces: int
 
@@ -56,10 +57,10 @@ class Links:
 def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     """Return the pairs of pieces with at most `LONGEST_GAP_S` between end and start.
 
-    Of each earlier piece the `MOST_CANDIDATES` of largest density.
+    Each earlier piece keeps the `MOST_CANDIDATES` of largest density.
 
-    `begins`, (K,), says whose first state stands at the start of each piece: their own
-    ones by default, others in the shuffled control.
+    `begins`, (K,), is the piece whose first state stands at the start of each piece:
+    the piece itself by default, another one in the shuffled control.
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins
@@ -98,15 +99,17 @@ def _likeliest_links(pieces: Pieces, earlier: Ints, begins: Ints) -> Links:
 def _log_density(
     pieces: Pieces, before: Ints, after: Ints, begins: Ints
 ) -> tuple[Floats, Floats]:
-    """Return the log density of each pair up to a constant, and its gap in s, (C,) both."""
+    """Return the log density of each pair up to a constant, and its gap, s, (C,)."""
     gap_s = pieces.start.t[after] - pieces.end.t[before]
     mean, cov = pieces.end.mean[before], pieces.end.cov[before]
     moved = mean[..., 0] + gap_s[:, None] * mean[..., 1]
-    off = pieces.start.mean[begins[after]] - np.stack([moved, mean[..., 1]], axis=-1)
+    difference = pieces.start.mean[begins[after]] - np.stack(
+        [moved, mean[..., 1]], axis=-1
+    )
     # F P F' + Q + P' of constant velocity, of either axis.
     other = pieces.start.cov[begins[after]]
     velocity = cov[:, 1, 1] + Q * gap_s + other[:, 1, 1]
-    both = cov[:, 0, 1] + gap_s * cov[:, 1, 1] + Q * gap_s**2 / 2.0 + other[:, 0, 1]
+    cross = cov[:, 0, 1] + gap_s * cov[:, 1, 1] + Q * gap_s**2 / 2.0 + other[:, 0, 1]
     position = (
         cov[:, 0, 0]
         + 2.0 * gap_s * cov[:, 0, 1]
@@ -114,11 +117,11 @@ def _log_density(
         + Q * gap_s**3 / 3.0
         + other[:, 0, 0]
     )
-    determinant = position * velocity - both**2
+    determinant = position * velocity - cross**2
     square = (
-        velocity[:, None] * off[..., 0] ** 2
-        - 2.0 * both[:, None] * off[..., 0] * off[..., 1]
-        + position[:, None] * off[..., 1] ** 2
+        velocity[:, None] * difference[..., 0] ** 2
+        - 2.0 * cross[:, None] * difference[..., 0] * difference[..., 1]
+        + position[:, None] * difference[..., 1] ** 2
     ).sum(axis=1) / determinant
     dimensions = 4.0  # Position and velocity on two axes.
     density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(
@@ -135,9 +138,8 @@ def true_links(pieces: Pieces, links: Links) -> Bools:
 
 def next_pieces(pieces: Pieces) -> Ints:
     """Return the next piece of the same person, (K,); -1 for her last."""
-    order = np.argsort(
-        pieces.person, kind="stable"
-    )  # Within a person in the order of starts.
+    # Within a person in the order of starts.
+    order = np.argsort(pieces.person, kind="stable")
     following = np.full(len(pieces), -1)
     same = np.diff(pieces.person[order]) == 0
     following[order[:-1][same]] = order[1:][same]
@@ -147,8 +149,8 @@ def next_pieces(pieces: Pieces) -> Ints:
 def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
     """Return the weights of the features, (F,), learnt from some earlier pieces, (K,).
 
-    They maximise the likelihood of which piece comes next, or that none does. Without a
-    candidate among `learn_from` no link is believed.
+    They maximise the likelihood of the next piece, or of having none. Without a true
+    link among `learn_from` every link gets probability 0.
     """
     n_features = links.features.shape[1]
     rows = learn_from[links.before]
@@ -176,7 +178,10 @@ def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
 
 
 def _softmax(value: Floats, before: Ints, n_pieces: int) -> tuple[Floats, Floats]:
-    """Return exp(value) summed with 1 for *none*, (K,), and each candidate's share of it, (C,)."""
+    """Return the sums of exp(value), (K,), and each candidate's share of its sum, (C,).
+
+    A sum includes 1 for *none*.
+    """
     weight = np.exp(np.minimum(value, _LARGEST))
     total = 1.0 + np.bincount(before, weights=weight, minlength=n_pieces)
     return np.asarray(total), np.asarray(weight / total[before])
@@ -185,8 +190,7 @@ def _softmax(value: Floats, before: Ints, n_pieces: int) -> tuple[Floats, Floats
 def probabilities(links: Links, weights: Floats) -> Floats:
     """Return the probability that each candidate is the next piece of its person, (C,).
 
-    What is left of 1 for an earlier piece is the probability that she does not come
-    back.
+    The rest to 1, for an earlier piece, is the probability that she does not come back.
     """
     _, share = _softmax(links.features @ weights, links.before, links.n_pieces)
     return share
@@ -194,13 +198,13 @@ def probabilities(links: Links, weights: Floats) -> Floats:
 
 def entropy_bits(links: Links, probability: Floats) -> Floats:
     """Return the entropy over a piece's candidates and *none*, (K,) bits."""
-    none = 1.0 - np.bincount(
+    stop_probability = 1.0 - np.bincount(
         links.before, weights=probability, minlength=links.n_pieces
     )
     bits = np.bincount(
         links.before, weights=_surprise(probability), minlength=links.n_pieces
     )
-    return np.asarray(bits + _surprise(np.clip(none, 0.0, 1.0)))
+    return np.asarray(bits + _surprise(np.clip(stop_probability, 0.0, 1.0)))
 
 
 def _surprise(probability: Floats) -> Floats:

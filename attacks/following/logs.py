@@ -1,4 +1,4 @@
-"""Follow everybody through the logs of all fleets of a patrol, and score it by the truth."""
+"""Follow people through the logs of all fleets of a patrol, scored by the truth."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ import numpy as np
 from attacks.following.absence import contradictions
 from attacks.following.chains import Followed, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
-from attacks.following.pieces import Pieces, pieces_of_fleet
+from attacks.following.pieces import Pieces, collect_pieces
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Disclosure, Network
@@ -22,7 +22,7 @@ from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 CONFUSED_BITS: Final = 0.4
 """Entropy from which an adversary counts as confused (Hoh et al., CCS 2007)."""
-_LEAST_PROBABILITY: Final = 1e-3  # Of links that are worth asking the policy about.
+_LEAST_PROBABILITY: Final = 1e-3  # Of links for which the policy is consulted.
 
 
 class Ending(IntEnum):
@@ -30,13 +30,13 @@ class Ending(IntEnum):
 
     UNSEEN = 0  # There is no answer about her.
     LEFT = 1  # She has no further answer; the adversary was never confused nor wrong.
-    CONFUSED = 2  # Too many candidates to tell.
-    WRONG = 3  # Sure of a wrong one.
+    CONFUSED = 2  # There are too many likely candidates.
+    WRONG = 3  # The adversary is sure of a wrong candidate.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Following:
-    """How long F fleets follow N people by what their logs say."""
+    """How long F fleets follow N people by their logs."""
 
     present_s: Floats  # (N,) between the first and the last instant of a walk.
     ceiling_s: Floats  # (N, F) between the first and the last answer about a person.
@@ -44,12 +44,12 @@ class Following:
     until_s: Floats  # (N, F) from the first answer until `ending`.
     ending: Ints  # (N, F) an `Ending`.
     instants: Ints  # (N,) of the grid.
-    known: Ints  # (N, F) instants at which a chain of hers states her place.
+    known: Ints  # (N, F) instants at which a person's chain states her place.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _FleetFollowing:
-    """What one fleet's log lets an adversary follow of N people; see `Following`."""
+    """How long one fleet's log lets an adversary follow N people; see `Following`."""
 
     ceiling_s: Floats
     followed_s: Floats
@@ -78,37 +78,27 @@ def follow_fleets(
     change places among all pieces.
     """
     patrol = network.patrol
-    by_log: dict[
-        bytes, _FleetFollowing
-    ] = {}  # Of this call alone: fleets often hold equal logs.
+    # Results by log, for this call alone: fleets often hold equal logs.
+    by_log: dict[bytes, _FleetFollowing] = {}
     fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
         key = _answers_key(disclosure, robots)
         if knows_policy is not None:
-            key += str(fleet).encode()  # Routes tell who should have been sent.
+            # The result depends on the routes, too: they decide who should be sent.
+            key += str(fleet).encode()
         if key not in by_log:
-            pieces = pieces_of_fleet(network, disclosure, robots=robots)
-            rng = stream(seed, "following", "shuffled")
-            begins = rng.permutation(len(pieces)) if shuffled else None
-            links, followed = _follow_log(
-                patrol,
-                pieces,
-                begins=begins,
-                robots=robots,
-                policy=knows_policy,
-                seed=seed,
-            )
-            known = _known_by_chains(
+            by_log[key] = _follow_fleet(
                 network,
                 disclosure,
-                pieces,
-                followed,
+                robots,
                 estimator=estimator,
                 guesses=guesses,
                 epsilon_m=epsilon_m,
+                seed=seed,
+                policy=knows_policy,
+                shuffled=shuffled,
             )
-            by_log[key] = _fleet_following(pieces, links, followed, known)
         fleets.append(by_log[key])
     t, offsets = patrol.grid.t, patrol.grid.offsets
     return Following(
@@ -122,10 +112,53 @@ def follow_fleets(
     )
 
 
+def _follow_fleet(
+    network: Network,
+    disclosure: Disclosure,
+    robots: Ints,
+    *,
+    estimator: str,
+    guesses: Floats,
+    epsilon_m: float,
+    seed: int,
+    policy: Policy | None,
+    shuffled: bool,
+) -> _FleetFollowing:
+    """Follow people through the log of one fleet; parameters as of `follow_fleets`."""
+    pieces = collect_pieces(network, disclosure, robots=robots)
+    rng = stream(seed, "following", "shuffled")
+    begins = rng.permutation(len(pieces)) if shuffled else None
+    links, followed = _follow_log(
+        network.patrol,
+        pieces,
+        begins=begins,
+        robots=robots,
+        policy=policy,
+        seed=seed,
+    )
+    known = _known_by_chains(
+        network,
+        disclosure,
+        pieces,
+        followed,
+        estimator=estimator,
+        guesses=guesses,
+        epsilon_m=epsilon_m,
+    )
+    n_people = known.size
+    ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=n_people)
+    until_s, ending = _until_confused(
+        pieces, links, followed.probability, n_people=n_people
+    )
+    return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
+
+
 def _answers_key(disclosure: Disclosure, robots: Ints) -> bytes:
-    """Return what logs with equal answers have in common, whichever robots received them."""
-    ours = np.isin(disclosure.robot, robots)
-    runs = np.stack([disclosure.presence, disclosure.first, disclosure.end])[:, ours]
+    """Return a key that logs with equal answers share, whichever robots hold them."""
+    received = np.isin(disclosure.robot, robots)
+    runs = np.stack([disclosure.presence, disclosure.first, disclosure.end])[
+        :, received
+    ]
     return np.unique(runs, axis=1).tobytes()
 
 
@@ -138,7 +171,7 @@ def _follow_log(
     policy: Policy | None,
     seed: int,
 ) -> tuple[Links, Followed]:
-    """Return the candidate links of a log and what the adversary makes of them."""
+    """Return the candidate links of a log and the adversary's chains."""
     half = _first_half(patrol.people.group)[pieces.person]
     links = candidate_links(pieces, begins=begins)
     followed = follow(pieces, links, is_first_half=half)
@@ -152,18 +185,9 @@ def _follow_log(
     return links, follow(pieces, links, is_first_half=half)
 
 
-def _fleet_following(
-    pieces: Pieces, links: Links, followed: Followed, known: Ints
-) -> _FleetFollowing:
-    ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=known.size)
-    until_s, ending = _until_confused(
-        pieces, links, followed.probability, n_people=known.size
-    )
-    return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
-
-
+# DEL
 def _first_half(group: tuple[str, ...]) -> Bools:
-    """Return who belongs to the first half of the people, (N,), by a hash of the group."""
+    """Return whether each person is in the first half, (N,), by a hash of the group."""
     return np.array(
         [sha256(name.encode()).digest()[0] % 2 == 0 for name in group], dtype=bool
     )
@@ -172,7 +196,7 @@ def _first_half(group: tuple[str, ...]) -> Bools:
 def _pure_chains(
     pieces: Pieces, chain: Ints, *, n_people: int
 ) -> tuple[Floats, Floats]:
-    """Return the time between first and last answer, of all and of one pure chain, (N,) s."""
+    """Return the times from first to last answer, and in a pure chain, (N,) s."""
     ceiling_s, followed_s = np.zeros(n_people), np.zeros(n_people)
     if not len(pieces):
         return ceiling_s, followed_s
@@ -188,7 +212,7 @@ def _pure_chains(
 
 
 def _spans(pieces: Pieces, label: Ints, n_labels: int) -> Floats:
-    """Return the time from the first start to the last end of the pieces of each label."""
+    """Return the time from first start to last end of the pieces of each label."""
     first, last = np.full(n_labels, np.inf), np.full(n_labels, -np.inf)
     np.minimum.at(first, label, pieces.start.t)
     np.maximum.at(last, label, pieces.end.t)
@@ -198,17 +222,22 @@ def _spans(pieces: Pieces, label: Ints, n_labels: int) -> Floats:
 def _until_confused(
     pieces: Pieces, links: Links, probability: Floats, *, n_people: int
 ) -> tuple[Floats, Ints]:
-    """Return the time from a person's first answer to the end of certainty, and that ending."""
+    """Return the time from first answer to `Ending` of each person, and the ending."""
     following = next_pieces(pieces)
     bits = entropy_bits(links, probability)
-    none = 1.0 - np.bincount(links.before, weights=probability, minlength=len(pieces))
-    hers = following[links.before] == links.after
-    right = np.zeros(len(pieces))
-    right[links.before[hers]] = probability[hers]
+    stop_probability = 1.0 - np.bincount(
+        links.before, weights=probability, minlength=len(pieces)
+    )
+    is_next = following[links.before] == links.after
+    true_probability = np.zeros(len(pieces))
+    true_probability[links.before[is_next]] = probability[is_next]
     best = np.zeros(len(pieces))
     np.maximum.at(best, links.before, probability)
-    is_right = right > np.maximum(none, np.where(right < best, best, 0.0))
-    ending = np.full(len(pieces), Ending.UNSEEN)  # Here: she is followed on.
+    is_right = true_probability > np.maximum(
+        stop_probability, np.where(true_probability < best, best, 0.0)
+    )
+    # For a piece, UNSEEN means that the adversary follows on.
+    ending = np.full(len(pieces), Ending.UNSEEN)
     ending[~is_right] = Ending.WRONG
     ending[bits > CONFUSED_BITS] = Ending.CONFUSED
     ending[following < 0] = Ending.LEFT
@@ -234,10 +263,10 @@ def _known_by_chains(
     guesses: Floats,
     epsilon_m: float,
 ) -> Ints:
-    """Return the instants of each person at which a chain of hers states her place, (N,).
+    """Return how many instants of each person have her place known by a chain, (N,).
 
-    A chain belongs to the person who has most of its samples. Where she has several,
-    the nearest in time speaks.
+    A chain belongs to the person who has most of its samples. Of several chains of a
+    person the nearest in time counts.
     """
     grid = network.patrol.grid
     stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
@@ -284,7 +313,7 @@ def _chain_log(
 
 
 def _owners(pieces: Pieces, chain: Ints) -> Ints:
-    """Return the person who has most samples of each chain; of equals the first in rows."""
+    """Return the person who has most samples of each chain; of equals the first row."""
     size = np.diff(pieces.offsets)
     pairs, row = np.unique(
         np.stack([chain, pieces.person]), axis=1, return_inverse=True
@@ -296,20 +325,20 @@ def _owners(pieces: Pieces, chain: Ints) -> Ints:
 
 
 def _instants_of_chains(patrol: Patrol, log: Log, owner: Ints) -> tuple[Ints, Ints]:
-    """Return the instants of people who own a chain, and the chain of each that is nearest."""
+    """Return the instants of people who own a chain, and the nearest chain of each."""
     start_s, end_s = log.t[log.offsets[:-1]], log.t[log.offsets[1:] - 1]
     rows, chains = [], []
-    for person, hers in _by_owner(owner):
+    for person, owned in _by_owner(owner):
         row = np.arange(patrol.grid.offsets[person], patrol.grid.offsets[person + 1])
         t = patrol.grid.t[row][:, None]
-        away_s = np.maximum(np.maximum(start_s[hers] - t, t - end_s[hers]), 0.0)
+        away_s = np.maximum(np.maximum(start_s[owned] - t, t - end_s[owned]), 0.0)
         rows.append(row)
-        chains.append(hers[away_s.argmin(axis=1)])
+        chains.append(owned[away_s.argmin(axis=1)])
     return np.concatenate(rows), np.concatenate(chains)
 
 
 def _by_owner(owner: Ints) -> Iterator[tuple[int, Ints]]:
     """Yield each person who owns a chain, and her chains."""
     order = np.argsort(owner, kind="stable")
-    people, begins = np.unique(owner[order], return_index=True)
-    yield from zip(people.tolist(), np.split(order, begins[1:]), strict=True)
+    people, first_rows = np.unique(owner[order], return_index=True)
+    yield from zip(people.tolist(), np.split(order, first_rows[1:]), strict=True)

@@ -1,8 +1,8 @@
-"""Pieces of walks in a log: answers that repeat a sample are of one person.
+"""Pieces of walks in a log: answers that repeat a sample belong to one person.
 
 Pseudonyms are fresh in every answer. Errors are continuous, so no two people share a
-sample: an adversary joins two answers that repeat one without doubt. A window longer
-than the time between two queries therefore chains itself.
+sample: an adversary joins two answers with a common sample without doubt. A window
+longer than the time between two queries therefore yields a chain by itself.
 """
 
 from dataclasses import dataclass
@@ -49,19 +49,17 @@ class Pieces:
         return self.person.size
 
 
-def pieces_of_fleet(
-    network: Network, disclosure: Disclosure, *, robots: Ints
-) -> Pieces:
+def collect_pieces(network: Network, disclosure: Disclosure, *, robots: Ints) -> Pieces:
     """Return the pieces that the log of some robots of a fleet holds.
 
-    A `flag` has none. A `state` is a piece of its own at the instant of its query: no
-    later state repeats it.
+    A `flag` has no pieces. A `state` is a piece of its own at the instant of its query:
+    no later state repeats it.
     """
-    ours = np.flatnonzero(np.isin(disclosure.robot, robots))
+    received = np.flatnonzero(np.isin(disclosure.robot, robots))
     if disclosure.form == "flag":
-        ours = ours[:0]
-    presence = disclosure.presence[ours]
-    first, end = disclosure.first[ours], disclosure.end[ours]
+        received = received[:0]
+    presence = disclosure.presence[received]
+    first, end = disclosure.first[received], disclosure.end[received]
     label = _joined_runs(presence=presence, first=first, end=end)
     sample, piece = _samples_of_pieces(first, end, label)
     begins = np.searchsorted(piece, np.arange(int(label.max(initial=-1)) + 1))
@@ -83,16 +81,17 @@ def pieces_of_fleet(
 
 
 def _joined_runs(*, presence: Ints, first: Ints, end: Ints) -> Ints:
-    """Return the piece of each run of samples, (A,): runs of one answer, or with a common sample.
+    """Return the piece of each run of samples, (A,).
 
-    Two robots that ask at once get the same samples of a person, which join them.
+    Runs of one answer, or with a common sample, are one piece. Two robots that ask at
+    once get the same samples of a person, which join their runs.
     """
     if not first.size:
         return np.zeros(0, dtype=np.int64)
     by_start = np.lexsort((end, first))
     reached = np.maximum.accumulate(end[by_start])
-    # Samples of different people have different numbers: only one person's runs
-    # overlap.
+    # Samples of different people have different numbers: runs that overlap are of one
+    # person.
     overlaps = first[by_start][1:] < reached[:-1]
     by_answer = np.argsort(presence, kind="stable")
     is_same = np.diff(presence[by_answer]) == 0
@@ -106,7 +105,7 @@ def _joined_runs(*, presence: Ints, first: Ints, end: Ints) -> Ints:
 
 
 def _samples_of_pieces(first: Ints, end: Ints, label: Ints) -> tuple[Ints, Ints]:
-    """Return each piece's samples once, and the piece of each, (L,) both, piece by piece."""
+    """Return each piece's samples once, and the piece of each sample, (L,)."""
     sample, _ = stretches(first, end - first)
     piece = np.repeat(label, end - first)
     pairs = np.unique(np.stack([piece, sample]), axis=1)
@@ -123,8 +122,7 @@ def _end_states(
         return nothing, nothing
     variance = np.maximum(declared_variance(network), MIN_VARIANCE_M2)
     if disclosure.form == "state":
-        # The answer is the network's filter over all history that it shares of a
-        # person.
+        # The answer is the network's filter over a person's whole shared history.
         begins = network.patrol.people.offsets[
             np.searchsorted(network.patrol.people.offsets, sample, side="right") - 1
         ]

@@ -1,1 +1,1 @@
-"""Linkage attacks: whose release is it? One attack a file."""
+"""Linkage attacks: find the tracks of one person in two releases. One file each."""

@@ -1,7 +1,7 @@
-"""Compiled loops of the linkage attacks: what they do walk by walk or pair by pair.
+"""Compiled loops of the linkage attacks, walk by walk or pair by pair.
 
-A pair's result does not hang on who else is there, but for the rounding of matrix
-products.
+Apart from the rounding of matrix products, a pair's result does not depend on other
+walks.
 """
 
 from math import log, log1p
@@ -20,18 +20,18 @@ from isac_track.compiling import (
 )
 from isac_track.types import Floats, Ints
 
-_Three: TypeAlias = tuple[float, float, float]
+_Triple: TypeAlias = tuple[float, float, float]
 _Fits: TypeAlias = tuple[Floats, Floats, Floats]
 _Lags: TypeAlias = tuple[int, int, int]
-_THREE, _LAGS = together(*[FLOAT] * 3), together(*[INT] * 3)
-_SIDES, _FITS = together(*[read(3)] * 2), together(*[read(1)] * 3)
+_TRIPLE, _LAGS = together(FLOAT, FLOAT, FLOAT), together(INT, INT, INT)
+_SIDES, _FITS = together(read(3), read(3)), together(read(1), read(1), read(1))
 
 
-@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), _THREE, written(3))
+@compiled(read(1), read(2), read(1, "int64"), read(1, "int64"), _TRIPLE, written(3))
 def cell_means(
-    t: Floats, xy: Floats, offsets: Ints, count: Ints, times_s: _Three, out: Floats
+    t: Floats, xy: Floats, offsets: Ints, count: Ints, times_s: _Triple, out: Floats
 ) -> None:
-    """Fill `out` (N, K, 2) with the means over the cells of a grid; see `signals.on_grid`."""
+    """Fill `out` (N, K, 2) with means over grid cells; see `signals.on_grid`."""
     step_s, longest_s, least_s = times_s
     out[:] = 0.0
     for row in range(count.size):
@@ -42,41 +42,42 @@ def cell_means(
         start_s = max((min(lasts_s, longest_s) - count[row] * step_s) / 2.0, 0.0)
         k = first
         for cell in range(count[row]):
-            at_s = min(start_s + cell * step_s, lasts_s)
+            from_s = min(start_s + cell * step_s, lasts_s)
             until_s = min(start_s + (cell + 1) * step_s, lasts_s)
-            width_s = max(until_s - at_s, least_s)
+            width_s = max(until_s - from_s, least_s)
             x, y = 0.0, 0.0
-            while at_s < until_s:
-                while k < last - 1 and t[k + 1] - t[first] <= at_s:
+            while from_s < until_s:
+                while k < last - 1 and t[k + 1] - t[first] <= from_s:
                     k += 1
                 since_s = t[k] - t[first]
                 end_s = min(t[k + 1] - t[first], until_s) if k < last - 1 else until_s
-                # The line through two samples, in the middle of what lies in the cell.
-                share = ((at_s + end_s) / 2.0 - since_s) / (t[k + 1] - t[k])
-                x += (end_s - at_s) * (
+                # The line through two samples, at the middle of its part in the cell.
+                share = ((from_s + end_s) / 2.0 - since_s) / (t[k + 1] - t[k])
+                x += (end_s - from_s) * (
                     xy[k, 0] - xy[first, 0] + share * (xy[k + 1, 0] - xy[k, 0])
                 )
-                y += (end_s - at_s) * (
+                y += (end_s - from_s) * (
                     xy[k, 1] - xy[first, 1] + share * (xy[k + 1, 1] - xy[k, 1])
                 )
-                at_s = end_s
+                from_s = end_s
             out[row, cell, 0], out[row, cell, 1] = x / width_s, y / width_s
 
 
 @compiled(read(2), read(2), read(2), read(2), written(2))
 def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) -> None:
-    """Fill `out` (P, G) with the sum of f(a + b) - f(a) - f(b), f(x) = x log x, of (P, K), (G, K).
+    """Fill `out` (P, G) with the sum over K cells of f(a + b) - f(a) - f(b).
 
-    Where either is 0 the term is, and most are: they are passed over.
+    Here f(x) = x log x, with counts a (P, K) and b (G, K). A term is 0 where either
+    count is 0, as most are: the loop skips it.
     """
     for i in range(a.shape[0]):
-        some = np.flatnonzero(a[i] > 0.0)
+        occupied = np.flatnonzero(a[i] > 0.0)
         for j in range(b.shape[0]):
             total = 0.0
-            for k in some:
+            for k in occupied:
                 if b[j, k] > 0.0:
-                    both = a[i, k] + b[j, k]
-                    total += both * log(both) - f_a[i, k] - f_b[j, k]
+                    total_count = a[i, k] + b[j, k]
+                    total += total_count * log(total_count) - f_a[i, k] - f_b[j, k]
             out[i, j] = total
 
 
@@ -84,15 +85,16 @@ def shared_cells(a: Floats, b: Floats, f_a: Floats, f_b: Floats, out: Floats) ->
 def warp(
     probe: Floats, gallery: Floats, reach: int, loose: int, penalty: float, out: Floats
 ) -> None:
-    """Fill `out` (P, G) with the least sums of squares under warping; see `dtw.warped_costs`.
+    """Fill `out` (P, G) with least sums of squares; see `dtw.warped_costs`.
 
-    Of (C, n, P) and (C, m, G) signals, with cells ``-reach - max(n - m, 0) <= j - i <=
-    reach + max(m - n, 0)`` and up to `loose` cells of either left out at either end.
+    The signals are (C, n, P) and (C, m, G). Cell i may meet cell j if ``-reach - max(n
+    - m, 0) <= j - i <= reach + max(m - n, 0)``. Up to `loose` cells of either signal
+    may be left out at either end.
     """
     channels, n, n_probe = probe.shape
     _, m, n_gallery = gallery.shape
     back, ahead = reach + max(n - m, 0), reach + max(m - n, 0)
-    # Cell 0 is before the first; that m + 1 is out of reach for whoever looks there.
+    # Cell 0 is before the first; cell m + 1 counts as out of reach.
     rows = np.empty((2, m + 2, n_gallery))
     cost = np.empty(n_gallery)
     for p in range(n_probe):
@@ -101,34 +103,36 @@ def warp(
         rows[:] = np.inf
         rows[0, : loose + 1] = 0.0
         for i in range(1, n + 1):
-            before, here = rows[(i - 1) % 2], rows[i % 2]
+            previous, current = rows[(i - 1) % 2], rows[i % 2]
             low, high = max(i - back, 1), min(i + ahead, m)
-            here[low - 1] = 0.0 if low == 1 and i <= loose else np.inf
+            current[low - 1] = 0.0 if low == 1 and i <= loose else np.inf
             for j in range(low, high + 1):
                 cost[:] = 0.0
                 for c in range(channels):
                     own, other = probe[c, i - 1, p], gallery[c, j - 1]
                     for g in range(n_gallery):
                         cost[g] += (own - other[g]) * (own - other[g])
-                on, up, left, to = before[j - 1], before[j], here[j - 1], here[j]
+                diagonal, above = previous[j - 1], previous[j]
+                left, target = current[j - 1], current[j]
                 for g in range(n_gallery):
-                    aside = min(left[g], up[g])
-                    aside += penalty
-                    to[g] = cost[g] + min(on[g], aside)
+                    detour = min(left[g], above[g])
+                    detour += penalty
+                    target[g] = cost[g] + min(diagonal[g], detour)
                 if (i == n and j >= m - loose) or (j == m and i >= n - loose):
                     for g in range(n_gallery):
-                        least[g] = min(least[g], to[g])
-            here[high + 1] = np.inf
+                        least[g] = min(least[g], target[g])
+            current[high + 1] = np.inf
 
 
 @part_of_loop
 def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floats]:
-    """Project cells from `start` on of (C, K, N) signals on a basis (R, m): (C R, N), squares."""
+    """Project m cells from `start` on of (C, K, N) signals on a basis (R, m).
+
+    Return the projections, (C R, N), and their sums of squares, (N,).
+    """
     rank, m = basis.shape
-    parts, square = (
-        np.empty((len(signals) * rank, signals.shape[2])),
-        np.zeros(signals.shape[2]),
-    )
+    parts = np.empty((len(signals) * rank, signals.shape[2]))
+    square = np.zeros(signals.shape[2])
     for c in range(len(signals)):
         np.dot(basis, signals[c, start : start + m], parts[c * rank : (c + 1) * rank])
     for part in parts:
@@ -141,15 +145,13 @@ def _projected(signals: Floats, start: int, basis: Floats) -> tuple[Floats, Floa
 def least_costs(
     sides: tuple[Floats, Floats], fits: _Fits, begin: Ints, lags: _Lags, out: Floats
 ) -> None:
-    """Fill `out` (E, P, G) with the least cost over all lags; see `signals.aligned_costs`.
+    """Fill `out` (E, P, G) with least costs over lags; see `signals.aligned_costs`.
 
     `weight` is the factor of an overlap of 1 cell, 2 cells and so on.
     """
-    (probe, gallery), (basis, floors, weight), (reach, least, rotated) = (
-        sides,
-        fits,
-        lags,
-    )
+    probe, gallery = sides
+    basis, floors, weight = fits
+    reach, least, rotated = lags
     long_p, long_g, n_gallery = probe.shape[1], gallery.shape[1], gallery.shape[2]
     longest = min(long_p, long_g)
     gap = np.empty(n_gallery)
@@ -161,19 +163,18 @@ def least_costs(
         m = min(long_p - start_p, long_g - start_g)
         if m < min(least, longest):
             continue
-        here = basis[begin[m] : begin[m + 1]].reshape(-1, m)
-        p_parts, p_square = _projected(probe, start_p, here)
-        g_parts, g_square = _projected(gallery, start_g, here)
+        projection = basis[begin[m] : begin[m + 1]].reshape(-1, m)
+        p_parts, p_square = _projected(probe, start_p, projection)
+        g_parts, g_square = _projected(gallery, start_g, projection)
         dots = crosses = np.dot(p_parts.T, g_parts)
         if rotated:
-            turned, rank = np.empty_like(p_parts), len(here)
+            turned, rank = np.empty_like(p_parts), len(projection)
             turned[:rank], turned[rank:] = p_parts[rank:], -p_parts[:rank]
             crosses = np.dot(turned.T, g_parts)
         for i in range(p_square.size):
             own, scale, dot, cross = p_square[i], weight[m - 1] / m, dots[i], crosses[i]
             if rotated:
-                # The modulus of a b*: the rotation that fits best, which no reflection
-                # can enter.
+                # The modulus of a b* is that of the best rotation, without reflection.
                 for j in range(n_gallery):
                     modulus = np.sqrt(dot[j] * dot[j] + cross[j] * cross[j])
                     gap[j] = max(own + g_square[j] - 2.0 * modulus, 0.0) * scale
@@ -181,22 +182,22 @@ def least_costs(
                 for j in range(n_gallery):
                     gap[j] = max(own + g_square[j] - 2.0 * dot[j], 0.0) * scale
             for e in range(floors.size):
-                best, more = out[e, i], floors[e] * weight[m - 1]
+                best, added = out[e, i], floors[e] * weight[m - 1]
                 for j in range(n_gallery):
-                    best[j] = min(best[j], gap[j] + more)
+                    best[j] = min(best[j], gap[j] + added)
 
 
-@compiled(read(1), read(3), read(3), FLOAT, _THREE, FLOAT, written(2))
-def continued(
+@compiled(read(1), read(3), read(3), FLOAT, _TRIPLE, FLOAT, written(2))
+def continuation_densities(
     until_s: Floats,
     mean: Floats,
     cov: Floats,
     q: float,
-    gap: _Three,
+    gap: _Triple,
     tail: float,
     out: Floats,
 ) -> None:
-    """Fill `out` (P, G) with the log density of continuations; see `kinematic.continuations`.
+    """Fill `out` (P, G) with log densities; see `kinematic.continuations`.
 
     The states are those of P probes and then, back in time, of G gallery walks.
     """
@@ -211,17 +212,19 @@ def continued(
         gap_s = min(max(gap_s, -longest_s), longest_s)
         grown = q * abs(gap_s)
         p00, p01, p11 = cov[i, 0, 0], cov[i, 0, 1], cov[i, 1, 1]
-        place = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s * gap_s / 3.0
-        place += cov[other, 0, 0]
-        both = p01 + gap_s * p11 + grown * gap_s / 2.0 - cov[other, 0, 1]
-        pace = p11 + grown + cov[other, 1, 1]
-        determinant = place * pace - both * both
+        position = p00 + gap_s * (2.0 * p01 + gap_s * p11) + grown * gap_s * gap_s / 3.0
+        position += cov[other, 0, 0]
+        cross = p01 + gap_s * p11 + grown * gap_s / 2.0 - cov[other, 0, 1]
+        velocity = p11 + grown + cov[other, 1, 1]
+        determinant = position * velocity - cross * cross
         square = 0.0
         for axis in range(2):
             off = mean[i, axis, 0] + gap_s * mean[i, axis, 1] - mean[other, axis, 0]
             drift = mean[i, axis, 1] + mean[other, axis, 1]
-            square += (pace * off - 2.0 * both * drift) * off + place * drift * drift
-        # Of four dimensions.
+            square += (
+                velocity * off - 2.0 * cross * drift
+            ) * off + position * drift * drift
+        # Student's t in four dimensions.
         out[i, j] = -log(determinant) - (tail + 4.0) / 2.0 * log1p(
             square / determinant / tail
         )

@@ -1,4 +1,4 @@
-"""Who walks like this, moment for moment? The least distance over all alignments in time."""
+"""Link walks by shape or profile: the least distance over all alignments in time."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -7,9 +7,14 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker
-from attacks.linkage.signals import aligned_costs, factors, motion_of, on_grid
-from attacks.parameters import positive, tried
+from attacks.linkage.learning import learn_parameters, make_linker
+from attacks.linkage.signals import (
+    aligned_costs,
+    on_grid,
+    release_motion,
+    width_factors,
+)
+from attacks.parameters import candidate_values, require_positive
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
 
@@ -20,17 +25,17 @@ _TAUGHT_BY = 80
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Least mean squared distance of two paths over shift, rotation and lag; no reflection.
+    """Least mean squared distance of two paths over shift, rotation and lag.
 
-    For every lag, that of the overlapping stretches a and b (complex, less their means,
-    projected on polynomials of degree up to `rank`: beyond is little but noise) after
-    the rotation that fits best is d = (|a|^2 + |b|^2 - 2 |a b*|) / m with m the cells
-    of the overlap. The score is -log of the least ``(d + floor) (L / m)^3`` over the
-    lags, L the cells of 12 s.
+    Let a and b be the overlapping stretches at one lag: complex, less their means,
+    projected on polynomials of degree up to `rank` (beyond is little but noise). After
+    the best rotation, without reflection, their distance is d = (|a|^2 + |b|^2 - 2
+    |a b*|) / m with m the cells of the overlap. The score is -log of the least ``(d +
+    floor) (L / m)^3`` over the lags, L the cells of 12 s.
 
     The logarithm is that of a Gaussian likelihood maximised over the unknown noise,
-    which differs between tracks a hundredfold. Without the floor short pairs that
-    happen to fit would win.
+    which differs between tracks a hundredfold. The floor keeps short pairs that fit by
+    chance from winning.
 
     References
     ----------
@@ -41,7 +46,7 @@ class Shape:
     # None: learnt from the training set, or `DEFAULT_FLOOR_M2`.
     floor_m2: float | None = None
     rank: int = 5
-    """More tell more of a walk that is shared almost as it is, and hold more of the noise."""
+    """A higher rank shows more detail of a walk, and holds more of the noise."""
     reach_s: float = 6.0  # s, greatest lag.
 
     kind: ClassVar[str] = "linkage"
@@ -50,21 +55,23 @@ class Shape:
     DEFAULT_FLOOR_M2: ClassVar[float] = 0.01
 
     def __post_init__(self) -> None:
-        positive(floor_m2=self.floor_m2, reach_s=self.reach_s)
+        require_positive(floor_m2=self.floor_m2, reach_s=self.reach_s)
         if self.rank < 1:
             raise ValueError(f"rank must be at least 1, got {self.rank}")
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set."""
-        floors = tried(
+        """Return the linker, its parameters learnt from the training set, if any."""
+        floors = candidate_values(
             self.floor_m2, (self.DEFAULT_FLOOR_M2, 1e-4, 1e-3, 3e-3, 3e-2, 1e-1)
         )
 
         def scores(train: LinkageTrainingSet) -> Callable[[float], Floats]:
-            found = _shapes(train.probe, train.gallery, self, floors)
-            return dict(zip(floors, found, strict=True)).__getitem__
+            by_floor = _shapes(train.probe, train.gallery, self, floors)
+            return lambda floor: by_floor[floors.index(floor)]
 
-        return linker(_shapes, self, *learn(context, (floors,), scores=scores))
+        return make_linker(
+            _shapes, self, *learn_parameters(context, (floors,), scores=scores)
+        )
 
 
 def _shapes(
@@ -83,7 +90,7 @@ class Profile:
     """Least mean squared distance of two profiles of speed and turning over all lags.
 
     The profile is the speed in m/s and the signed turning rate in rad/s times `turn_m`,
-    four times a second, smoothed the more the noisier the track
+    four times a second. A noisier track is smoothed more
     (`attacks.linkage.signals.widths_s`). For every lag, d is the mean squared
     difference over the overlap of m cells, of its first eight polynomials; the score is
     that of `Shape`.
@@ -101,7 +108,7 @@ class Profile:
     DEFAULT_FLOOR: ClassVar[float] = 0.002
 
     def __post_init__(self) -> None:
-        positive(
+        require_positive(
             factor=self.factor,
             turn_m=self.turn_m,
             floor=self.floor,
@@ -109,22 +116,25 @@ class Profile:
         )
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set."""
-        widths = factors(context, self.factor)
-        floors = tried(self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2))
+        """Return the linker, its parameters learnt from the training set, if any."""
+        widths = width_factors(context, self.factor)
+        floors = candidate_values(
+            self.floor, (self.DEFAULT_FLOOR, 1e-4, 5e-4, 1e-2, 3e-2)
+        )
         pairs = list(product(widths, floors))
 
         def scores(
             train: LinkageTrainingSet,
         ) -> Callable[[tuple[float, float]], Floats]:
-            each = [
-                _profiles(train.probe, train.gallery, self, one, floors)
-                for one in widths
+            by_width = [
+                _profiles(train.probe, train.gallery, self, width, floors)
+                for width in widths
             ]
-            return dict(zip(pairs, np.concatenate(each), strict=True)).__getitem__
+            by_pair = np.concatenate(by_width)
+            return lambda pair: by_pair[pairs.index(pair)]
 
-        (best,) = learn(context, (pairs,), most=_TAUGHT_BY, scores=scores)
-        return linker(_profiles, self, *best)
+        (best,) = learn_parameters(context, (pairs,), most=_TAUGHT_BY, scores=scores)
+        return make_linker(_profiles, self, *best)
 
 
 def _profiles(
@@ -134,6 +144,8 @@ def _profiles(
     factor: float,
     floor: float | Sequence[float],
 ) -> Floats:
-    p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
+    """Return the score of every pair, (P, G), or (E, P, G) of several floors."""
+    p = release_motion(probe, factor, attack.turn_m)
+    g = release_motion(gallery, factor, attack.turn_m)
     costs = aligned_costs(p, g, floors=floor, rank=_RANK, reach_s=attack.reach_s)
     return np.negative(np.log(costs, out=costs), out=costs)

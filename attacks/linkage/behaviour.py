@@ -1,4 +1,4 @@
-"""Who walks in this manner? A learnt metric on what describes a walk as a whole."""
+"""Link walks by behaviour: a learnt metric on features of a whole walk."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -6,16 +6,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import mated, teaches
-from attacks.linkage.signals import STEP_S, Signals, motion_of, on_grid
-from attacks.remembered import by_track, noise_m2
+from attacks.linkage.learning import can_learn, mated_rows
+from attacks.linkage.signals import STEP_S, Signals, on_grid, release_motion
+from attacks.remembered import memoised_by_track, noise_m2
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Knowledge, Release
 
 _STOPPED_M_S = 0.3
 _BANDS_HZ = ((0.4, 0.7), (0.7, 1.0), (1.0, 1.4), (1.4, 2.0))
 _SWAY_M2 = 1e-3
-"""Per cell: (3 cm)^2, what a body sways by. Where noise hides it there is nothing to compare."""
+"""Sway of a body, per cell: (3 cm)^2. Where noise hides it, nothing can be compared."""
 _LEAST_SWAY_M2 = 1e-5
 _LEAST_CELLS = 8  # Fewer have no spectrum to speak of.
 _LEAST_SCALE = 0.02  # Of a feature: all are speeds in m/s, shares, or logarithms.
@@ -34,20 +34,23 @@ FEATURES = {
     "changes of speed": 0.30,
     **{f"sway {low:g}-{high:g} Hz": 0.5 for low, high in _BANDS_HZ},
 }
-"""Standard deviation of each about what it is of the same walk, released twice: measured on the
-simulated crowd, rounded; a blind adversary's metric."""
+"""Standard deviation of each feature between two releases of one walk.
+
+Measured on the simulated crowd, rounded; the metric of a blind adversary.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class Behaviour:
-    """Distance of two walks' features, in a metric that tells people apart.
+    """Distance of two walks' features, in a metric that separates people.
 
-    Blind, each is divided by a fixed scale and the score is minus the squared distance.
-    Informed, the score is minus ``x' (W^-1 - T^-1) x`` of the difference x, with W its
-    covariance over mated pairs and T over strangers: the log likelihood ratio of two
-    Gaussians, up to a constant. Both are shrunk by `shrinkage` towards their diagonals,
-    since some 90 pairs do not fill them; only the positive part is kept, lest a
-    distance should speak for a pair.
+    A blind adversary divides each feature by a fixed scale; the score is minus the
+    squared distance. For an informed one the score is minus ``x' (W^-1 - T^-1) x`` of
+    the difference x, with W its covariance over mated pairs and T over strangers. That
+    is the log likelihood ratio of two Gaussians, up to a constant. Both covariances are
+    shrunk by `shrinkage` towards their diagonals, since some 90 pairs cannot estimate
+    them fully. Only the positive part of the metric counts: no distance may raise a
+    score.
 
     References
     ----------
@@ -68,8 +71,8 @@ class Behaviour:
             raise ValueError(f"shrinkage must lie in [0, 1], got {self.shrinkage}")
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set."""
-        if not teaches(context):
+        """Return the linker, its parameters learnt from the training set, if any."""
+        if not can_learn(context):
             return partial(
                 _score, metric=np.diag(1.0 / np.array(list(FEATURES.values())) ** 2)
             )
@@ -80,24 +83,26 @@ class Behaviour:
 
 def _score(probe: Release, gallery: Release, *, metric: Floats) -> Floats:
     a, b = features(probe), features(gallery)
-    own_a, own_b = (((each @ metric) * each).sum(axis=1) for each in (a, b))
+    own_a = ((a @ metric) * a).sum(axis=1)
+    own_b = ((b @ metric) * b).sum(axis=1)
     return np.asarray(2.0 * (a @ metric @ b.T) - own_a[:, None] - own_b)
 
 
 def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     """Return W^-1 - T^-1 as far as it is positive, (F, F); see `Behaviour`."""
     a, b = features(train.probe), features(train.gallery)
-    rows = mated(train)
+    rows = mated_rows(train)
     between = a[rows] - b[train.mate[rows]]
     scale = np.maximum(np.sqrt((between**2).mean(axis=0)), _LEAST_SCALE)
     everybody = np.concatenate([a, b])
     spread = np.maximum(everybody.std(axis=0), _LEAST_SCALE)
-    apart = (everybody - everybody.mean(axis=0)) / spread
-    within, total = (
-        (1.0 - shrinkage) * (x.T @ x / len(x)) for x in (between / scale, apart)
-    )
-    for moments in (within, total):  # shrunk as by `sklearn.covariance`
-        # One in which hardly anybody varies counts as if it had the least scale.
+    standardised = (everybody - everybody.mean(axis=0)) / spread
+    scaled = between / scale
+    within = (1.0 - shrinkage) * (scaled.T @ scaled / len(scaled))
+    total = (1.0 - shrinkage) * (standardised.T @ standardised / len(standardised))
+    # Shrunk as by `sklearn.covariance`. A feature that hardly varies counts as if it
+    # had the least scale.
+    for moments in (within, total):
         np.fill_diagonal(moments, 1.0)
     strangers = 2.0 * total * np.outer(spread / scale, spread / scale)
     value, vector = np.linalg.eigh(np.linalg.inv(within) - np.linalg.inv(strangers))
@@ -106,33 +111,34 @@ def learnt_metric(train: LinkageTrainingSet, *, shrinkage: float) -> Floats:
     )
 
 
-@by_track()
+@memoised_by_track()
 def features(release: Release) -> Floats:
-    """Return what describes each walk, (N, F) in the order of `FEATURES`."""
+    """Return the features of each walk, (N, F) in the order of `FEATURES`."""
     walks = on_grid(release)
-    (speed, turn), count = motion_of(release, 1.0)
+    (speed, turn), count = release_motion(release, 1.0)
     live = np.arange(speed.shape[1]) < count[:, None]
+
+    rows = np.arange(count.size)
+    in_order = np.sort(np.where(live, speed, np.inf), axis=1)
 
     def mean(values: Floats) -> Floats:
         return np.asarray(np.einsum("ij,ij->i", values, live) / count)
 
+    def speed_quantile(share: float) -> Floats:
+        places = ((count - 1) * share).astype(np.int64)
+        return np.asarray(in_order[rows, places])
+
     level = mean(speed)
     spread = np.sqrt(np.maximum(mean(speed**2) - level**2, 0.0))
-    in_order = np.sort(np.where(live, speed, np.inf), axis=1)
-    rows = np.arange(count.size)
-    slow, middle, fast = (
-        in_order[rows, ((count - 1) * share).astype(np.int64)]
-        for share in (0.1, 0.5, 0.9)
-    )
     steps = np.where(live[:, 1:], np.diff(speed, axis=1), 0.0) / STEP_S
     chord_m = walks.values[:, rows, count - 1] - walks.values[:, :, 0]
     return np.column_stack(
         [
             level,
             np.log(spread + 0.03),
-            slow,
-            middle,
-            fast,
+            speed_quantile(0.1),
+            speed_quantile(0.5),
+            speed_quantile(0.9),
             np.sqrt(mean((speed < _STOPPED_M_S).astype(np.float64))),
             np.log(mean(np.abs(turn)) + 0.03),
             np.log(np.sqrt(mean(turn**2)) + 0.03),
@@ -145,11 +151,12 @@ def features(release: Release) -> Floats:
 
 
 def sway(release: Release, walks: Signals) -> Floats:
-    """Return the log power of lateral sway in each band, relative to `_SWAY_M2`, (N, 4).
+    """Return the log power of lateral sway per band, relative to `_SWAY_M2`, (N, 4).
 
-    Of the second difference of the positions across the heading: its periodogram is
-    divided by the gain of a second difference, and the error variance of a cell's mean
-    is taken off. The logarithm is shrunk to 0 where that variance is above `_SWAY_M2`.
+    It comes from the periodogram of the positions' second difference across the
+    heading, divided by the gain of a second difference. The error variance of a cell's
+    mean is subtracted. The logarithm is shrunk to 0 where that variance is above
+    `_SWAY_M2`.
     """
     error_m2 = noise_m2(release) / np.maximum(
         np.diff(release.offsets) / walks.sizes, 1.0

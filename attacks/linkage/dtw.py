@@ -1,4 +1,4 @@
-"""Who walks like this, give or take the pace? Dynamic time warping of speed and turning."""
+"""Link walks by dynamic time warping of speed and turning."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -6,17 +6,17 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.linkage.learning import learn, linker
+from attacks.linkage.learning import learn_parameters, make_linker
 from attacks.linkage.signals import (
     EXPONENT,
     FULL_CELLS,
     Signals,
     blocks,
-    factors,
-    loops,
-    motion_of,
+    load_loops,
+    release_motion,
+    width_factors,
 )
-from attacks.parameters import positive, tried
+from attacks.parameters import candidate_values, require_positive
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release
 
@@ -28,13 +28,13 @@ _TAUGHT_BY = 48
 
 @dataclass(frozen=True, slots=True)
 class DTW:
-    """Least squared distance of two profiles of speed and turning under warping of time.
+    """Least squared distance of two profiles of speed and turning under time warping.
 
-    The profiles, (speed in m/s, turning rate in rad/s times `turn_m`) twice a second,
-    may be warped within a Sakoe-Chiba band of `band` of the longer one, and as much
-    left out at either end (two releases do not start together). A step of warping costs
-    `penalty` squared. The score is ``-log((d^2 / m + floor) * (L / m)^3)`` of the
-    distance d, m cells of the shorter and L of 12 s.
+    A profile is (speed in m/s, turning rate in rad/s times `turn_m`) twice a second. It
+    may be warped within a Sakoe-Chiba band: the share `band` of the longer profile. As
+    much may be left out at either end, since two releases do not start together. A step
+    of warping costs `penalty` squared. The score is ``-log((d^2 / m + floor) * (L /
+    m)^3)`` of the distance d, m cells of the shorter and L of 12 s.
 
     References
     ----------
@@ -57,7 +57,7 @@ class DTW:
     DEFAULT_PENALTY: ClassVar[float] = 0.1
 
     def __post_init__(self) -> None:
-        positive(
+        require_positive(
             factor=self.factor,
             turn_m=self.turn_m,
             penalty=self.penalty,
@@ -67,21 +67,22 @@ class DTW:
             raise ValueError(f"band must lie in [0, 1], got {self.band}")
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set."""
-        penalties = tried(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))
-        best = learn(
+        """Return the linker, its parameters learnt from the training set, if any."""
+        penalties = candidate_values(self.penalty, (self.DEFAULT_PENALTY, 0.02, 0.5))
+        best = learn_parameters(
             context,
-            (factors(context, self.factor), penalties),
+            (width_factors(context, self.factor), penalties),
             most=_TAUGHT_BY,
             scores=lambda train: partial(_score, train.probe, train.gallery, self),
         )
-        return linker(_score, self, *best)
+        return make_linker(_score, self, *best)
 
 
 def _score(
     probe: Release, gallery: Release, attack: DTW, factor: float, penalty: float
 ) -> Floats:
-    p, g = (motion_of(one, factor, attack.turn_m) for one in (probe, gallery))
+    p = release_motion(probe, factor, attack.turn_m)
+    g = release_motion(gallery, factor, attack.turn_m)
     costs = warped_costs(p, g, band=attack.band, penalty=penalty, floor=attack.floor)
     return np.asarray(-np.log(costs))
 
@@ -89,17 +90,19 @@ def _score(
 def warped_costs(
     probe: Signals, gallery: Signals, *, band: float, penalty: float, floor: float
 ) -> Floats:
-    """Return the cost of warping each of P profiles onto each of G, (P, G); see `DTW`."""
+    """Return the cost of warping P profiles onto each of G, (P, G); see `DTW`."""
     costs = np.empty((probe.sizes.size, gallery.sizes.size))
-    both, nth = (probe, gallery), _STRIDE
-    sides = (Signals(one.values[:, :, ::nth], -(-one.sizes // nth)) for one in both)
-    for rows, columns, part, other in blocks(*sides):
+    thinned = [
+        Signals(side.values[:, :, ::_STRIDE], -(-side.sizes // _STRIDE))
+        for side in (probe, gallery)
+    ]
+    for rows, columns, part, other in blocks(*thinned):
         shorter, longer = sorted((part.shape[1], other.shape[1]))
         reach = round(band * longer)
-        # What is left out at the ends must leave something, and lie within the band.
+        # Cells left out at the ends must leave some cells, and lie within the band.
         loose = min(reach, (shorter - 1) // 2)
         square = np.empty((rows.size, columns.size))
-        loops().warp(part, other, reach, loose, penalty**2, square)
+        load_loops().warp(part, other, reach, loose, penalty**2, square)
         overlap = (FULL_CELLS / _STRIDE / shorter) ** EXPONENT
         costs[rows[:, None], columns[None, :]] = (square / shorter + floor) * overlap
     return costs

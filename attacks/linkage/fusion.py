@@ -1,4 +1,4 @@
-"""What do all linkers say together? A conditional logit of their scores, learnt from mates."""
+"""Link walks by all linkers: a conditional logit of their scores, learnt from mates."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,34 +13,32 @@ from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import FEATURES, Behaviour, features
 from attacks.linkage.dtw import DTW
 from attacks.linkage.histogram import Histogram
-from attacks.linkage.learning import LEAST_MATES, among, mated
+from attacks.linkage.learning import LEAST_MATES, mated_rows, select_pairs
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
-from attacks.parameters import positive
+from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.remembered import by_track, noise_m2, part
+from attacks.remembered import memoised_by_track, noise_m2, select_tracks
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, derived
 
 _MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
-_SMOOTHED_MEMBERS = (
-    Shape(),
-    Profile(),
-    DTW(),
-)  # Behind `radial_rts` they find far more.
+# Linkers that link far more people behind `radial_rts`.
+_SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())
 _LEAST_M2 = 1e-4  # Of an error variance, whose logarithm is compared.
-_WEAKEST = 0.01  # Quantile of strangers' scores below which a score says no more.
+_WEAKEST = 0.01  # Quantile of strangers' scores: lower scores are raised to it.
 
 
 @dataclass(frozen=True, slots=True)
 class Fusion:
-    """Conditional logit of the scores of all other linkers and of what a pair has in common.
+    """Conditional logit of the scores of all other linkers and of three differences.
 
-    Scores of `likelihood_ratio`, `behaviour` and `histogram`, of `shape`, `profile` and
-    `dtw` behind `radial_rts`, and minus the squared differences of mean speed, log
-    duration and log error variance, scaled by what the training set holds, weighted
-    (`conditional_logit`) and shrunk towards `likelihood_ratio` alone. Learnt from is
-    either half of the mates, scored by linkers fitted on the other. All linkers are
-    then fitted on everybody.
+    The features of a pair are the scores of `likelihood_ratio`, `behaviour` and
+    `histogram`, and those of `shape`, `profile` and `dtw` behind `radial_rts`. Further
+    ones are minus the squared differences of mean speed, log duration and log error
+    variance. The training set scales and weighs them (`conditional_logit`); the weights
+    are shrunk towards `likelihood_ratio` alone. They are learnt from either half of the
+    mates, scored by linkers fitted on the other half. All linkers are then fitted on
+    everybody.
 
     References
     ----------
@@ -57,51 +55,60 @@ class Fusion:
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
 
     def __post_init__(self) -> None:
-        positive(ridge=self.ridge)
+        require_positive(ridge=self.ridge)
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set.
+        """Return the linker, its weights learnt from the training set.
 
         With fewer than twice `LEAST_MATES` mates it is `likelihood_ratio` alone.
         """
         train = context.train
-        rows = mated(train)
+        rows = mated_rows(train)
         if rows.size < 2 * LEAST_MATES:
             return _MEMBERS[0].fit(context)
-        halves = [among(train, rows[half::2]) for half in (0, 1)]
-        found = [
-            _stacked(_fitted(context, other), one.probe, one.gallery)
-            for one, other in (halves, halves[::-1])
+        halves = [select_pairs(train, rows[half::2]) for half in (0, 1)]
+        half_scores = [
+            _stacked(_fitted(context, other), scored.probe, scored.gallery)
+            for scored, other in (halves, halves[::-1])
         ]
         mates = [half.mate for half in halves]
-        scaled = _scaler(found, mates)
-        alone = np.eye(found[0].shape[2])[0]
-        weights = conditional_logit(
-            list(map(scaled, found)), mates, prior=alone, ridge=self.ridge
-        )
+        scale = _scaler(half_scores, mates)
+        scaled = [scale(scores) for scores in half_scores]
+        first_only = np.eye(half_scores[0].shape[2])[0]
+        weights = conditional_logit(scaled, mates, prior=first_only, ridge=self.ridge)
         members = _fitted(context, train)
-        return lambda p, g: np.asarray(scaled(_stacked(members, p, g)) @ weights)
+        return lambda p, g: np.asarray(scale(_stacked(members, p, g)) @ weights)
 
 
 def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linker]:
-    """Return all linkers, fitted on a training set; the last ones smooth before they score."""
+    """Return all linkers, fitted on a training set; the last three smooth first."""
     granted = context.granted & {Knowledge.TRAIN, Knowledge.MECHANISM}
-    told = context.mechanism if Knowledge.MECHANISM in granted else None
-    common = partial(AttackContext, rng=context.rng, epsilon_m=context.epsilon_m)
-    knowing = partial(common, granted=granted, mechanism=told)
+    make_context = partial(
+        AttackContext,
+        rng=context.rng,
+        epsilon_m=context.epsilon_m,
+        granted=granted,
+        mechanism=context.mechanism if Knowledge.MECHANISM in granted else None,
+    )
     smooth = LinkageTrainingSet(
         _smoothed(train.probe), _smoothed(train.gallery), train.mate
     )
-    behind = [one.fit(knowing(train=smooth)) for one in _SMOOTHED_MEMBERS]
-    return [
-        *(one.fit(knowing(train=train)) for one in _MEMBERS),
-        *(lambda p, g, one=one: one(_smoothed(p), _smoothed(g)) for one in behind),
+    behind = [
+        partial(_link_smoothed, attack.fit(make_context(train=smooth)))
+        for attack in _SMOOTHED_MEMBERS
     ]
+    direct = [attack.fit(make_context(train=train)) for attack in _MEMBERS]
+    return [*direct, *behind]
 
 
-@by_track(part)
+def _link_smoothed(linker: Linker, probe: Release, gallery: Release) -> Floats:
+    """Return the scores of a linker on smoothed releases, (P, G)."""
+    return linker(_smoothed(probe), _smoothed(gallery))
+
+
+@memoised_by_track(select_tracks)
 def _smoothed(release: Release) -> Release:
-    """Return a release with the positions that `radial_rts` makes of it."""
+    """Return a release with positions smoothed by `radial_rts`."""
     blind = AttackContext(
         rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset()
     )
@@ -109,11 +116,10 @@ def _smoothed(release: Release) -> Release:
 
 
 def _stacked(members: Sequence[Linker], probe: Release, gallery: Release) -> Floats:
-    """Return the scores of all members and what each pair has in common, (P, G, K)."""
-    sides = [_summary(one) for one in (probe, gallery)]
-    apart = -((sides[0][:, None] - sides[1]) ** 2)
-    scores = np.stack([one(probe, gallery) for one in members], axis=2)
-    return np.concatenate([scores, apart], axis=2)
+    """Return the features of each pair, (P, G, K): all scores, then the differences."""
+    closeness = -((_summary(probe)[:, None] - _summary(gallery)) ** 2)
+    scores = np.stack([linker(probe, gallery) for linker in members], axis=2)
+    return np.concatenate([scores, closeness], axis=2)
 
 
 def _summary(release: Release) -> Floats:
@@ -126,12 +132,17 @@ def _summary(release: Release) -> Floats:
 
 
 def _scaler(
-    found: Sequence[Floats], mates: Sequence[Ints]
+    half_scores: Sequence[Floats], mates: Sequence[Ints]
 ) -> Callable[[Floats], Floats]:
-    """Return what cuts scores off and divides all but the first by the spread of strangers'."""
-    each = zip(found, mates, strict=True)
+    """Return the function that scales features, (P, G, K), by those of strangers.
+
+    It raises low features to a quantile, and divides all but the first by their spread.
+    """
     strangers = np.concatenate(
-        [x[mate[:, None] != np.arange(x.shape[1])] for x, mate in each]
+        [
+            scores[mate[:, None] != np.arange(scores.shape[1])]
+            for scores, mate in zip(half_scores, mates, strict=True)
+        ]
     )
     least = np.quantile(strangers, _WEAKEST, axis=0)
     spread = np.maximum(strangers, least).std(axis=0)
@@ -141,28 +152,28 @@ def _scaler(
 
 
 def conditional_logit(
-    found: Sequence[Floats], mates: Sequence[Ints], *, prior: Floats, ridge: float
+    galleries: Sequence[Floats], mates: Sequence[Ints], *, prior: Floats, ridge: float
 ) -> Floats:
     """Return the weights of K features that make the mates most probable, (K,).
 
-    `found` are features of several galleries, (P, G, K) each, and `mates` (P,) the
-    column of each probe's mate in it. The log probability of the mates, softmax over
-    the gallery, is maximised less ``ridge / 2`` times the squared distance of the
-    weights from `prior`.
+    `galleries` are the features of several galleries, (P, G, K) each, and `mates` (P,)
+    the column of each probe's mate in it. The weights maximise the log probability of
+    the mates, softmax over the gallery, less ``ridge / 2`` times the squared distance
+    of the weights from `prior`.
     """
 
     def loss(weights: Floats) -> tuple[float, Floats]:
         lost = 0.5 * ridge * float(((weights - prior) ** 2).sum())
         slope = ridge * (weights - prior)
-        for x, mate in zip(found, mates, strict=True):
+        for pair_features, mate in zip(galleries, mates, strict=True):
             rows = np.arange(mate.size)
-            value = x @ weights
+            value = pair_features @ weights
             log_p = value - logsumexp(value, axis=1, keepdims=True)
             lost -= float(log_p[rows, mate].sum())
             slope = (
                 slope
-                - x[rows, mate].sum(axis=0)
-                + np.einsum("ij,ijk->k", np.exp(log_p), x)
+                - pair_features[rows, mate].sum(axis=0)
+                + np.einsum("ij,ijk->k", np.exp(log_p), pair_features)
             )
         return lost, slope
 

@@ -1,4 +1,4 @@
-"""Whose speeds and turns are these? Matching of histograms."""
+"""Link walks by matching histograms of speed and turning rate."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -7,17 +7,16 @@ from typing import ClassVar
 import numpy as np
 from scipy.special import xlogy
 
-from attacks.linkage.learning import learn, linker
-from attacks.linkage.signals import Signals, factors, loops, motion_of
-from attacks.parameters import positive, tried
-from attacks.remembered import by_track
+from attacks.linkage.learning import learn_parameters, make_linker
+from attacks.linkage.signals import Signals, load_loops, release_motion, width_factors
+from attacks.parameters import candidate_values, require_positive
+from attacks.remembered import memoised_by_track
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release
 
 _FASTEST_M_S = 2.2
-_AT_ONCE = (
-    2**20
-)  # Pairs: of thousands of people all at once would take half a gigabyte.
+# Pairs at a time: all pairs of thousands of people would take half a gigabyte.
+_AT_ONCE = 2**20
 # Mated pairs to learn from: four candidates on all would cost too much.
 _TAUGHT_BY = 64
 _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
@@ -25,7 +24,7 @@ _TURNS_RAD_S = np.array([-0.5, -0.2, 0.0, 0.2, 0.5])
 
 @dataclass(frozen=True, slots=True)
 class Histogram:
-    """Likelihood that two walks' speeds and turning rates are drawn from one distribution.
+    """Likelihood that two walks' speeds and turning rates have one distribution.
 
     Every quarter of a second of a walk counts for a cell of speed and signed turning
     rate, split among the four nearest centres. With counts a and b in the cells and
@@ -57,65 +56,71 @@ class Histogram:
     DEFAULT_SPEEDS: ClassVar[int] = 12
 
     def __post_init__(self) -> None:
-        positive(factor=self.factor)
+        require_positive(factor=self.factor)
         if self.speeds is not None and self.speeds < 2:  # noqa: PLR2004 - both ends
             raise ValueError(f"speeds must be at least 2, got {self.speeds}")
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks like those in the training set."""
-        factor, speeds = learn(
+        """Return the linker, its parameters learnt from the training set, if any."""
+        factor, speeds = learn_parameters(
             context,
             (
-                factors(context, self.factor),
-                tried(self.speeds, (self.DEFAULT_SPEEDS, 24)),
+                width_factors(context, self.factor),
+                candidate_values(self.speeds, (self.DEFAULT_SPEEDS, 24)),
             ),
             most=_TAUGHT_BY,
             scores=lambda train: partial(_score, train.probe, train.gallery),
         )
-        return linker(_score, factor, speeds)
+        return make_linker(_score, factor, speeds)
 
 
 def _score(probe: Release, gallery: Release, factor: float, speeds: int) -> Floats:
-    return one_source(*(_counts(one, factor, speeds) for one in (probe, gallery)))
+    return same_source_ratio(
+        _counts(probe, factor, speeds), _counts(gallery, factor, speeds)
+    )
 
 
-@by_track()
+@memoised_by_track()
 def _counts(release: Release, factor: float, speeds: int) -> Floats:
-    return counts_of(motion_of(release, factor), speeds=speeds)
+    return count_cells(release_motion(release, factor), speeds=speeds)
 
 
-def counts_of(motion: Signals, *, speeds: int) -> Floats:
+def count_cells(motion: Signals, *, speeds: int) -> Floats:
     """Return how often each walk is at each speed and turning rate, (N, speeds * 5)."""
     _, n_tracks, n_cells = motion.values.shape
     speed, turn = motion.values[:, np.arange(n_cells) < motion.sizes[:, None]]
     owner = np.repeat(np.arange(n_tracks), motion.sizes)
-    low_speed, share_speed = _between(speed, np.linspace(0.0, _FASTEST_M_S, speeds))
-    low_turn, share_turn = _between(turn, _TURNS_RAD_S)
+    below_speed, share_speed = _between(speed, np.linspace(0.0, _FASTEST_M_S, speeds))
+    below_turn, share_turn = _between(turn, _TURNS_RAD_S)
     size = speeds * _TURNS_RAD_S.size
-    cell = owner * size + low_speed * _TURNS_RAD_S.size + low_turn
+    cell = owner * size + below_speed * _TURNS_RAD_S.size + below_turn
     corners = [0, 1, _TURNS_RAD_S.size, _TURNS_RAD_S.size + 1]
     index = np.concatenate([cell + corner for corner in corners])
-    along, across = (1.0 - share_speed, share_speed), (1.0 - share_turn, share_turn)
-    share = np.concatenate([one * other for one in along for other in across])
+    below, above = 1.0 - share_speed, share_speed
+    right, left = 1.0 - share_turn, share_turn
+    share = np.concatenate([below * right, below * left, above * right, above * left])
     counts: Floats = np.bincount(index, share, n_tracks * size).astype(np.float64)
     return counts.reshape(n_tracks, size)
 
 
 def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
     """Return the centre below each value and the share of the one above."""
-    at = np.interp(values, centres, np.arange(centres.size, dtype=np.float64))
-    low = np.minimum(at.astype(np.int64), centres.size - 2)
-    return low, at - low
+    position = np.interp(values, centres, np.arange(centres.size, dtype=np.float64))
+    below = np.minimum(position.astype(np.int64), centres.size - 2)
+    return below, position - below
 
 
-def one_source(a: Floats, b: Floats) -> Floats:
-    """Return the log likelihood ratio of one source to two, (P, G), of counts (P, K) and (G, K)."""
+def same_source_ratio(a: Floats, b: Floats) -> Floats:
+    """Return the log likelihood ratio of one source to two for each pair, (P, G).
+
+    `a` are counts in K cells, (P, K), `b` those of the gallery, (G, K).
+    """
     ratio, all_b, log_b = np.empty((len(a), len(b))), b.sum(axis=1), xlogy(b, b)
     n_at_once = max(1, _AT_ONCE // max(1, len(b)))
     for first in range(0, len(a), n_at_once):
-        some, found = a[first : first + n_at_once], ratio[first : first + n_at_once]
-        loops().shared_cells(some, b, xlogy(some, some), log_b, found)
-        all_a = some.sum(axis=1)[:, None]
-        both = all_a + all_b
-        found += xlogy(all_a, all_a) + xlogy(all_b, all_b) - xlogy(both, both)
+        a_block, block = a[first : first + n_at_once], ratio[first : first + n_at_once]
+        load_loops().shared_cells(a_block, b, xlogy(a_block, a_block), log_b, block)
+        all_a = a_block.sum(axis=1)[:, None]
+        total = all_a + all_b
+        block += xlogy(all_a, all_a) + xlogy(all_b, all_b) - xlogy(total, total)
     return ratio

@@ -1,4 +1,4 @@
-"""How much likelier are two walks if one person walked both? Gaussian walks behind known errors."""
+"""Link walks by their likelihood ratio: Gaussian walks behind known errors."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,10 +9,10 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from scipy.special import logsumexp
 
-from attacks.linkage.learning import linker
-from attacks.parameters import positive
+from attacks.linkage.learning import make_linker
+from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
-from attacks.remembered import remembered, whole
+from attacks.remembered import find_origin, memoised
 from isac_track.kalman.slow_errors import added_error
 from isac_track.linkability.ranks import soft_matches
 from isac_track.protocols import AttackContext, Linker
@@ -30,20 +30,20 @@ class LikelihoodRatio:
 
     A walk's overlap with another is a sum of Legendre polynomials p of degree 1 to
     `rank` (the mean is a shift, which hidden frames leave open). The prior covariance S
-    of their coefficients is that of white acceleration of spectral density `q`; a
-    release tells A = sum w p p' and h = sum w p z over its samples z, w the information
-    of each. With M = A1 + A2 + S^-1 the ratio at one lag and rotation is Gaussian;
-    averaged over rotations it is
+    of their coefficients is that of white acceleration of spectral density `q`. A
+    release yields A = sum w p p' and h = sum w p z over its samples z, w the
+    information of each. With M = A1 + A2 + S^-1 the ratio at one lag and rotation is
+    Gaussian; averaged over rotations it is
 
         ln I0(|h1* M^-1 h2|) + (h1* M^-1 h1 + h2* M^-1 h2) / 2 - ln |M| + ln |S|
             + sum over both of ln |A + S^-1| - h* (A + S^-1)^-1 h / 2
 
-    and the score is the log of its mean over lags, which weighs a lag by exp(-|lag| /
-    `lag_s`). To the error of every coefficient is added `floor_m2`, and what slow
-    errors of a mechanism do to it. Exact for Gaussian errors and independent Gaussian
-    coefficients, at each lag by the overlap alone (S leaves out that of white
-    acceleration those two degrees apart are correlated); a pair that shares no stretch
-    of a walk is not told by it.
+    The score is the log of its mean over lags, which weighs a lag by exp(-|lag| /
+    `lag_s`). The error variance of every coefficient grows by `floor_m2`, and by that
+    of a mechanism's slow errors. The score is exact for Gaussian errors and independent
+    Gaussian coefficients, at each lag by the overlap alone. (Under white acceleration,
+    coefficients two degrees apart are correlated; S leaves that out.) It says nothing
+    of a pair that shares no stretch of a walk.
 
     References
     ----------
@@ -61,8 +61,10 @@ class LikelihoodRatio:
     window_s: float = 12.0  # What comes later in a walk is left out.
     reach_s: float = 6.0  # Greatest lag.
     one_to_one: bool = False
-    """Whether to take everybody to have a mate: of as many candidates as probes, a pair's score is
-    then how probable it is given all others (`soft_matches`)."""
+    """Whether to assume that everybody has a mate, where there are as many candidates.
+
+    A pair's score is then its probability given all other pairs (`soft_matches`).
+    """
 
     kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
@@ -70,8 +72,8 @@ class LikelihoodRatio:
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
 
     def __post_init__(self) -> None:
-        positive(floor_m2=self.floor_m2, lag_s=self.lag_s, q=self.q)
-        positive(window_s=self.window_s, reach_s=self.reach_s)
+        require_positive(floor_m2=self.floor_m2, lag_s=self.lag_s, q=self.q)
+        require_positive(window_s=self.window_s, reach_s=self.reach_s)
         if not 1 <= self.rank <= 12:  # noqa: PLR2004 - beyond, nothing is left of a walk of 12 s
             raise ValueError(f"rank must be 1 to 12, got {self.rank}")
         if self.reach_s > self.window_s - _LEAST_OVERLAP_S:
@@ -81,15 +83,15 @@ class LikelihoodRatio:
             )
 
     def fit(self, context: AttackContext) -> Linker:
-        """Return what scores walks by what is known of the errors of their mechanism."""
-        knows = Knowledge.MECHANISM in context.granted
-        std_m, tau_s = added_error(context.mechanism) if knows else (0.0, 0.0)
+        """Return the linker, which uses the mechanism's error law if it is granted."""
+        knows_mechanism = Knowledge.MECHANISM in context.granted
+        std_m, tau_s = added_error(context.mechanism) if knows_mechanism else (0.0, 0.0)
         # A constant error is a shift, a white one shows in the release.
         slow = (std_m, tau_s) if 0.0 < tau_s < np.inf else (0.0, 0.0)
-        # Of errors that are added linearly twice as many passes tell more, of others
-        # less.
-        linear = knows and getattr(context.mechanism, "adding", "") == "linear"
-        return linker(_ratios, self, slow, (1 + linear) * RadialRTS.USUAL_PASSES)
+        # Twice as many passes help where errors are added linearly, and harm elsewhere.
+        adding = getattr(context.mechanism, "adding", "") if knows_mechanism else ""
+        passes = RadialRTS.USUAL_PASSES * (2 if adding == "linear" else 1)
+        return make_linker(_ratios, self, slow, passes)
 
 
 def _ratios(
@@ -101,21 +103,19 @@ def _ratios(
     log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
     sides = []
     for release, sign in ((probe, 1), (gallery, -1)):
-        origin, among = whole(release)
+        origin, rows = find_origin(release)
         side = _side(origin, attack, slow, sign, passes)
-        sides.append(tuple(one.take(among, axis=2) for one in side))
+        sides.append(tuple(array.take(rows, axis=2) for array in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
-    return (
-        soft_matches(score)
-        if attack.one_to_one and len(probe) == len(gallery)
-        else score
-    )
+    if attack.one_to_one and len(probe) == len(gallery):
+        return soft_matches(score)
+    return score
 
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:
     most = int(attack.reach_s / _STEP_S)
-    # The likeliest first: what is far less likely need not be added up.
+    # The likeliest first: the sum may skip lags that are far less likely.
     return np.array(sorted(range(-most, most + 1), key=abs)) * _STEP_S
 
 
@@ -124,49 +124,61 @@ def _spread_m2(attack: LikelihoodRatio) -> Floats:
     return prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
 
 
-def _told(release: Release, attack: LikelihoodRatio, sign: int, passes: int) -> Floats:
-    """Return what the walks of a release tell, as a probe (1) or a gallery (-1)."""
+def _information(
+    release: Release, attack: LikelihoodRatio, sign: int, passes: int
+) -> Floats:
+    """Return the information of a release as probe (sign 1) or gallery (-1).
+
+    The array is (L, N, K, K + 2); see `_ratio_loop.accumulate_information`.
+    """
     lags_s, rank = _lags_s(attack), attack.rank
     start_s = np.maximum(sign * lags_s, 0.0)
     segments_s = np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
-    told = np.empty((lags_s.size, len(release), rank, rank + 2))
+    out = np.empty((lags_s.size, len(release), rank, rank + 2))
     walks = release.t, release.xy, information(release, passes), release.offsets
-    _loops().tell(tuple(map(np.ascontiguousarray, walks)), segments_s, told)
-    return told
+    _loops().accumulate_information(
+        tuple(map(np.ascontiguousarray, walks)), segments_s, out
+    )
+    return out
 
 
-@remembered
+@memoised
 def _side(
     release: Release, attack: LikelihoodRatio, slow: _Slow, sign: int, passes: int
 ) -> tuple[Floats, ...]:
-    """Return what `_ratio_loop.ratios` takes of a side, its errors as large as they are."""
+    """Return the three arrays that `_ratio_loop.ratios` takes for a side."""
     lags_s, rank, (std_m, tau_s) = _lags_s(attack), attack.rank, slow
-    more_m2 = np.tile(attack.floor_m2 * np.eye(rank), (lags_s.size, 1, 1))
+    added_m2 = np.tile(attack.floor_m2 * np.eye(rank), (lags_s.size, 1, 1))
     if std_m > 0.0:
-        for at, lag_s in enumerate(np.abs(lags_s).tolist()):
-            more_m2[at] += std_m**2 * _slow_share(attack.window_s - lag_s, tau_s, rank)
+        for lag, lag_s in enumerate(np.abs(lags_s).tolist()):
+            added_m2[lag] += std_m**2 * _slow_share(
+                attack.window_s - lag_s, tau_s, rank
+            )
     sizes = (rank * (rank + 1) // 2, 2 * rank, 1)
     side = tuple(np.empty((lags_s.size, size, len(release))) for size in sizes)
-    told = _told(release, attack, sign, passes)
-    _loops().take_sides(told, more_m2, 1.0 / _spread_m2(attack), *side)
+    walk_information = _information(release, attack, sign, passes)
+    _loops().take_sides(walk_information, added_m2, 1.0 / _spread_m2(attack), *side)
     return side
 
 
 @lru_cache(maxsize=256)
 def _slow_share(duration_s: float, tau_s: float, rank: int) -> Floats:
-    """Return the covariance of the coefficients of a unit error that fades in `tau_s`, (K, K)."""
-    at = np.linspace(-1.0, 1.0, 64)
-    fit = np.linalg.pinv(np.polynomial.legendre.legvander(at, rank))[1:]
-    gap_s = np.abs(at[:, None] - at) * duration_s / 2.0
+    """Return the covariance of the coefficients of a slow unit error, (K, K).
+
+    Its correlation fades by 1/e in `tau_s`.
+    """
+    position = np.linspace(-1.0, 1.0, 64)
+    fit = np.linalg.pinv(np.polynomial.legendre.legvander(position, rank))[1:]
+    gap_s = np.abs(position[:, None] - position) * duration_s / 2.0
     return read_only(fit @ np.exp(-gap_s / tau_s) @ fit.T)
 
 
 def prior_m2(*, duration_s: Floats, q: float, rank: int) -> Floats:
-    """Return the variance per axis of Legendre coefficients 1 to `rank` of walks, (L, K) m^2.
+    """Return the prior variance per axis of Legendre coefficients of walks, (L, K) m^2.
 
-    Of walks that last (L,) s: degree 1 is the velocity, the others are what white
-    acceleration of spectral density `q`, m^2/s^3, makes of a walk, integrated twice by
-    parts.
+    The coefficients are those of degree 1 to `rank`, the walks last `duration_s`, (L,).
+    Degree 1 is the velocity. The others follow from white acceleration of spectral
+    density `q`, m^2/s^3, integrated twice by parts.
     """
     k = np.arange(2, rank + 1)
     ends = 2.0 / ((2 * k + 5) * (2 * k + 3) ** 2) + 2.0 / (

@@ -1,1 +1,1 @@
-"""Adversaries who estimate where people truly were."""
+"""Reconstruction attacks: estimate true positions from a release. One file each."""

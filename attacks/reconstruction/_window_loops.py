@@ -10,13 +10,15 @@ from isac_track.types import Floats, Ints
 def centred_means(
     _: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats
 ) -> None:
-    """Fill `out` with the mean over up to `half` neighbours on each side, fewer near the ends."""
+    """Fill `out` with means over up to `half` neighbours on each side.
+
+    Near the ends of a track there are fewer, as many on either side.
+    """
     total = np.zeros((np.diff(offsets).max() + 1 if half.size > 0 else 1, 2))
     for i in range(half.size):
-        own, found = xy[offsets[i] : offsets[i + 1]], out[offsets[i] : offsets[i + 1]]
+        own, means = xy[offsets[i] : offsets[i + 1]], out[offsets[i] : offsets[i + 1]]
         last = len(own) - 1
-        # Sums of small numbers lose less: every track is summed up from its first
-        # position.
+        # Sums of small numbers lose less precision: positions count from the first.
         for k in range(len(own)):
             for axis in range(2):
                 total[k + 1, axis] = total[k, axis] + (own[k, axis] - own[0, axis])
@@ -24,19 +26,22 @@ def centred_means(
             side = min(half[i], k, last - k)
             for axis in range(2):
                 within = total[k + side + 1, axis] - total[k - side, axis]
-                found[k, axis] = within / (2 * side + 1) + own[0, axis]
+                means[k, axis] = within / (2 * side + 1) + own[0, axis]
 
 
 @part_of_loop
 def _to_grid(t: Floats, xy: Floats, step_s: float, grid: Floats) -> None:
-    """Interpolate onto as many instants at the mean interval, (2, n) from the first place on."""
+    """Interpolate onto as many instants at the mean interval, (2, n).
+
+    Positions are relative to the first sample.
+    """
     last = t.size - 1
     k = 0
     for i in range(t.size):
-        at = t[0] + i * step_s
-        while k < last - 1 and t[k + 1] <= at:
+        instant = t[0] + i * step_s
+        while k < last - 1 and t[k + 1] <= instant:
             k += 1
-        share = min((at - t[k]) / (t[k + 1] - t[k]), 1.0)
+        share = min((instant - t[k]) / (t[k + 1] - t[k]), 1.0)
         for axis in range(2):
             grid[axis, i] = (
                 xy[k, axis] - xy[0, axis] + share * (xy[k + 1, axis] - xy[k, axis])
@@ -71,15 +76,12 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
     count = 2.0 * m + 1.0
     j2 = m * (m + 1.0) * count / 3.0
     j4 = j2 * (3.0 * m * m + 3.0 * m - 1.0) / 5.0
-    over_spread, over_count, over_j2 = (
-        1.0 / (j4 - j2 * j2 / count),
-        1.0 / count,
-        1.0 / j2,
-    )
+    over_spread = 1.0 / (j4 - j2 * j2 / count)
+    over_count, over_j2 = 1.0 / count, 1.0 / j2
     s0 = s1 = s2 = 0.0
     for middle in range(m, n - m):
-        # Summed up afresh once a window: what running sums lose grows with their
-        # square.
+        # Summed up afresh once a window: rounding errors of running sums grow with the
+        # square of their number.
         if (middle - m) % (2 * m + 1) == 0:
             s0 = s1 = s2 = 0.0
             for j in range(-m, m + 1):
@@ -88,15 +90,15 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
                 s1 += j * value
                 s2 += j * j * value
         else:
-            gone, come = grid[middle - m - 1], grid[middle + m]
-            s0 -= gone
-            s1 += m * gone
-            s2 -= m * m * gone
+            oldest, newest = grid[middle - m - 1], grid[middle + m]
+            s0 -= oldest
+            s1 += m * oldest
+            s2 -= m * m * oldest
             s2 += s0 - 2.0 * s1  # j is one less, seen from the next middle
             s1 -= s0
-            s0 += come
-            s1 += m * come
-            s2 += m * m * come
+            s0 += newest
+            s1 += m * newest
+            s2 += m * m * newest
         bend = (s2 - s0 * j2 * over_count) * over_spread
         level = (s0 - bend * j2) * over_count
         before, after = (m if middle == m else 0), (m if middle == n - 1 - m else 0)
@@ -108,7 +110,10 @@ def _slide(grid: Floats, half: int, fitted: Floats) -> None:
 def fit_parabolas(
     t: Floats, xy: Floats, offsets: Ints, half: Ints, out: Floats
 ) -> None:
-    """Smooth every track over windows of ``2 half + 1`` samples; with half 0 leave it as it is."""
+    """Smooth every track over windows of ``2 half + 1`` samples.
+
+    A track with half 0 stays as it is.
+    """
     for i in range(offsets.size - 1):
         first, end = offsets[i], offsets[i + 1]
         n = end - first

@@ -1,4 +1,4 @@
-"""Adversaries with no model of a walk: what was shared, at its word, or the mean of its repeats."""
+"""Reconstruct without a model of walks: shared positions, or the mean of repeats."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,40 +11,40 @@ from isac_track.types import Knowledge, Reconstruction, Release
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Return the shared positions; its descriptors are those as shared, to the last bit."""
+    """Return the shared positions; the descriptors are those as shared, bit for bit."""
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
     uses: ClassVar[frozenset[Knowledge]] = frozenset()
 
     def fit(self, context: AttackContext) -> Reconstructor:
-        """Return what hands a release back."""
+        """Return the function that returns the shared positions."""
         del context
         return lambda release: Reconstruction(release.xy)
 
 
 @dataclass(frozen=True, slots=True)
 class Averaging:
-    """Mean of all releases of a walk, each sample weighed by its declared variance if known."""
+    """Mean of all releases of a walk, weighed by the declared variances if known."""
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset(
         {Knowledge.REPEATS, Knowledge.SCENE}
     )
-    """SCENE, too: releases in frames of their own cannot be laid upon each other."""
+    """SCENE, too: releases in frames of their own cannot be averaged."""
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SIGMA})
 
     def fit(self, context: AttackContext) -> Reconstructor:
-        """Return what averages a release with the repeats of its walks."""
+        """Return the function that averages a release with the repeats of its walks."""
         repeats = context.repeats
 
         def reconstruct(release: Release) -> Reconstruction:
             total, weight = np.zeros_like(release.xy), np.zeros_like(release.t)
-            for one in (release, *repeats):
-                trust = np.ones_like(one.t)
-                if one.sigma is not None:
-                    trust /= np.maximum(one.sigma**2, 1e-12)
+            for item in (release, *repeats):
+                trust = np.ones_like(item.t)
+                if item.sigma is not None:
+                    trust /= np.maximum(item.sigma**2, 1e-12)
                 weight += trust
                 for axis in range(2):  # both at once would take longer
-                    total[:, axis] += trust * one.xy[:, axis]
+                    total[:, axis] += trust * item.xy[:, axis]
             for axis in range(2):
                 total[:, axis] /= weight
             return Reconstruction(total)

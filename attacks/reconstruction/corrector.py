@@ -1,4 +1,4 @@
-"""What is left to learn after the best smoother: boosted trees correct what it does to a walk."""
+"""Correct the errors that the best smoother leaves, with boosted trees."""
 
 from dataclasses import dataclass, replace
 from functools import partial
@@ -8,24 +8,26 @@ from typing import Any, ClassVar
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from attacks.parameters import positive
+from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
-from attacks.reconstruction.learning import TOLD, exposure_loss
+from attacks.reconstruction.learning import COMMON_KNOWLEDGE, exposure_loss
 from attacks.remembered import noise_m2
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Complexes, Floats, Ints, Knowledge, Reconstruction, Release
 
 _EDGES_S = np.geomspace(0.05, 3.0, 6) * np.sqrt(1.01)
-"""Of the stretches whose means are looked at, to either side of a sample. No clock of round steps
-has a sample just there, which rounding would let in or out."""
-_REACH_S = 0.503  # To either side: where a walk heads for, and how fast.
-# Who moves no farther heads nowhere: the less they move, the less is corrected.
+"""Edges of the stretches to either side of a sample whose means are features.
+
+No clock of round steps has a sample just at an edge, where rounding would decide.
+"""
+_REACH_S = 0.503  # Heading and speed are taken over so long to either side.
+# Below so short a way, a walk has no heading; the less it moves, the less is corrected.
 _STILL_M = 1e-3
 _LEAST_WALKS = 5
 _FOLDS = 3
-_one_thread = partial(threadpool_limits, limits=1, user_api="openmp")
-"""Processes share the cores: trees that take all of them as well would wait for each other."""
-_STAGES = 4  # At which the number of trees is tried.
+_limit_to_one_thread = partial(threadpool_limits, limits=1, user_api="openmp")
+"""Worker processes share the cores already: trees with threads would only wait."""
+_STAGES = 4  # So many numbers of trees are tried.
 _SHARES = (0.5, 1.0)
 _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
 
@@ -34,11 +36,11 @@ _LEAST_GAIN = 1e-3  # Of `exposure_loss`.
 class Corrector:
     """A learnt correction on top of `RadialRTS`.
 
-    Boosted trees are taught on other people's walks, shared by the same mechanism, what
-    to add along and across, by what `_looked_at` sees around every sample. How many
-    trees, and what share of what they say, is decided by whole walks that they were not
-    grown on; where these gain nothing, or fewer than five are known, this is the
-    smoother alone. The claimed `std` is its own.
+    Boosted trees learn corrections along and across a walk from `_sample_features`, on
+    other people's walks, shared by the same mechanism. The number of trees, and the
+    share of their prediction that is added, are chosen on whole walks that the trees
+    were not grown on. If these gain nothing, or there are fewer than five walks, the
+    attack is the smoother alone. The claimed `std` is that of the smoother.
 
     References
     ----------
@@ -52,62 +54,84 @@ class Corrector:
     trees: int = 40  # At most, along and across.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
-    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    uses: ClassVar[frozenset[Knowledge]] = COMMON_KNOWLEDGE
 
     def __post_init__(self) -> None:
-        positive(rate=self.rate)
+        require_positive(rate=self.rate)
         if self.trees < _STAGES:
             raise ValueError(f"trees must be at least {_STAGES}, got {self.trees}")
 
     def fit(self, context: AttackContext) -> Reconstructor:
-        """Return what smooths and corrects releases like those in the training set."""
+        """Return the function that smooths and corrects a release."""
         smooth = RadialRTS().fit(context)
         release, truth = context.train.release, context.train.truth
         if len(release) < _LEAST_WALKS:
             return smooth
-        found = smooth(release)
-        about, ahead = _looked_at(release, found)
-        wanted = _turned(truth - found.xy, np.conj(ahead))
+        smoothed = smooth(release)
+        features, ahead = _sample_features(release, smoothed)
+        wanted = _rotate(truth - smoothed.xy, np.conj(ahead))
         offsets = release.offsets
         owner = np.repeat(np.arange(len(release)), np.diff(offsets))
         seed = int(context.rng.integers(2**31))
-        every = self.trees // _STAGES
-        said = np.empty((_STAGES, *wanted.shape))
-        for fold in range(_FOLDS):
-            judges = owner % _FOLDS == fold
-            models = self._grown(about[~judges], wanted[~judges], every * _STAGES, seed)
-            for axis, model in enumerate(models):
-                with _one_thread():
-                    stages = list(model.staged_predict(about[judges]))
-                said[:, judges, axis] = stages[every - 1 :: every]
+        predicted = self._predict_held_out(features, wanted, owner, seed)
 
         def loss(added: Floats) -> float:
-            xy = found.xy + _turned(added, ahead)
+            xy = smoothed.xy + _rotate(added, ahead)
             return exposure_loss(
                 xy=xy, truth=truth, offsets=offsets, epsilon_m=context.epsilon_m
             )
 
-        tried = {
-            (every * (stage + 1), share): loss(share * added)
-            for stage, added in enumerate(said)
+        trees_per_stage = self.trees // _STAGES
+        losses = {
+            (trees_per_stage * (stage + 1), share): loss(share * added)
+            for stage, added in enumerate(predicted)
             for share in _SHARES
         }
-        trees, share = min(tried, key=tried.__getitem__)
-        if tried[trees, share] > loss(np.zeros_like(wanted)) - _LEAST_GAIN:
+        trees, share = min(losses, key=losses.__getitem__)
+        if losses[trees, share] > loss(np.zeros_like(wanted)) - _LEAST_GAIN:
             return smooth
-        models = self._grown(about, wanted, trees, seed)
+        models = self._grow_trees(features, wanted, trees=trees, seed=seed)
 
         def correct(release: Release) -> Reconstruction:
-            found = smooth(release)
-            about, ahead = _looked_at(release, found)
-            with _one_thread():
-                said = np.stack([model.predict(about) for model in models], axis=1)
-            return replace(found, xy=found.xy + share * _turned(said, ahead))
+            smoothed = smooth(release)
+            features, ahead = _sample_features(release, smoothed)
+            with _limit_to_one_thread():
+                predicted = np.stack(
+                    [model.predict(features) for model in models], axis=1
+                )
+            return replace(smoothed, xy=smoothed.xy + share * _rotate(predicted, ahead))
 
         return correct
 
-    def _grown(self, about: Floats, wanted: Floats, trees: int, seed: int) -> list[Any]:
-        """Return the trees for what to add along and across."""
+    def _predict_held_out(
+        self, features: Floats, wanted: Floats, owner: Ints, seed: int
+    ) -> Floats:
+        """Return corrections by trees grown on other walks, (_STAGES, M, 2) m.
+
+        `owner`, (M,), is the walk of each sample. Stage k has k + 1 parts of all trees.
+        """
+        trees_per_stage = self.trees // _STAGES
+        predicted = np.empty((_STAGES, *wanted.shape))
+        for fold in range(_FOLDS):
+            held_out = owner % _FOLDS == fold
+            models = self._grow_trees(
+                features[~held_out],
+                wanted[~held_out],
+                trees=trees_per_stage * _STAGES,
+                seed=seed,
+            )
+            for axis, model in enumerate(models):
+                with _limit_to_one_thread():
+                    stages = list(model.staged_predict(features[held_out]))
+                predicted[:, held_out, axis] = stages[
+                    trees_per_stage - 1 :: trees_per_stage
+                ]
+        return predicted
+
+    def _grow_trees(
+        self, features: Floats, wanted: Floats, *, trees: int, seed: int
+    ) -> list[Any]:
+        """Return the boosted trees of the corrections along and across."""
         from sklearn.base import clone  # noqa: PLC0415 - heavy, seldom
         from sklearn.ensemble import (  # noqa: PLC0415 - as said
             HistGradientBoostingRegressor,
@@ -118,30 +142,34 @@ class Corrector:
             learning_rate=self.rate,
             max_leaf_nodes=8,
             max_bins=31,
-            min_samples_leaf=min(200, len(about) // 10 + 1),
+            min_samples_leaf=min(200, len(features) // 10 + 1),
             l2_regularization=1.0,
-            early_stopping=False,  # by walks, above: samples of one are no witnesses
+            # The number of trees is chosen by whole walks, above: samples of one walk
+            # are no independent test.
+            early_stopping=False,
             random_state=seed,
         )
-        with _one_thread():
-            return [clone(model).fit(about, one) for one in wanted.T]
+        with _limit_to_one_thread():
+            return [clone(model).fit(features, target) for target in wanted.T]
 
 
-def _turned(xy: Floats, by: Complexes) -> Floats:
+def _rotate(xy: Floats, factor: Complexes) -> Floats:
     """Return vectors, (M, 2), times complex numbers, (M,)."""
-    z = (xy[:, 0] + 1j * xy[:, 1]) * by
+    z = (xy[:, 0] + 1j * xy[:, 1]) * factor
     return np.stack([z.real, z.imag], axis=1)
 
 
-def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complexes]:
-    """Return what is known about each sample, (M, F), and where its walk heads for, (M,).
+def _sample_features(
+    release: Release, smoothed: Reconstruction
+) -> tuple[Floats, Complexes]:
+    """Return the features of each sample, (M, F), and the heading of its walk, (M,).
 
-    In the frame of its heading (of length 1, or less where nobody moves), over each of
-    the stretches about it, means of what the smoother left over and of where it puts
-    the walk, and the logarithm of the information there; speed, time to either end, how
-    noisy and how sure it is.
+    The heading is a complex number of length 1, or less where nobody moves. Features in
+    its frame, over each of the stretches about a sample, are the means of the
+    smoother's residuals and positions; further ones are the logarithm of the
+    information there, speed, time to either end of the walk, noise and claimed std.
     """
-    assert found.std is not None
+    assert smoothed.std is not None
     offsets = release.offsets
     row = np.repeat(np.arange(len(release)), np.diff(offsets))
     first, last = offsets[row], offsets[row + 1]
@@ -152,35 +180,38 @@ def _looked_at(release: Release, found: Reconstruction) -> tuple[Floats, Complex
     since_s = release.t - release.t[first]
     clock_s = since_s + np.concatenate([[0.0], np.cumsum(lasting_s)])[row]
     weight = information(release, RadialRTS.USUAL_PASSES)
-    z = found.xy[:, 0] + 1j * found.xy[:, 1]
-    left = release.xy[:, 0] + 1j * release.xy[:, 1] - z
-    # The sums at sample M are of nobody: a stretch may begin there, and is empty then.
-    totals = [np.append(one, 0.0) for one in (weight, weight * left, z)]
+    z = smoothed.xy[:, 0] + 1j * smoothed.xy[:, 1]
+    residual = release.xy[:, 0] + 1j * release.xy[:, 1] - z
+    # An empty stretch may begin at sample M, behind the last walk.
+    totals = [np.append(total, 0.0) for total in (weight, weight * residual, z)]
 
-    def place(after_s: float) -> Ints:
+    def index_at(after_s: float) -> Ints:
         return np.asarray(np.searchsorted(clock_s, clock_s + after_s))
 
-    ends = [np.minimum(place(at), last - 1) for at in (-_REACH_S, _REACH_S)]
+    ends = [np.minimum(index_at(at), last - 1) for at in (-_REACH_S, _REACH_S)]
     chord, took_s = z[ends[1]] - z[ends[0]], clock_s[ends[1]] - clock_s[ends[0]]
     ahead = chord / np.hypot(np.abs(chord), _STILL_M)
-    about = []
-    edges = [place(at) for at in np.concatenate([-_EDGES_S[::-1], _EDGES_S]).tolist()]
-    with np.errstate(
-        invalid="ignore", divide="ignore"
-    ):  # nobody is there: NaN, which trees take
+    features = []
+    edges = [
+        index_at(at) for at in np.concatenate([-_EDGES_S[::-1], _EDGES_S]).tolist()
+    ]
+    # A stretch without samples has NaN, which trees can handle.
+    with np.errstate(invalid="ignore", divide="ignore"):
         for start, end in pairwise(edges):
-            around = np.column_stack([start, end]).ravel()
-            told, pulled, walked = (  # nothing over a stretch of none
-                np.where(start < end, np.add.reduceat(one, around)[::2], 0.0)
-                for one in totals
+            bounds = np.column_stack([start, end]).ravel()
+            information_sum, pull_sum, position_sum = (
+                np.where(start < end, np.add.reduceat(total, bounds)[::2], 0.0)
+                for total in totals
             )
-            for one in (pulled / told, walked / (end - start) - z):
-                turned = one * np.conj(ahead)
-                about += [turned.real, turned.imag]
-            about.append(np.log(np.where(told > 0.0, told, np.nan)))
-        about.append(np.abs(chord) / took_s)
-    about += [np.log(found.std), 0.5 * np.log(noise_m2(release))[row]]
-    about += [since_s, since_s[last - 1] - since_s, np.abs(left)]
+            for mean in (pull_sum / information_sum, position_sum / (end - start) - z):
+                turned = mean * np.conj(ahead)
+                features += [turned.real, turned.imag]
+            features.append(
+                np.log(np.where(information_sum > 0.0, information_sum, np.nan))
+            )
+        features.append(np.abs(chord) / took_s)
+    features += [np.log(smoothed.std), 0.5 * np.log(noise_m2(release))[row]]
+    features += [since_s, since_s[last - 1] - since_s, np.abs(residual)]
     if release.sigma is not None:
-        about.append(release.sigma)
-    return np.stack(about, axis=1), ahead
+        features.append(release.sigma)
+    return np.stack(features, axis=1), ahead

@@ -6,8 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.parameters import positive, tried
-from attacks.reconstruction.learning import TOLD, around, smoother
+from attacks.parameters import candidate_values, require_positive
+from attacks.reconstruction.learning import (
+    COMMON_KNOWLEDGE,
+    candidates_around,
+    make_smoother,
+)
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
@@ -16,12 +20,12 @@ TREND_STD = (100.0, 10.0)  # m and m/s, of the line: far more than any walk need
 
 @dataclass(frozen=True, slots=True)
 class GaussianProcess:
-    """A Matern-3/2 process about a straight line, one per axis and track; noise as estimated.
+    """A Matern-3/2 process about a straight line, for each axis and track.
 
-    Offset from the first shared position and slope of the line have vague Gaussian
-    priors (`TREND_STD`), so that neither place nor speed of a walk is pulled to a mean.
-    A Kalman filter and a Rauch-Tung-Striebel smoother of line and process run over all
-    tracks at once.
+    The line's offset from the first shared position and its slope have vague Gaussian
+    priors (`TREND_STD`): no mean attracts place or speed of a walk.
+    The noise is as estimated. A Kalman filter and a Rauch-Tung-Striebel smoother of
+    line and process run over all tracks at once.
 
     References
     ----------
@@ -31,13 +35,13 @@ class GaussianProcess:
     """
 
     length_s: float | None = None
-    """s; None, with `scale_m`: learnt from the training set, or `DEFAULT` without one."""
+    """s; None, with `scale_m`: learnt from a training set, or else `DEFAULT`."""
     scale_m: float | None = None  # m, standard deviation of the process about the line.
 
     slow: ClassVar[bool] = True
     seconds_per_sample: ClassVar[float] = 3.2e-6
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    uses: ClassVar[frozenset[Knowledge]] = COMMON_KNOWLEDGE
     DEFAULT: ClassVar[tuple[float, float]] = (12.0, 2.5)
 
     def __post_init__(self) -> None:
@@ -45,15 +49,20 @@ class GaussianProcess:
             raise ValueError(
                 "give both length_s and scale_m, or neither to have them learnt"
             )
-        positive(length_s=self.length_s, scale_m=self.scale_m)
+        require_positive(length_s=self.length_s, scale_m=self.scale_m)
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the regression of releases like those in the training set."""
-        given = (
-            (self.length_s, self.scale_m) if self.length_s and self.scale_m else None
+        given = None
+        if self.length_s and self.scale_m:
+            given = (self.length_s, self.scale_m)
+        length_s, middle_m = self.DEFAULT
+        others = [
+            (length_s, scale_m) for scale_m in candidates_around(middle_m, factor=2.0)
+        ]
+        return make_smoother(
+            context, smooth, candidates=candidate_values(given, others)
         )
-        others = [(self.DEFAULT[0], one) for one in around(self.DEFAULT[1], factor=2.0)]
-        return smoother(context, smooth, candidates=tried(given, others))
 
 
 def smooth(
@@ -61,8 +70,8 @@ def smooth(
 ) -> Reconstruction:
     """Return the posterior of every track at its samples, by filter and smoother.
 
-    Step k of all tracks that are so long is taken at once. `variance`, (M,) m^2, is
-    that of the errors per axis, `kernel` length, s, and scale, m.
+    Step k of all tracks that have it is taken at once. `variance`, (M,) m^2, is that of
+    the errors per axis, `kernel` length, s, and scale, m.
     """
     first, sizes = release.offsets[:-1], np.diff(release.offsets)
     step = np.arange(release.t.size) - np.repeat(first, sizes)
@@ -87,9 +96,9 @@ def smooth(
         now = slice(lo, hi)
         if lo > 0:
             before = slice(previous.start, previous.start + hi - lo)
-            there = move[now].swapaxes(1, 2)
-            ahead_mean[now] = mean[before] @ there
-            ahead_cov[now] = move[now] @ cov[before] @ there + grown[now]
+            transition = move[now].swapaxes(1, 2)
+            ahead_mean[now] = mean[before] @ transition
+            ahead_cov[now] = move[now] @ cov[before] @ transition + grown[now]
         towards = ahead_cov[now] @ measured  # (n, d) covariance with what is measured
         spread = towards @ measured + noise[now]
         innovation = xy[now] - ahead_mean[now] @ measured
@@ -98,12 +107,11 @@ def smooth(
         cov[now] = ahead_cov[now] - gain[:, :, None] * towards[:, None, :]
         previous = now
     for lo, hi, top in zip(starts[-3::-1], starts[-2:0:-1], starts[:1:-1], strict=True):
-        later, here = slice(hi, top), slice(lo, lo + top - hi)
-        back = np.linalg.solve(
-            ahead_cov[later], move[later] @ cov[here]
-        )  # gain, transposed
-        mean[here] += (mean[later] - ahead_mean[later]) @ back
-        cov[here] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
+        later, earlier = slice(hi, top), slice(lo, lo + top - hi)
+        # The smoother's gain, transposed.
+        back = np.linalg.solve(ahead_cov[later], move[later] @ cov[earlier])
+        mean[earlier] += (mean[later] - ahead_mean[later]) @ back
+        cov[earlier] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
     place, std = origin.copy(), np.empty(rows.size)
     place[rows] += mean @ measured
     std[rows] = np.sqrt(np.maximum((cov @ measured) @ measured, 0.0))
@@ -111,15 +119,15 @@ def smooth(
 
 
 def _model(step_s: Floats, *, kernel: tuple[float, float]) -> tuple[Floats, Floats]:
-    """Return the prior covariance (4, 4) and exp(F step), (M, 4, 4), of line and process.
+    """Return the prior covariance (4, 4) and exp(F step), (M, 4, 4).
 
     The state is offset and slope of the line, then the process and its derivative.
     """
     length_s, scale_m = kernel
     rate = np.sqrt(3.0) / length_s
     prior = np.diag([*np.square(TREND_STD), scale_m**2, scale_m**2 * rate**2])
-    # Characteristic polynomial (s + rate)^2: F + rate 1 is nilpotent, its exponential
-    # finite.
+    # The characteristic polynomial is (s + rate)^2, so F + rate 1 is nilpotent and its
+    # exponential series finite.
     rest = np.array([[rate, 1.0], [-(rate**2), -rate]])
     tau = step_s[:, None, None]
     move = np.zeros((step_s.size, 4, 4))

@@ -1,11 +1,11 @@
-"""What an adversary finds out first: hyper-parameters from other people, and how noisy samples are.
+"""Learn hyper-parameters from other people, and estimate the noise of each sample.
 
-Blind, an adversary reads one level of noise for each track off its innovations. With
-the declared standard deviations (the oracle) only the error law is left to guess. In
-between, under FID-controlled sharing, the rule tells: a sample gets error if its
-information per second, ``(gap / sigma_raw)^2 / interval``, exceeds the public
-threshold. Found is the raw standard deviation of each track under which the rule
-explains best how errors differ between short and long intervals; the gap of the
+A blind adversary estimates one level of noise for each track from its innovations. With
+the declared standard deviations (the oracle) only the error law is unknown. Under
+FID-controlled sharing, an adversary who knows the rule is in between: a sample gets
+error if its information per second, ``(gap / sigma_raw)^2 / interval``, exceeds the
+public threshold. The raw standard deviation of each track is the one under which the
+rule explains best how errors differ between short and long intervals. The gap of the
 network's estimator is a constant, learnt from other people.
 """
 
@@ -16,7 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from attacks.remembered import noise_m2, remembered
+from attacks.remembered import memoised, noise_m2
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.protocols import AttackContext, Reconstructor, TrainingSet
 from isac_track.sensing import intervals_before
@@ -31,26 +31,25 @@ from isac_track.types import (
 )
 
 _Choice = TypeVar("_Choice")
-TOLD = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
-"""What `learn_variance` and `choose` make use of."""
+COMMON_KNOWLEDGE = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN, Knowledge.SIGMA})
+"""The knowledge that `learn_variance` and `choose` use."""
 _POWERS = (-1.0, 0.0, 1.0)
-N_CANDIDATES = len(_POWERS)  # What a built-in attack tries before it attacks.
-# Variance of a radial error of std 1: the paper's law, if nobody tells.
+N_CANDIDATES = len(_POWERS)  # A built-in attack tries so many before it attacks.
+# Variance per axis of a radial error of std 1: the paper's law, the default.
 RADIAL_PER_AXIS = 0.5
 _SIGMAS_M = np.geomspace(0.01, 8.0, 80)
-_FINE_SIGMAS_M = np.geomspace(
-    0.01, 8.0, 240
-)  # Steps below what whole tracks can tell apart.
+# Steps finer than whole tracks can resolve.
+_FINE_SIGMAS_M = np.geomspace(0.01, 8.0, 240)
 _GAPS = np.geomspace(1.0, 32.0, 16)
 _N_BINS = 6
 _LONE_S = 1.0  # s, in place of the interval that a lone sample does not have.
 
 
-def around(default: float, *, factor: float) -> tuple[float, ...]:
+def candidates_around(default: float, *, factor: float) -> tuple[float, ...]:
     """Return ``default / factor``, the default and ``default * factor``.
 
-    Defaults of motion come from the bundled crowd, whose constants were set by hand to
-    agree with Students03: of that recording they know as much.
+    Defaults of motion come from the bundled crowd. Its constants were set by hand to
+    agree with Students03: that much of this recording is in the defaults.
     """
     return tuple(default * factor**power for power in _POWERS)
 
@@ -62,10 +61,11 @@ def choose(
     candidates: Sequence[_Choice],
     reconstruct: Callable[[_Choice, Release], Floats],
 ) -> _Choice:
-    """Return the candidate that reconstructs the training set best; without one the default.
+    """Return the candidate that reconstructs the training set best.
 
-    Of equals the first is taken. `reconstruct` is from a candidate and a release to
-    positions, (M, 2) m. Own attacks call it as well: docs/attacks.md.
+    Without a training set it is the default; of equal candidates it is the first.
+    `reconstruct` is from a candidate and a release to positions, (M, 2) m. Attacks of
+    users call this function as well: docs/explanation/attacks.md.
     """
     if Knowledge.TRAIN not in context.granted:
         return default
@@ -79,45 +79,47 @@ def choose(
     return candidates[int(np.argmin(losses))]
 
 
-def smoother(
+def make_smoother(
     context: AttackContext,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     *,
     candidates: Sequence[_Choice],
-    then: Callable[[_Choice], Sequence[_Choice]] = lambda best: (best,),
+    refine: Callable[[_Choice], Sequence[_Choice]] = lambda best: (best,),
 ) -> Reconstructor:
-    """Return what smooths releases like those in the training set, by the noise of each sample.
+    """Return the smoother with the best choice, given the noise of each sample.
 
-    `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice: the
-    candidate that reconstructs the training set best (of equals the first), or without
-    one the middle one, as from `around`. `then` makes further candidates of that one.
+    `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice. The
+    choice is the candidate that reconstructs the training set best, of equals the
+    first. Without a training set it is the middle one, as of `candidates_around`.
+    `refine` makes further candidates from the best one.
     """
     variance = learn_variance(context)
 
     @cache
-    def reconstruct(one: _Choice, release: Release) -> Floats:
-        return smooth(release, variance(release), one).xy
+    def reconstruct(candidate: _Choice, release: Release) -> Floats:
+        return smooth(release, variance(release), candidate).xy
 
     choice = candidates[len(candidates) // 2]
     choice = choose(
         context, default=choice, candidates=candidates, reconstruct=reconstruct
     )
     choice = choose(
-        context, default=choice, candidates=then(choice), reconstruct=reconstruct
+        context, default=choice, candidates=refine(choice), reconstruct=reconstruct
     )
-    if variance is _estimated:  # two adversaries may well choose alike
-        return lambda release: smoothed(release, smooth, choice)
+    # Two adversaries who make the same choice share the result.
+    if variance is _estimate_variance:
+        return lambda release: smooth_memoised(release, smooth, choice)
     return lambda release: smooth(release, variance(release), choice)
 
 
-@remembered
-def smoothed(
+@memoised
+def smooth_memoised(
     release: Release,
     smooth: Callable[[Release, Floats, _Choice], Reconstruction],
     choice: _Choice,
 ) -> Reconstruction:
-    """Return what a smoother makes of a release by the noise that its innovations show."""
-    return smooth(release, _estimated(release), choice)
+    """Return a release smoothed by the noise that its innovations show (memoised)."""
+    return smooth(release, _estimate_variance(release), choice)
 
 
 def exposure_loss(
@@ -125,7 +127,8 @@ def exposure_loss(
 ) -> float:
     """Return a smooth stand-in for 1 - PLR: the mean of d^2 / (d^2 + epsilon^2).
 
-    Of (M, 2) positions, over the samples of a track, then over tracks, as for PLR.
+    The mean is over the samples of a track, then over tracks, as for PLR. Positions are
+    (M, 2) m.
     """
     square = squared_lengths(xy - truth)
     share = np.add.reduceat(square / (square + epsilon_m**2), offsets[:-1]) / np.diff(
@@ -135,7 +138,7 @@ def exposure_loss(
 
 
 def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
-    """Return what tells the error variance per axis of every sample of a release, (M,) m^2."""
+    """Return the function from a release to its error variances per axis, (M,) m^2."""
     if Knowledge.SIGMA in context.granted:
         share = RADIAL_PER_AXIS
         if Knowledge.TRAIN in context.granted:
@@ -149,10 +152,10 @@ def learn_variance(context: AttackContext) -> Callable[[Release], Floats]:
     knows = {Knowledge.MECHANISM, Knowledge.TRAIN} <= context.granted
     if knows and isinstance(context.mechanism, Fid):
         return _learn_fid(context.train, context.mechanism)
-    return _estimated
+    return _estimate_variance
 
 
-def _estimated(release: Release) -> Floats:
+def _estimate_variance(release: Release) -> Floats:
     return np.repeat(noise_m2(release), np.diff(release.offsets))
 
 
@@ -161,19 +164,19 @@ def _declared_m2(release: Release) -> Floats:
     return release.sigma**2
 
 
-@remembered
+@memoised
 def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
-    """Learn the gap of the estimator, and return what finds the raw error of every track."""
-    interval_s = _intervals(train.release)
+    """Learn the estimator's gap; return the function from a release to variances."""
+    interval_s = _intervals_s(train.release)
     edges = np.unique(np.quantile(interval_s, np.linspace(0.0, 1.0, _N_BINS + 1)[1:-1]))
-    which = np.searchsorted(edges, interval_s, side="right")
-    count = np.bincount(which, minlength=edges.size + 1)
-    total_s = np.bincount(which, interval_s, edges.size + 1)
-    # An empty bin (equal quantiles) is nobody's; any positive time will do.
+    bin_number = np.searchsorted(edges, interval_s, side="right")
+    count = np.bincount(bin_number, minlength=edges.size + 1)
+    total_s = np.bincount(bin_number, interval_s, edges.size + 1)
+    # An empty bin (equal quantiles) has no samples; any positive time will do.
     middle_s = np.where(count > 0, total_s / np.maximum(count, 1), interval_s.mean())
 
     def fits(errors: Floats, sigmas_m: Floats, gap: float) -> Floats:
-        """Return the log likelihood of each track under each raw error, (N, S), up to a factor.
+        """Return log likelihoods of tracks under raw errors, (N, S), times a factor.
 
         `errors`, (2, N, B), are counts and sums of squares by sampling interval. The
         length of a radial error is |N(0, sigma)|; an isotropic one has twice its log
@@ -188,7 +191,7 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     shape = len(train.release), count.size
     cell = (
         np.repeat(np.arange(shape[0]) * shape[1], np.diff(train.release.offsets))
-        + which
+        + bin_number
     )
     ones = np.ones_like(square_m2)
     errors = np.array(
@@ -197,11 +200,11 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
     errors = errors.reshape(2, *shape)
     gap = max(
         _GAPS.tolist(),
-        key=lambda one: fits(errors, _FINE_SIGMAS_M, one).max(axis=1).sum(),
+        key=lambda candidate: fits(errors, _FINE_SIGMAS_M, candidate).max(axis=1).sum(),
     )
 
-    @remembered
-    def inferred(release: Release) -> Floats:
+    @memoised
+    def infer_variance(release: Release) -> Floats:
         # Counts and sums of squares by sampling interval, as in `isac_track.noise`.
         arrays = map(
             np.ascontiguousarray, (release.t, release.xy, release.offsets, edges)
@@ -213,21 +216,24 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
         best_m = _SIGMAS_M[fits(errors, _SIGMAS_M, gap).argmax(axis=1)]
         sizes = np.diff(release.offsets)
         total_m2 = _total_m2(
-            np.repeat(best_m, sizes), _intervals(release), gap=gap, rule=rule
+            np.repeat(best_m, sizes), _intervals_s(release), gap=gap, rule=rule
         )
-        # The rule says how the samples of a track differ, the track itself how large
-        # they are.
+        # The rule sets the ratios of the variances within a track, the innovations of
+        # the track their level.
         mean_m2 = np.add.reduceat(total_m2, release.offsets[:-1]) / sizes
         level = np.repeat(noise_m2(release) / mean_m2, sizes)
         return np.maximum(level * total_m2, MIN_VARIANCE_M2)
 
-    return inferred
+    return infer_variance
 
 
 def _total_m2(
     sigma_raw_m: Floats, interval_s: Floats, *, gap: float, rule: Fid
 ) -> Floats:
-    """Return the squared standard deviation as shared, by eqs. swarm_fid and fid_error_control."""
+    """Return the squared standard deviation as shared.
+
+    Equations swarm_fid and fid_error_control of the paper.
+    """
     fid = (gap / sigma_raw_m) ** 2 / interval_s
     added_m = fid_d_sigma(fid=fid, eta=rule.eta, alpha_m=rule.alpha, beta=rule.beta)
     if rule.adding == "linear":
@@ -235,6 +241,6 @@ def _total_m2(
     return np.asarray(sigma_raw_m**2 + added_m**2)
 
 
-def _intervals(release: Release) -> Floats:
+def _intervals_s(release: Release) -> Floats:
     interval_s = intervals_before(t=release.t, offsets=release.offsets)
     return np.where(interval_s > 0.0, interval_s, _LONE_S)

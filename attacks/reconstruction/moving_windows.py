@@ -1,4 +1,4 @@
-"""The first that anybody does to a noisy track: a mean, or a parabola, over neighbours."""
+"""Smooth a track by the mean, or by a parabola, over a moving window."""
 
 from dataclasses import dataclass
 from importlib import import_module
@@ -6,12 +6,12 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacks.parameters import positive, tried
-from attacks.reconstruction.learning import around, smoother
+from attacks.parameters import candidate_values, require_positive
+from attacks.reconstruction.learning import candidates_around, make_smoother
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
-# Noise per axis at which a window has its nominal width: but a scale.
+# Noise per axis at which a window has its nominal width; it only sets the scale.
 REFERENCE_STD_M = 0.5
 
 
@@ -33,12 +33,14 @@ class MovingAverage:
     DEFAULT_WIDTH_S: ClassVar[float] = 2.8
 
     def __post_init__(self) -> None:
-        positive(width_s=self.width_s)
+        require_positive(width_s=self.width_s)
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the filter of releases like those in the training set."""
-        widths_s = tried(self.width_s, around(self.DEFAULT_WIDTH_S, factor=2.0))
-        return smoother(context, self.smooth, candidates=widths_s)
+        widths_s = candidate_values(
+            self.width_s, candidates_around(self.DEFAULT_WIDTH_S, factor=2.0)
+        )
+        return make_smoother(context, self.smooth, candidates=widths_s)
 
     @staticmethod
     def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
@@ -51,10 +53,10 @@ class MovingAverage:
 class Savgol(MovingAverage):
     """Least-squares parabolas over a moving window, wider where a track is noisier.
 
-    At the middle of a window of width h a parabola (and a cubic, which is the same
-    there) is off by a multiple of h^4 times the fourth derivative of the walk: the best
-    window is ``width_s * (s / 0.5 m)^(2/9)`` (`half_windows`), no longer than the
-    track. A track of one or two samples is returned as it is.
+    A parabola equals a cubic at the middle of a window. At a width of h it is off by a
+    multiple of h^4 times the fourth derivative of the walk. The best window is
+    ``width_s * (s / 0.5 m)^(2/9)`` (`half_windows`), no longer than the track.
+    A track of one or two samples is returned as it is.
 
     A track is interpolated onto as many instants at its mean interval, and back. On
     that grid it is ``scipy.signal.savgol_filter(..., window, 2, mode="interp")``.
@@ -71,7 +73,7 @@ class Savgol(MovingAverage):
     def smooth(release: Release, variance: Floats, width_s: float) -> Reconstruction:
         """Return every track filtered over windows fit for its noise."""
         half = half_windows(release, variance, width_s=width_s, bias_order=4)
-        # A parabola through three samples smooths nothing.
+        # A parabola through three samples would not smooth.
         half = np.minimum(np.maximum(half, 2), (np.diff(release.offsets) - 1) // 2)
         return Reconstruction(filtered(release, half, loop="fit_parabolas"))
 
@@ -81,12 +83,12 @@ def half_windows(
 ) -> Ints:
     """Return the samples on either side of the middle of each track's window, (N,).
 
-    A window of width h over independent errors of standard deviation s, with a bias of
-    b h^p on a smooth walk (p the `bias_order`), has the mean square error a s^2 / h +
-    b^2 h^(2p), least where h grows as s^(2 / (2p + 1)): from `width_s` at
-    `REFERENCE_STD_M` (Fan, Gijbels, *Local Polynomial Modelling*, 1996, 3.2.3), rounded
+    Errors are independent with standard deviation s; the bias on a smooth walk is b h^p
+    for a window of width h (p the `bias_order`). The mean square error, a s^2 / h + b^2
+    h^(2p), is least if h grows as s^(2 / (2p + 1)) (Fan, Gijbels, *Local Polynomial
+    Modelling*, 1996, 3.2.3). It is `width_s` at `REFERENCE_STD_M`. Windows are rounded
     to an odd number of samples of the track's mean interval. `variance`, (M,) m^2, is s
-    squared, alike along a track.
+    squared, constant along a track.
     """
     first, last = release.offsets[:-1], release.offsets[1:] - 1
     growth = (variance[first] / REFERENCE_STD_M**2) ** (1.0 / (2 * bias_order + 1))
@@ -99,9 +101,10 @@ def half_windows(
 
 
 def filtered(release: Release, half: Ints, *, loop: str) -> Floats:
-    """Return positions, (M, 2) m, over windows of ``2 half + 1`` samples for each track, (N,).
+    """Return positions, (M, 2) m, filtered over windows of ``2 half + 1`` samples.
 
-    `loop` is one of `_window_loops`. No window of parabolas may exceed its track.
+    `half`, (N,), is given for each track, `loop` is a function of `_window_loops`. No
+    window of parabolas may exceed its track.
     """
     out = np.empty_like(release.xy)
     arrays = map(np.ascontiguousarray, (release.t, release.xy, release.offsets, half))

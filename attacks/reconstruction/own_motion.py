@@ -1,10 +1,11 @@
-"""How each person moves, read off the release: a bank of motions, weighed track by track.
+"""Smooth each track under several motions, weighed by how probable each motion is.
 
-A smoother of one motion takes who stands for as restless as who turns. Here every track
-is smoothed under several motions, and the results are mixed by how probable each is:
-its likelihood, times how common it is among people. Slow velocities that forget soon
-are of people who stand; fast ones that last are of people who walk on. As a kernel over
-time the mixture is one of integrated Ornstein-Uhlenbeck processes.
+A smoother with a single motion assumes that people who stand are as restless as people
+who turn. Here every track is smoothed under several motions, and the results are mixed
+by the probability of each: its likelihood, times its share among people. People who
+stand have slow velocities that change soon; people who walk on have fast ones that
+last. As a kernel over time the mixture is one of integrated Ornstein-Uhlenbeck
+processes.
 
 References
 ----------
@@ -16,7 +17,7 @@ Navigation*, 2001, section 11.6.2 (static multiple models).
 import numpy as np
 from scipy.special import softmax
 
-from attacks.remembered import by_track, noise_m2
+from attacks.remembered import memoised_by_track, noise_m2
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import (
     Motions,
@@ -26,10 +27,8 @@ from isac_track.kalman.slow_errors import (
 )
 from isac_track.types import Floats, Release
 
-PRIOR_STD = (
-    100.0,
-    10.0,
-)  # m around the first sample and m/s around rest: far more than any walk.
+# m around the first sample and m/s around rest: far more than any walk.
+PRIOR_STD = (100.0, 10.0)
 MOTIONS = Motions.with_speeds(
     (0.01, 1.0),
     (0.05, 1.0),
@@ -39,18 +38,20 @@ MOTIONS = Motions.with_speeds(
     (1.0, 16.0),
     (1.0, 64.0),
 )
-"""Speed, m/s per axis, and time, s: standing still, standing, shuffling, strolling, walking.
+"""Speed, m/s per axis, and time, s, of each motion: from standing still to walking.
 
-Behind a slow error whoever stands still is at the mean of the track: hence two ways to
-stand. Twice as many gain at most another half point of PLR. A motion that is both fast
-and smoother than the last one is left out: where a walk sways, the likelihood takes its
-errors for the sway.
+Behind a slow error, a person who stands still is at the mean of the track: hence two
+motions for standing. Twice as many motions gain at most another half point of PLR. The
+bank has no motion that is both fast and smoother than the last one: for a walk that
+sways, its likelihood would attribute errors to the sway.
 """
 SHARES = (0.05, 0.05, 0.1, 0.15, 0.05, 0.15, 0.45)
-"""How common each is: rounded means of Students03 and the bundled crowd; half of those who stand
-are still. Shares found in the release itself (EM) gain less than 0.2 points, and a
-track would depend on the others."""
-_LEAST_WEIGHT = 0.02  # Of a motion for a track: below, it is not smoothed.
+"""Share of each motion: rounded means of Students03 and the bundled crowd.
+
+Half of the people who stand are still. Shares estimated from the release itself (EM)
+gain less than 0.2 points, and a track would depend on the others.
+"""
+_LEAST_WEIGHT = 0.02  # Below this weight, a track is not smoothed under a motion.
 
 
 def smooth_own_motion(
@@ -58,19 +59,19 @@ def smooth_own_motion(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    `weight`, (N, K), says how probable each of `MOTIONS` is for each track; other
+    `weight`, (N, K), is the probability of each of `MOTIONS` for each track; other
     parameters are those of `isac_track.kalman.slow_errors.smooth_tracks`.
     """
-    some = np.where(weight < _LEAST_WEIGHT, 0.0, weight)
-    return smooth_mixture(batch, error, MOTIONS, some, passes=passes, anneal=anneal)
+    used = np.where(weight < _LEAST_WEIGHT, 0.0, weight)
+    return smooth_mixture(batch, error, MOTIONS, used, passes=passes, anneal=anneal)
 
 
-@by_track()
+@memoised_by_track()
 def white_probabilities(release: Release) -> Floats:
-    """Return how probable each motion is for each track, (N, K), behind white errors.
+    """Return the probability of each motion per track, (N, K), behind white errors.
 
-    Their level is what innovations show: what else an adversary knows of them hardly
-    matters here.
+    The level of the errors comes from innovations: further knowledge of them hardly
+    changes the result.
     """
     variance = np.repeat(noise_m2(release), np.diff(release.offsets))
     batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
@@ -78,6 +79,6 @@ def white_probabilities(release: Release) -> Floats:
 
 
 def probabilities(batch: Batch, error: SlowError) -> Floats:
-    """Return how probable each motion is for each track, (N, K), by likelihood and `SHARES`."""
+    """Return the probability of each motion for each track, (N, K), given `SHARES`."""
     log_likelihood = motion_log_likelihoods(batch, error, MOTIONS)
     return np.asarray(softmax(log_likelihood + np.log(SHARES), axis=1))

@@ -1,4 +1,4 @@
-"""Where was somebody, if errors are Gaussian but for a scale that nobody tells? Draws from that."""
+"""Draw walks from their posterior, if errors are Gaussian with unknown scales."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,35 +7,36 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from attacks.parameters import positive
+from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS, looks_radial
-from attacks.reconstruction.learning import TOLD, learn_variance
+from attacks.reconstruction.learning import COMMON_KNOWLEDGE, learn_variance
 from attacks.reconstruction.own_motion import PRIOR_STD
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import added_error
 from isac_track.kalman.steady import Q_M2_PER_S3
 from isac_track.mechanisms.protections import Laplace
-from isac_track.model_world import Motion, scale_m2, simulated
+from isac_track.model_world import Motion, scale_m2, simulate_walks
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, squared_lengths
 
 _Part: TypeAlias = tuple[Floats, str]
 _LEAST_M2 = 1e-8
-_MOST_ADDED = 0.98  # Of the variance: something was sensed.
-_SHIFTS = 6  # Of an estimate, to where most draws are within epsilon.
+_MOST_ADDED = 0.98  # Greatest share of added variance: sensing adds the rest.
+_SHIFTS = 6  # Steps of an estimate towards the point with most draws within epsilon.
 
 
 @dataclass(frozen=True, slots=True)
 class Posterior:
-    """The posterior of a walk behind radial or planar Laplace errors, by Gibbs sampling.
+    """Posterior of a walk behind radial or planar Laplace errors, by Gibbs sampling.
 
-    Both are Gaussian with a scale of its own for every sample. In turn the scales are
-    drawn given the walk, and the walk given the scales: the smoother of what was shared
-    less a walk and errors from the prior, plus that walk. Who knows a mechanism that
-    adds independently draws what part of an error it added, too. The estimate is where
-    most draws lie within epsilon. Exact in the long run for walks of its motion and
-    errors as large as it takes them to be; where the release shows neither law it is
-    `RadialRTS`. Slow: a reference for what smoothers leave (docs/attacks.md).
+    Both laws are Gaussian with a scale of its own for every sample. In turn, the scales
+    are drawn given the walk, and the walk given the scales: the smoother of the shared
+    positions less a walk and errors from the prior, plus that walk. An adversary who
+    knows a mechanism that adds independently also draws the part of each error that it
+    added. The estimate is the point with most draws within epsilon. It is exact in the
+    long run if walks follow its motion and errors have the assumed size. If the release
+    shows neither law, the attack is `RadialRTS`. It is slow: a reference for smoothers
+    (docs/explanation/attacks.md).
 
     References
     ----------
@@ -49,10 +50,10 @@ class Posterior:
 
     slow: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = TOLD
+    uses: ClassVar[frozenset[Knowledge]] = COMMON_KNOWLEDGE
 
     def __post_init__(self) -> None:
-        positive(q=self.q)
+        require_positive(q=self.q)
         if self.draws < 1 or self.burn_in < 0:
             raise ValueError(
                 f"draws must be at least 1 and burn_in at least 0, got {self.draws},"
@@ -61,12 +62,12 @@ class Posterior:
 
     @property
     def seconds_per_sample(self) -> float:
-        """What it costs, by its draws."""
+        """Computing time, by the number of draws."""
         return 5e-7 * (self.draws + self.burn_in)
 
     def fit(self, context: AttackContext) -> Reconstructor:
-        """Return what samples releases like those in the training set."""
-        variance, first = learn_variance(context), RadialRTS().fit(context)
+        """Return the function that draws the walks of a release."""
+        variance, smooth = learn_variance(context), RadialRTS().fit(context)
         seed = int(context.rng.integers(2**63))
         mechanism = (
             context.mechanism if Knowledge.MECHANISM in context.granted else None
@@ -74,14 +75,13 @@ class Posterior:
         is_slow = added_error(mechanism)[1] > 0.0
 
         def reconstruct(release: Release) -> Reconstruction:
-            begun = first(release)
+            smoothed = smooth(release)
             if is_slow or not (isinstance(mechanism, Laplace) or looks_radial(release)):
-                return begun
+                return smoothed
             rng = np.random.default_rng(seed)
             parts = _parts(variance(release), mechanism)
-            return _where_most_are(
-                self._draw(release, begun.xy, parts, rng), context.epsilon_m
-            )
+            draws = self._draw(release, smoothed.xy, parts, rng)
+            return _densest_points(draws, context.epsilon_m)
 
         return reconstruct
 
@@ -91,47 +91,46 @@ class Posterior:
         """Return draws of the walks, (K, M, 2) m."""
         t, offsets = release.t, release.offsets
         motion, start = Motion(self.q, PRIOR_STD[1]), np.zeros((len(release), 2))
-        found = np.empty((self.draws, *xy.shape))
+        walks = np.empty((self.draws, *xy.shape))
         total_m2 = sum(np.square(std_m) for std_m, _ in parts)
         errors = [
             (release.xy - xy) * (std_m**2 / total_m2)[:, None] for std_m, _ in parts
         ]
         for turn in range(-self.burn_in, self.draws):
-            scales = [
+            scales = []
+            for error, (std_m, law) in zip(errors, parts, strict=True):
+                square = squared_lengths(error) / std_m**2
+                drawn_m2 = scale_m2(std_m, square, law=law, rng=rng)
                 # A walk that lay exactly on a sample would never leave it.
-                np.maximum(
-                    scale_m2(std_m, square / std_m**2, law=law, rng=rng), _LEAST_M2
-                )
-                for square, (std_m, law) in zip(
-                    map(squared_lengths, errors), parts, strict=True
-                )
-            ]
+                scales.append(np.maximum(drawn_m2, _LEAST_M2))
             variance = np.sum(scales, axis=0)
-            free = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
+            free = simulate_walks(
+                t=t, offsets=offsets, start=start, motion=motion, rng=rng
+            )
             noise = np.sqrt(variance)[:, None] * rng.standard_normal(xy.shape)
             batch = Batch(t, release.xy - free - noise, variance, offsets, PRIOR_STD)
             xy = free + smooth_positions(batch, q=self.q)[0]
             errors = [release.xy - xy]
-            if len(parts) > 1:  # of a sum of two Gaussians the first, and the rest
+            if len(parts) > 1:  # draw the first of two Gaussians given their sum
                 share = (scales[0] / variance)[:, None]
                 spread = np.sqrt(scales[0] * scales[1] / variance)[:, None]
                 own = share * errors[0] + spread * rng.standard_normal(xy.shape)
                 errors = [own, errors[0] - own]
             if turn >= 0:
-                found[turn] = xy
-        return found
+                walks[turn] = xy
+        return walks
 
 
 def _parts(variance: Floats, mechanism: object) -> Sequence[_Part]:
-    """Return standard deviation and law of the independent errors of every sample, one or two.
+    """Return standard deviation and law of the one or two independent errors.
 
     `variance`, (M,) m^2, is that of their sum per axis.
     """
     if getattr(mechanism, "adding", "linear") == "linear":
         return [(np.sqrt(2.0 * variance), "radial")]
-    law = (
-        "laplace" if isinstance(mechanism, Laplace) else getattr(mechanism, "law", None)
-    )
+    law = getattr(mechanism, "law", None)
+    if isinstance(mechanism, Laplace):
+        law = "laplace"
     added_m2 = np.minimum(np.square(added_error(mechanism)[0]), _MOST_ADDED * variance)
     raw_m = np.sqrt(2.0 * (variance - added_m2))
     return [
@@ -140,8 +139,11 @@ def _parts(variance: Floats, mechanism: object) -> Sequence[_Part]:
     ]
 
 
-def _where_most_are(draws: Floats, epsilon_m: float) -> Reconstruction:
-    """Return the point of each sample that most draws, (K, M, 2), are near, and how they spread."""
+def _densest_points(draws: Floats, epsilon_m: float) -> Reconstruction:
+    """Return the point of each sample with most draws within epsilon, and their std.
+
+    Draws are (K, M, 2) m.
+    """
     best = draws.mean(axis=0)
     std = np.sqrt(np.square(draws - best).mean(axis=(0, 2)))
     point, most = best, np.full(best.shape[0], -1)

@@ -1,1 +1,1 @@
-"""What is to be linked: windows of walks, who is who in them, and what no task may reveal."""
+"""Linkage tasks: windows of walks, their mates, and controls that must fail."""

@@ -1,10 +1,10 @@
-"""Controls of linkage: what every attack is held against, and what no task may reveal.
+"""Controls of linkage: baselines of every attack, and an audit of every task.
 
 Two controls must stay at chance whatever the task: random scores, and the scores of a
-real attack with the mates shuffled. The others are the *shortcut audit*: each sees one
-thing that has nothing to do with how a person walks. If it differs from chance, in
-either direction, the task gives people away by a side door, and what an attack achieves
-there is no measure of anything.
+real attack with the mates shuffled. The others are the *shortcut audit*: each uses a
+single property that has nothing to do with how a person walks. If such a control
+differs from chance, in either direction, the task has a shortcut. The success of an
+attack in this task then measures nothing.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,21 +32,25 @@ class Control:
 
     about: str
     score: Score | None
-    """From probe, gallery and a stream to scores (P, G), higher = more alike; None: the scores
-    of an attack, with shuffled mates."""
-    # The same in the true frame, if it must look another way there.
+    """From probe, gallery and a stream to scores (P, G), higher = more similar.
+
+    None: the scores of an attack, with shuffled mates.
+    """
+    # Another score for tasks in the true frame.
     in_scene: Score | None = None
     is_audit: bool = True
-    # Whether it sees what a task in the true frame shows on purpose.
+    # Whether it uses a property that a task in the true frame shows on purpose.
     hides_in_scene: bool = False
     is_evidence_live: bool = False
-    """Whether what it sees is evidence where both sides show one time of one walk: there it is an
-    ablation, of what a linker could do by this alone, and no shortcut."""
-    # Whether all levels that share every sample are alike to it.
+    """Whether its property is evidence where both sides show one time of one walk.
+
+    There the control is no shortcut but an ablation: what a linker achieves by this
+    property alone.
+    """
+    # Whether its scores are the same at all levels that share every sample.
     sees_times_only: bool = False
-    circumstance: tuple[
-        int, ...
-    ] = ()  # Columns of `circumstances`, which it sees instead.
+    # Columns of `circumstances` that it uses instead of the releases.
+    circumstance: tuple[int, ...] = ()
 
     def applies(self, task: Task) -> bool:
         """Whether a task has this control."""
@@ -55,37 +59,40 @@ class Control:
         return not (self.hides_in_scene and task.shows_scene)
 
     def audits(self, task: Task) -> bool:
-        """Whether what it links in a task is a shortcut, which makes the task say nothing."""
+        """Whether success in a task reveals a shortcut, which invalidates the task."""
         return self.is_audit and not (self.is_evidence_live and task.is_one_time)
 
     def scorer(self, task: Task) -> Score | None:
-        """Return what scores in a task."""
-        return (
-            self.in_scene
-            if task.shows_scene and self.in_scene is not None
-            else self.score
-        )
+        """Return the score function for a task."""
+        if task.shows_scene and self.in_scene is not None:
+            return self.in_scene
+        return self.score
 
 
-def _alike(features: Callable[[Release], Floats]) -> Score:
-    """Return what scores the closeness of what features of tracks, (N,) or (N, F), tell."""
+def _closeness_score(features: Callable[[Release], Floats]) -> Score:
+    """Return the score function of the closeness of features, (N,) or (N, F)."""
 
     def score(probe: Release, gallery: Release, _rng: Generator) -> Floats:
-        return closeness(
-            *(features(one).reshape(len(one), -1) for one in (probe, gallery))
-        )
+        first = features(probe).reshape(len(probe), -1)
+        second = features(gallery).reshape(len(gallery), -1)
+        return closeness(first, second)
 
     return score
 
 
 def closeness(first: Floats, second: Floats) -> Floats:
-    """Return minus the distance of features, (P, F) and (G, F), each scaled by its spread."""
+    """Return minus the distance of features, (P, G).
+
+    Features are (P, F) and (G, F), each scaled by its spread.
+    """
     spread = np.concatenate([first, second]).std(axis=0)
     square = np.zeros((len(first), len(second)))
-    # One by one: the gaps of thousands of people in all features at once are a
-    # gigabyte.
-    for one, other, width in zip(first.T, second.T, spread.tolist(), strict=True):
-        gap = (one[:, None] - other) / (width if width > 0 else 1.0)
+    # Feature by feature: the gaps of thousands of people in all features at once would
+    # take a gigabyte.
+    for probe_feature, gallery_feature, width in zip(
+        first.T, second.T, spread.tolist(), strict=True
+    ):
+        gap = (probe_feature[:, None] - gallery_feature) / (width if width > 0 else 1.0)
         square += np.square(gap, out=gap)
     return np.negative(np.sqrt(square, out=square), out=square)
 
@@ -97,37 +104,51 @@ def _means(values: Floats, release: Release) -> Floats:
 
 
 def _sampling_times(release: Release) -> Floats:
-    step_s, starts = (
-        intervals_before(t=release.t, offsets=release.offsets),
-        release.offsets[:-1],
-    )
-    extremes = (each.reduceat(step_s, starts) for each in (np.minimum, np.maximum))
+    """Return mean, mean square, least and greatest of each track's steps, (N, 4)."""
+    step_s = intervals_before(t=release.t, offsets=release.offsets)
+    starts = release.offsets[:-1]
     return np.column_stack(
-        [_means(step_s, release), _means(step_s**2, release), *extremes]
+        [
+            _means(step_s, release),
+            _means(step_s**2, release),
+            np.minimum.reduceat(step_s, starts),
+            np.maximum.reduceat(step_s, starts),
+        ]
     )
+
+
+def _duration(release: Release) -> Floats:
+    return np.asarray(release.t[release.offsets[1:] - 1] - _start(release))
+
+
+def _start(release: Release) -> Floats:
+    return np.asarray(release.t[release.offsets[:-1]])
+
+
+def _sample_count(release: Release) -> Floats:
+    return np.asarray(np.diff(release.offsets))
 
 
 def _noise(release: Release) -> Floats:
     """Return the mean logarithm of each track's declared noise, (N, 1).
 
-    How far it ranges within a track tells how far the person walked, which is no
-    shortcut.
+    Its range within a track depends on how far the person walked, which is no shortcut.
     """
-    assert release.sigma is not None  # a control sees all that is declared
+    assert release.sigma is not None  # controls are granted SIGMA
     level = _means(np.log(np.maximum(release.sigma, _NO_SIGMA_M)), release)
     return np.asarray(np.round(level, _DECIMALS)[:, None])
 
 
 def _over_neighbours(release: Release) -> Floats:
-    """Return each track's noise level less the mean of its nearest few, (N, 1), of one release.
+    """Return each track's noise level less the mean of its nearest tracks, (N, 1).
 
-    In the true frame noise that grows with the distance from the base station is but
-    the place.
+    In the true frame, noise that grows with the distance from the base station would
+    only show the place.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 
     level, few = _noise(release), min(_NEIGHBOURS, len(release) - 1)
-    # Of levels that are all alike only rounding would be left, which goes by the place.
+    # If all levels are equal, only rounding would remain, which depends on the place.
     if few == 0 or np.ptp(level) < _NO_SIGMA_M:
         return np.zeros_like(level)
     middle_m = _means(release.xy, release)
@@ -138,7 +159,7 @@ def _over_neighbours(release: Release) -> Floats:
 
 
 def _frame(release: Release) -> Floats:
-    """Return where each track lies and where it heads: from its first half to its second."""
+    """Return place and heading of each track, (N, 4): from first half to second."""
     first, sizes = release.offsets[:-1], np.diff(release.offsets)[:, None]
     total = np.add.reduceat(release.xy, first)
     halves = np.column_stack([first, first + sizes[:, 0] // 2]).ravel()
@@ -162,25 +183,27 @@ CONTROLS: Final[Mapping[str, Control]] = {
     "shuffled": Control("an attack's scores with shuffled mates", None, is_audit=False),
     "duration": _Times(
         "how long a release lasts",
-        _alike(lambda one: one.t[one.offsets[1:] - 1] - one.t[one.offsets[:-1]]),
+        _closeness_score(_duration),
     ),
-    "sample_count": _Times(
-        "how many samples it has", _alike(lambda one: np.diff(one.offsets))
+    "sample_count": _Times("how many samples it has", _closeness_score(_sample_count)),
+    "sampling_times": _Times(
+        "how its sampling steps vary", _closeness_score(_sampling_times)
     ),
-    "sampling_times": _Times("how its sampling steps vary", _alike(_sampling_times)),
     "noise_level": Control(
         "the standard deviations declared with it",
-        _alike(_noise),
-        _alike(_over_neighbours),
+        _closeness_score(_noise),
+        _closeness_score(_over_neighbours),
         # How well somebody is sensed does not change at once: physics, not a leak.
         is_evidence_live=True,
     ),
     "frame": Control(
-        "where it lies and heads in its frame", _alike(_frame), hides_in_scene=True
+        "where it lies and heads in its frame",
+        _closeness_score(_frame),
+        hides_in_scene=True,
     ),
     "clock": _Times(
         "when it starts on its clock",
-        _alike(lambda one: one.t[one.offsets[:-1]]),
+        _closeness_score(_start),
         hides_in_scene=True,
     ),
     **{

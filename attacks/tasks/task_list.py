@@ -1,10 +1,10 @@
-"""Which linkage tasks there are, and what each tells an adversary about frame and clock.
+"""The linkage tasks, and the knowledge of frame and clock that each grants.
 
 Every task shows walks twice, before and after the pseudonyms change: as probe and as
-gallery. In a handover those of the live recording rotate at one instant, in the true
-frame and on the true clock: who left has no mate, who is new is a candidate all the
-same. In the others everybody is in both; they hide frame and clock, but for
-`rerelease-framed`, which no task is easier than.
+gallery. In a handover, all pseudonyms of the live recording rotate at one instant, in
+the true frame and on the true clock. A person who left has no mate; a person who came
+is a candidate all the same. In the other tasks everybody is in both. They hide frame
+and clock, except `rerelease-framed`, the easiest task of all.
 """
 
 from collections.abc import Mapping
@@ -12,28 +12,29 @@ from dataclasses import dataclass
 from typing import Final
 
 from isac_track.errors import SettingsError, did_you_mean
-from isac_track.protocols import OF_WALKS
+from isac_track.protocols import WALK_KNOWLEDGE
 from isac_track.types import Knowledge
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What is linked, and what the adversary is told about frame and clock."""
+    """What a linkage task shows of walks, frame and clock."""
 
     name: str
     about: str
     # Whether the releases come in the true frame and on the true clock.
     shows_scene: bool = False
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    # Of people in two sessions: so few that one is left out to learn.
+    # Whether it is of the few people in two sessions: to learn, one is left out.
     comes_back: bool = False
-    is_one_stretch: bool = False  # Whether both show the same steps, in part at least.
+    # Whether both sides show the same steps, at least in part.
+    is_one_stretch: bool = False
     # Whether it needs the two-session crowd instead of a recording.
     simulated: bool = False
 
     @property
     def family(self) -> str:
-        """Name without the gap, and of what makes its sessions, in `attacks.tasks.build`.
+        """Name without the gap: that of its function in `attacks.tasks.build`.
 
         Tasks that differ in the gap alone share their draws.
         """
@@ -41,7 +42,7 @@ class Task:
 
     @property
     def is_open(self) -> bool:
-        """Whether some probes have no mate: who left meanwhile, before all pseudonyms rotated."""
+        """Whether some probes have no mate, since people left during the silence."""
         return self.gap_s > 0.0
 
     @property
@@ -51,18 +52,18 @@ class Task:
 
     @property
     def is_one_time(self) -> bool:
-        """Whether that walk is sensed once, both sides at their own times of it."""
+        """Whether that walk is sensed once, each side at times of its own."""
         return self.is_one_walk and not self.is_one_stretch
 
     @property
     def everyone(self) -> frozenset[Knowledge]:
-        """What every adversary is granted."""
+        """Knowledge that every adversary is granted."""
         return frozenset({Knowledge.SCENE} if self.shows_scene else ())
 
     @property
     def nobody(self) -> frozenset[Knowledge]:
-        """What no adversary is granted: it would turn the task into another one."""
-        return (OF_WALKS | {Knowledge.SCENE}) - self.everyone
+        """Knowledge that no adversary is granted: it would make another task of it."""
+        return (WALK_KNOWLEDGE | {Knowledge.SCENE}) - self.everyone
 
 
 TASKS: Final[Mapping[str, Task]] = {
@@ -105,7 +106,7 @@ TASKS: Final[Mapping[str, Task]] = {
 
 
 def task_named(name: str) -> Task:
-    """Return the task of a name; SettingsError, with what may have been meant, if there is none."""
+    """Return the task of a name; SettingsError, with a suggestion, if there is none."""
     if name not in TASKS:
         hint = did_you_mean(name, TASKS, quote="'") or f"; known: {', '.join(TASKS)}"
         raise SettingsError(f"unknown task {name!r}{hint}")

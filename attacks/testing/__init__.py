@@ -1,4 +1,4 @@
-"""The kits: what every attack, mechanism or predictor must do, as named checks.
+"""The kits: named checks that every attack, mechanism or predictor must pass.
 
 With pytest, every check of every attack becomes a test of its own::
 
@@ -11,8 +11,8 @@ so that ``pytest -k null_stays_at_chance`` runs one of them. From the command li
     python -m attacks check my_module:MyAttack
 
 `CHECKS` are those of reconstruction attacks, `LINKAGE_CHECKS` those of linkage attacks.
-Every check of an attack runs once for each adversary that grants it something else
-(`isac_track.protocols.grants`). All draws are seeded: a check never flickers.
+Every check of an attack runs once for each adversary that grants it another knowledge
+(`isac_track.protocols.grants`). All draws are seeded: a check always has one result.
 """
 
 import dataclasses
@@ -28,7 +28,7 @@ from attacks.testing._checks import Row
 from attacks.testing._releases import copied
 from isac_track import plugins, protocols
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, grants, kind_of
+from isac_track.protocols import ADVERSARIES, attack_kind, grants
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -40,16 +40,23 @@ __all__ = [
     "MECHANISM_CHECKS",
     "PREDICTOR_CHECKS",
     "CheckResult",
+    "checks_for",
+    "list_adversaries",
+    "parametrize_attack_checks",
+    "parametrize_mechanism_checks",
+    "parametrize_predictor_checks",
+    "run_checks",
 ]
-__all__ += ["adversaries_of", "checks_for", "parametrize_attack_checks", "run_checks"]
-__all__ += ["parametrize_mechanism_checks", "parametrize_predictor_checks"]
 
 Attack: TypeAlias = protocols.ReconstructionAttack | protocols.LinkageAttack
 Subject: TypeAlias = Attack | protocols.Mechanism | protocols.Predictor
 
 
 def _in_every_row(body: engine.Body, subject: Hashable) -> None:
-    """Hold the body of a check against every row of a plug-in, or those that it applies to."""
+    """Run the body of a check on every row of a plug-in to which it applies.
+
+    SkipTest if it applies to none.
+    """
     rows, exempt = _rows(subject), []
     for row in rows:
         try:
@@ -62,18 +69,22 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
 
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
-    """Return the rows of a plug-in, weakest adversary first, as all checks but one run them."""
-    world, _ = _WORLDS[_kind(subject)]
+    """Return the rows of a plug-in, weakest adversary first, for all checks but one.
+
+    The exception is `only_granted_knowledge_is_touched`.
+    """
+    case_type = _CASE_TYPES[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
         same_steps = bool(getattr(subject, "one_stretch", False))
-        cases = world.ordinary_and_another(granted, same_steps=same_steps)
-        row = Row(subject, adversary, granted, granted, *cases)
+        ordinary, another = case_type.ordinary_and_another(
+            granted, same_steps=same_steps
+        )
+        row = Row(subject, adversary, granted, granted, ordinary, another)
         try:
             row.raw(copied(row.ordinary))
         except AssertionError:
-            # Given everything, lest this one mistake fail all checks and hide the next
-            # one.
+            # Give everything, so that this mistake does not fail all other checks.
             row = dataclasses.replace(row, given=row.ordinary.everything)
         rows.append(row)
     return rows
@@ -82,68 +93,79 @@ def _rows(subject: Hashable) -> list[Row]:
 def _granted(
     subject: Any,  # noqa: ANN401 - a stranger's
 ) -> dict[frozenset[Knowledge], str]:
-    """Return the adversary of every row that a plug-in makes here, by what it is granted.
+    """Return the adversary of every row of a plug-in, by the granted knowledge.
 
-    Of linkage these are the rows of all tasks, each once; no plug-in but attacks has an
-    adversary.
+    For linkage these are the rows of all tasks, each once. Mechanisms and predictors
+    have no adversary.
     """
     nothing = frozenset[Knowledge]()
-    if noun_of(subject) != "attack":
+    if plugin_noun(subject) != "attack":
         return {getattr(subject, "requires", nothing): ""}
     tasks = [(nothing, nothing)]
-    if kind_of(subject) == "linkage":
+    if attack_kind(subject) == "linkage":
         tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
-    made: dict[frozenset[Knowledge], str] = {}
+    adversary_by_grant: dict[frozenset[Knowledge], str] = {}
     for everyone, nobody in tasks:
         for adversary, granted in grants(
             subject, everyone=everyone, nobody=nobody
         ).items():
-            made.setdefault(granted, adversary)
-    if not made:
+            adversary_by_grant.setdefault(granted, adversary)
+    if not adversary_by_grant:
         why = (
             "which nobody who links is granted: the repeats of a walk would be linked"
             " already"
         )
         raise PluginError(f"attack {type(subject).__name__} requires REPEATS, {why}")
-    return made
+    return adversary_by_grant
 
 
-_WORLDS: dict[str, tuple[Any, Mapping[str, engine.Body]]] = {
-    "reconstruction": (ReconstructionCase, _checks.RECONSTRUCTION),
-    "linkage": (LinkageCase, _checks.LINKAGE),
-    "mechanism": (_plugin_checks.MechanismCase, _plugin_checks.MECHANISM),
-    "predictor": (_plugin_checks.PredictorCase, _plugin_checks.PREDICTOR),
-}  # What makes up the cases of each kind of plug-in, and what holds for it.
-_KITS = {
-    kind: {
-        name: Check(name, engine.statement_of(one), partial(_in_every_row, one))
-        for name, one in bodies.items()
+def _make_kit(bodies: Mapping[str, engine.Body]) -> dict[str, Check]:
+    """Return checks by name, each of which runs in every row of a plug-in."""
+    return {
+        name: Check(name, engine.read_statement(body), partial(_in_every_row, body))
+        for name, body in bodies.items()
     }
-    for kind, (_, bodies) in _WORLDS.items()
+
+
+# The checks of each kind of plug-in by name, in the order in which they run.
+CHECKS = _make_kit(_checks.RECONSTRUCTION)
+LINKAGE_CHECKS = _make_kit(_checks.LINKAGE)
+MECHANISM_CHECKS = _make_kit(_plugin_checks.MECHANISM)
+PREDICTOR_CHECKS = _make_kit(_plugin_checks.PREDICTOR)
+_KITS = {
+    "reconstruction": CHECKS,
+    "linkage": LINKAGE_CHECKS,
+    "mechanism": MECHANISM_CHECKS,
+    "predictor": PREDICTOR_CHECKS,
 }
-# All checks of each kind by name, in the order in which they run.
-CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS = _KITS.values()
+_CASE_TYPES: dict[str, Any] = {
+    "reconstruction": ReconstructionCase,
+    "linkage": LinkageCase,
+    "mechanism": _plugin_checks.MechanismCase,
+    "predictor": _plugin_checks.PredictorCase,
+}
 _NOUNS = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
 
 
-def noun_of(subject: object) -> str:
-    """Return what somebody's object is, by its method; an attack if nothing says otherwise."""
-    return next(
-        (noun for method, noun in _NOUNS.items() if hasattr(subject, method)), "attack"
-    )
+def plugin_noun(subject: object) -> str:
+    """Return the kind of a plug-in by its method; by default it is an attack."""
+    for method, noun in _NOUNS.items():
+        if hasattr(subject, method):
+            return noun
+    return "attack"
 
 
 def _kind(subject: object) -> str:
-    noun = noun_of(subject)
-    return kind_of(subject) if noun == "attack" else noun
+    noun = plugin_noun(subject)
+    return attack_kind(subject) if noun == "attack" else noun
 
 
 def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
-    """Return the checks of a plug-in of this kind by name, in the order in which they run.
+    """Return the checks of a plug-in of this kind by name, in the order of their runs.
 
-    It is a PluginError, with what to write instead, if it is no plug-in at all.
+    PluginError, with advice, if the object is no plug-in.
     """
-    noun = noun_of(subject)
+    noun = plugin_noun(subject)
     if isinstance(subject, type):
         raise PluginError(
             f"expected an object, got its class: write {subject.__name__}()"
@@ -155,11 +177,11 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     return _KITS[_kind(subject)]
 
 
-def adversaries_of(attack: Attack) -> tuple[str, ...]:
-    """Return the names of the adversaries whose rows an attack makes, weakest first.
+def list_adversaries(attack: Attack) -> tuple[str, ...]:
+    """Return the names of the adversaries for whom an attack runs, weakest first.
 
-    Of a linkage attack those of a task that shows what it requires. Raises as
-    `checks_for`.
+    For a linkage attack these are the adversaries of all tasks that show what it
+    requires. Raises as `checks_for`.
     """
     named = _granted(attack).values()
     return tuple(adversary for adversary in ADVERSARIES if adversary in named)
@@ -168,12 +190,41 @@ def adversaries_of(attack: Attack) -> tuple[str, ...]:
 def run_checks(
     subject: Subject, *, names: Sequence[str] | None = None
 ) -> tuple[CheckResult, ...]:
-    """Run all checks on a plug-in, or those called `names`; one that fails ends nothing.
+    """Run all checks on a plug-in, or those called `names`; none ends the run.
 
-    Raises as `checks_for`, and SettingsError for a check that does not exist.
+    Parameters
+    ----------
+    subject : attack, mechanism or predictor
+        An object, not its class. Its method decides which kit checks it: ``fit``,
+        ``share`` or ``predict``.
+    names : sequence of str, optional
+        Checks to run, by default all of the kit.
+
+    Returns
+    -------
+    tuple of CheckResult
+        For each check its `name`, its `status` (``passed``, ``failed`` or ``skipped``)
+        and a `message`: the counterexample of a failure, or the reason of a skip.
+
+    Raises
+    ------
+    PluginError
+        If the object is no plug-in, with advice.
+    SettingsError
+        For a check that does not exist.
+
+    Examples
+    --------
+    >>> from attacks.testing import run_checks
+    >>> from isac_track.sharing import Fixed
+    >>> results = run_checks(Fixed(0.5))
+    >>> [result.name for result in results if result.status == "failed"]
+    []
     """
     checks = checks_for(subject)
-    kit = f" of a {_kind(subject)}{' attack' * (noun_of(subject) == 'attack')}"
+    kit = f" of a {_kind(subject)}"
+    if plugin_noun(subject) == "attack":
+        kit += " attack"
     chosen = engine.select(checks, names, kit=kit, known=f"known: {', '.join(checks)}")
     return tuple(engine.outcomes(chosen, subject))
 
@@ -203,12 +254,11 @@ parametrize_predictor_checks = partial(_parametrized, "predictor")
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass
     """Return the class, with the parameters that differ from their defaults."""
-    held = [
-        (one, getattr(subject, one.name))
-        for one in dataclasses.fields(subject)
-        if one.init
-    ]
-    changed = [
-        f"{one.name}={value}" for one, value in held if repr(value) != repr(one.default)
-    ]
-    return type(subject).__name__ + (f"({','.join(changed)})" if changed else "")
+    changed = []
+    for item in dataclasses.fields(subject):
+        if item.init:
+            value = getattr(subject, item.name)
+            if repr(value) != repr(item.default):
+                changed.append(f"{item.name}={value}")
+    name = type(subject).__name__
+    return f"{name}({','.join(changed)})" if changed else name

@@ -1,4 +1,4 @@
-"""Made-up people as attacks get them, and what answers and scores come to."""
+"""Cases of attacks with made-up people, and the success of answers and scores."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from attacks.testing import _releases as made
 from attacks.testing._releases import BOX_M, EPSILON_M, RAW_SIGMA_M, draws
 from isac_track.kalman.steady import Q_M2_PER_S3
 from isac_track.linkability import log_rank, rank1
-from isac_track.model_world import Motion, errors_of, known_share, simulated
+from isac_track.model_world import Motion, known_share, release_errors, simulate_walks
 from isac_track.privacy import exposure, leakage_indicator
-from isac_track.protocols import OF_WALKS, LinkageTrainingSet, TrainingSet
+from isac_track.protocols import WALK_KNOWLEDGE, LinkageTrainingSet, TrainingSet
 from isac_track.sharing import Fixed
 from isac_track.types import (
     Bools,
@@ -28,16 +28,16 @@ from isac_track.types import (
     Release,
 )
 
-N_TRACKS = 24  # And people.
+N_TRACKS = 24  # And as many people.
 _MODEL_SIGMA_M = 0.7
 EXTENTS, EXTRA_M = 3.0, 10.0  # How far an answer may lie from the middle of its track.
 GAP_S = 1.0  # Silence before the gallery goes on, where the scene is shown.
 PEOPLE, OTHERS = (128,) * N_TRACKS, (128,) * 20  # Samples of each: 12 s at 8 to 16 Hz.
-ODD = (  # Samples of probes, of the gallery and of the training set.
-    *(
-        ((128,) * probes, (128,) * gallery, OTHERS)
-        for probes, gallery in ((1, 1), (4, 1), (1, 4))
-    ),
+# Samples of probes, of the gallery and of the training set.
+ODD: tuple[tuple[tuple[int, ...], ...], ...] = (
+    ((128,), (128,), OTHERS),
+    ((128,) * 4, (128,), OTHERS),
+    ((128,), (128,) * 4, OTHERS),
     ((1, 1, 1), (1, 1, 1, 1), (40,) * 8),
     ((1, 2, 3, 128), (3, 2, 128, 1, 2), (40,) * 8),
     ((128, 128, 2), (128, 3, 1, 128), (1, 2, 3, 1, 2, 3, 40, 40, 40, 40)),
@@ -46,18 +46,16 @@ ODD = (  # Samples of probes, of the gallery and of the training set.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReconstructionCase(made.Case):
-    """One release with M samples, and everything that an adversary may know besides."""
+    """A release with M samples, and all knowledge that an adversary may have."""
 
-    asked: ClassVar[tuple[str, ...]] = (
-        "release",
-    )  # What the function from `fit` is called with.
+    # Arguments of the function from `fit`.
+    asked: ClassVar[tuple[str, ...]] = ("release",)
     compared: ClassVar[str] = "positions or std"
     unit: ClassVar[str] = " m"
     hit: ClassVar[str] = "samples leak"
-    chance: ClassVar[float] = (
-        np.pi * EPSILON_M**2 / BOX_M**2
-    )  # Of a truth drawn in the square.
-    # The shared positions themselves come to 1.0 there.
+    # Of a truth drawn in the square.
+    chance: ClassVar[float] = np.pi * EPSILON_M**2 / BOX_M**2
+    # The shared positions themselves have a share of 1.0.
     easy_share: ClassVar[float] = 0.5
     easy_hint: ClassVar[str] = "does it smooth too much, or lag behind?"
     levels_m: ClassVar[tuple[float, ...]] = (0.3, 1.0, 3.0)
@@ -72,25 +70,30 @@ class ReconstructionCase(made.Case):
     companions: tuple[Release, ...]
 
     def fault(self, result: object) -> str:
-        wrong = (
+        if isinstance(result, Reconstruction):
+            return ""
+        return (
             "expected a Reconstruction, got ndarray; wrap the positions:"
             " Reconstruction(xy)"
         )
-        return "" if isinstance(result, Reconstruction) else wrong
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return positions, of either type, and std, if claimed, (M, 2 or 3) m; or ValueError."""
-        found = Reconstruction(result) if isinstance(result, np.ndarray) else result
-        if not isinstance(found, Reconstruction):
+        """Return positions and std, if claimed, (M, 2 or 3) m; or ValueError."""
+        reconstruction = (
+            Reconstruction(result) if isinstance(result, np.ndarray) else result
+        )
+        if not isinstance(reconstruction, Reconstruction):
             raise ValueError(f"expected a Reconstruction, got {type(result).__name__}")  # noqa: TRY004 - of a stranger's
-        if found.xy.shape != self.release.xy.shape:
+        if reconstruction.xy.shape != self.release.xy.shape:
             wanted = (
                 f"expected {self.release.xy.shape}: one for every sample of the release"
             )
             raise ValueError(
-                f"positions of shape {found.xy.shape}, {wanted}, in its order"
+                f"positions of shape {reconstruction.xy.shape}, {wanted}, in its order"
             )
-        return found.xy if found.std is None else np.column_stack([found.xy, found.std])
+        if reconstruction.std is None:
+            return reconstruction.xy
+        return np.column_stack([reconstruction.xy, reconstruction.std])
 
     def hits(self, answer: Floats) -> Bools:
         """Return which samples leak, (M,)."""
@@ -105,9 +108,8 @@ class ReconstructionCase(made.Case):
 
     def out_of_bounds(self, answer: Floats) -> str:
         first, sizes = self.release.offsets[:-1], np.diff(self.release.offsets)
-        low, high = (
-            each.reduceat(self.release.xy, first) for each in (np.minimum, np.maximum)
-        )
+        low = np.minimum.reduceat(self.release.xy, first)
+        high = np.maximum.reduceat(self.release.xy, first)
         middle = np.repeat((low + high) / 2, sizes, axis=0)
         away_m = np.maximum.reduceat(np.hypot(*(answer[:, :2] - middle).T), first)
         limit_m = EXTENTS * np.hypot(*(high - low).T) + EXTRA_M
@@ -121,38 +123,41 @@ class ReconstructionCase(made.Case):
         return f"an answer lies {away}, expected at most {room}"
 
     def reordered(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
-        """Return the ordinary case with its tracks in another order, and how an answer follows."""
+        """Return the case with its tracks in another order, and the map of answers."""
         rows, others = np.array([5, 2, 7, 0, 3, 6, 1, 4]), self.train.release
         place = np.repeat(np.argsort(rows), np.diff(self.release.offsets))
         samples = np.argsort(place, kind="stable")
-        changed = made.of_each(
-            self, lambda one: one if one is others else one.tracks(rows)
+        changed = made.map_releases(
+            self,
+            lambda release: release if release is others else release.tracks(rows),
         )
         return changed, lambda answer: answer[samples]
 
     def in_other_frames(self) -> tuple[ReconstructionCase, Callable[[Floats], Floats]]:
-        """Return the case as without SCENE, every release in its own frame; how answers follow."""
-        mine, others, *repeats = made.frames(draws("frames"), 4)
-        # The anchor and who walks along are seen as the release is.
-        frames = [mine, others, *repeats, mine, mine]
-        changed = made.of_each(self, lambda release: made.moved(release, frames.pop(0)))
-        train = replace(changed.train, truth=made.turned(self.train.truth, others))
+        """Return the case with releases in other frames, and the map of answers."""
+        own_frame, train_frame, *repeats = made.frames(draws("frames"), 4)
+        # The anchor and the companions have the frame of the release.
+        frames = [own_frame, train_frame, *repeats, own_frame, own_frame]
+        changed = made.map_releases(
+            self, lambda release: made.moved(release, frames.pop(0))
+        )
+        train = replace(changed.train, truth=made.turned(self.train.truth, train_frame))
         return replace(changed, train=train), lambda answer: np.hstack(
-            [made.turned(answer[:, :2], mine), answer[:, 2:]]
+            [made.turned(answer[:, :2], own_frame), answer[:, 2:]]
         )
 
     @staticmethod
     def ordinary_and_another(
         _granted: object, **_shown: bool
     ) -> tuple[ReconstructionCase, ReconstructionCase]:
-        """Return a small case as most are, and one with another release of the same walks."""
+        """Return a small ordinary case, and one with another release of its walks."""
         sizes = tuple(20 + 4 * row for row in range(8))
         case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)
         other = replace(case.repeats[0], pseudonym=case.release.pseudonym)
         return case, replace(case, release=other)
 
     def noisy(self, sigma_m: float, law: ErrorLaw) -> ReconstructionCase:
-        """Return the same 24 walks of 60 to 200 samples, with the same errors times `sigma_m`."""
+        """Return 24 walks of 60 to 198 samples, with errors scaled by `sigma_m`."""
         sizes = tuple(60 + 6 * row for row in range(N_TRACKS))
         about = f"{N_TRACKS} walks, {law} noise of {sigma_m:g} m"
         return made_up("noisy", about=about, sizes=sizes, sigma_m=sigma_m, law=law)
@@ -160,30 +165,34 @@ class ReconstructionCase(made.Case):
     @staticmethod
     @cache
     def modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
-        """Return walks of a model behind 0.7 m of noise, and the PLR that a genie expects, (N,)."""
+        """Return walks of a model behind 0.7 m of noise, and a genie's PLR, (N,)."""
         about = f"{N_TRACKS} walks of a model, {law} noise"
-        like = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
-        t, offsets = like.release.t, like.release.offsets
+        template = made_up("model", about=about, sizes=(150,) * N_TRACKS, law=law)
+        t, offsets = template.release.t, template.release.offsets
         motion, rng = Motion(Q_M2_PER_S3, 1.0), draws("model", "walks")
         start = np.zeros((N_TRACKS, 2))
-        truth = simulated(t=t, offsets=offsets, start=start, motion=motion, rng=rng)
+        truth = simulate_walks(
+            t=t, offsets=offsets, start=start, motion=motion, rng=rng
+        )
         walked = [(t[lo:hi], truth[lo:hi]) for lo, hi in pairwise(offsets)]
         mechanism = Fixed(d_sigma=_MODEL_SIGMA_M - RAW_SIGMA_M, law=law)
         sensed = made.sensed(walked, ("model", "errors"), law=law)
         release = mechanism.share(sensed, draws("share", "model"))
         rng = draws("model", "genie")
-        errors = errors_of(release=release, sensed=sensed, mechanism=mechanism, rng=rng)
+        errors = release_errors(
+            release=release, sensed=sensed, mechanism=mechanism, rng=rng
+        )
         assert errors is not None
         expected = known_share(
             t=t, offsets=offsets, errors=errors, motion=motion, epsilon_m=EPSILON_M
         )
         return (
-            replace(like, release=release, truth=truth, mechanism=mechanism),
+            replace(template, release=release, truth=truth, mechanism=mechanism),
             expected,
         )
 
     def null(self) -> ReconstructionCase:
-        """Return walks with a truth that has nothing to do with them."""
+        """Return walks with an unrelated truth."""
         case = self.noisy(BOX_M, "isotropic")
         truth = draws("unrelated", "truth").uniform(
             -BOX_M / 2, BOX_M / 2, case.truth.shape
@@ -192,7 +201,7 @@ class ReconstructionCase(made.Case):
         return replace(case, about=about, truth=truth)
 
     def odd(self) -> Iterator[ReconstructionCase]:
-        """Yield walks of one to three samples, and such with odd steps."""
+        """Yield walks of one to three samples, and walks with odd steps."""
         for sizes in ((1,), (1, 2, 30, 1, 2, 3), (2,)):
             about = f"tracks of {', '.join(map(str, sizes))} samples"
             yield made_up("short", about=about, sizes=sizes)
@@ -212,26 +221,28 @@ def made_up(
     law: ErrorLaw = "radial",
     steps_s: tuple[float, float] = made.STEADY_S,
 ) -> ReconstructionCase:
-    """Return walks of people, of which all but the size of errors is that of `name` and `sizes`."""
+    """Return a case whose draws depend on `name` and `sizes` alone.
+
+    `sigma_m` scales the errors, `law` is their law.
+    """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
-    mine = made.walks(name, "walks", sizes=sizes, steps_s=steps_s)
-    others = made.walks(name, "others", sizes=range(40, 88, 4), steps_s=steps_s)
-    truth, others_truth = (
-        np.concatenate([xy for _, xy in some]) for some in (mine, others)
-    )
+    own_walks = made.walks(name, "walks", sizes=sizes, steps_s=steps_s)
+    other_walks = made.walks(name, "others", sizes=range(40, 88, 4), steps_s=steps_s)
+    truth = np.concatenate([xy for _, xy in own_walks])
+    others_truth = np.concatenate([xy for _, xy in other_walks])
 
     def share(walked: list[made.Walk], *words: str | int) -> Release:
         return made.shared(walked, (name, *words), mechanism=mechanism)
 
-    release, beside = share(mine, "release"), share(mine, "beside")
+    release, beside = share(own_walks, "release"), share(own_walks, "beside")
     first, names = release.offsets[:-1], release.pseudonym
     return ReconstructionCase(
         about=about,
         release=release,
         truth=truth,
         mechanism=mechanism,
-        train=TrainingSet(share(others, "train"), others_truth),
-        repeats=tuple(share(mine, "repeat", row) for row in range(2)),
+        train=TrainingSet(share(other_walks, "train"), others_truth),
+        repeats=tuple(share(own_walks, "repeat", row) for row in range(2)),
         anchor=Release(
             release.t[first], truth[first], None, np.arange(len(names) + 1), names
         ),
@@ -241,12 +252,12 @@ def made_up(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkageCase(made.Case):
-    """P probes, G gallery tracks, and everything that an adversary may know besides.
+    """P probes, G gallery tracks, and all knowledge that an adversary may have.
 
-    Where the scene is hidden, every walk comes in a frame and on a clock of its own, in
-    two recordings. Where it is shown, all is in one, and the gallery goes on after
-    `GAP_S` of silence, or, for a linker of one stretch of a walk, shows the same steps
-    at other instants.
+    If the scene is hidden, every walk comes in a frame and on a clock of its own. If it
+    is shown, all walks are in one frame, and the gallery goes on after `GAP_S` of
+    silence. For a linker of one stretch of a walk it shows the same steps instead, at
+    other instants.
     """
 
     asked: ClassVar[tuple[str, ...]] = ("probe", "gallery")
@@ -254,12 +265,11 @@ class LinkageCase(made.Case):
     unit: ClassVar[str] = " of their spread"
     hit: ClassVar[str] = "mates come first"
     chance: ClassVar[float] = 1 / N_TRACKS
-    easy_share: ClassVar[float] = (
-        1 / 4
-    )  # Chance alone brings 6 of 24 once in 1000 at most.
+    # By chance alone, 6 of 24 happen once in 1000 at most.
+    easy_share: ClassVar[float] = 1 / 4
     easy_hint: ClassVar[str] = "is the sign right? a higher score means the same person"
     levels_m: ClassVar[tuple[float, ...]] = (0.1, 10.0)
-    """Averaged over 128 samples, 10 m come to 0.9 m: of a walk of some 15 m little is left."""
+    """Averaged over 128 samples, 10 m become 0.9 m, which hides most of a walk."""
     achieved: ClassVar[str] = (
         "the mean logarithm of candidates over the rank of the mate"
     )
@@ -275,26 +285,25 @@ class LinkageCase(made.Case):
 
     @property
     def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
-        """All that there is to grant: the repeats of a walk would be linked already."""
-        return (
-            frozenset(Knowledge)
-            - OF_WALKS
-            - ({Knowledge.SCENE} if not self.scene else set())
-        )
+        """All knowledge that can be granted: repeats of a walk are linked already."""
+        everything = frozenset(Knowledge) - WALK_KNOWLEDGE
+        return everything if self.scene else everything - {Knowledge.SCENE}
 
     @property
     def shown(self) -> dict[str, bool]:
-        """How other people are to be shown alike."""
+        """The parameters by which other people are shown in the same way."""
         return {"scene": self.scene, "same_steps": self.same_steps}
 
     def fault(self, result: object) -> str:
         if isinstance(result, np.ndarray) and result.dtype.kind == "f":
             return ""
-        of = f" of {result.dtype}" if isinstance(result, np.ndarray) else ""
-        return f"expected a numpy array of floats, got {type(result).__name__}{of}"
+        got = type(result).__name__
+        if isinstance(result, np.ndarray):
+            got += f" of {result.dtype}"
+        return f"expected a numpy array of floats, got {got}"
 
     def read(self, result: Any) -> Floats:  # noqa: ANN401 - a stranger's
-        """Return scores as an array of floats; ValueError if they are not finite real numbers."""
+        """Return scores as floats; ValueError if they are not finite real numbers."""
         scores, expected = np.asarray(result), (len(self.probe), len(self.gallery))
         if scores.dtype.kind not in "fiub":
             got = f"{type(result).__name__} of {scores.dtype}"
@@ -304,31 +313,31 @@ class LinkageCase(made.Case):
         if scores.shape != expected:
             turned = " (turned round?)" if scores.shape == expected[::-1] else ""
             rows = f"a row for every probe, a column for every gallery track{turned}"
-            found = f"scores of shape {scores.shape}, expected (P, G) = {expected}"
-            raise ValueError(f"{found}: {rows}")
+            actual = f"scores of shape {scores.shape}, expected (P, G) = {expected}"
+            raise ValueError(f"{actual}: {rows}")
         if lost := np.count_nonzero(~np.isfinite(scores)):
             hint = "who cannot tell gives all candidates the same score"
             raise ValueError(f"{lost} of {scores.size} scores are not finite; {hint}")
         return scores.astype(np.float64)
 
-    def gaps(self, one: Floats, other: Floats) -> Floats:
-        """Return how far apart scores are, (1, P G): they have no unit, but a spread."""
-        # Where all scores are alike there is none; their size will do.
-        spread = float(np.ptp(other)) or float(np.abs(other).max()) or 1.0
-        return (np.abs(one - other) / spread).reshape(1, -1)
+    def gaps(self, first: Floats, second: Floats) -> Floats:
+        """Return the distances of scores, (1, P G), in units of their spread."""
+        # If all scores are equal they have no spread; their size replaces it.
+        spread = float(np.ptp(second)) or float(np.abs(second).max()) or 1.0
+        return (np.abs(first - second) / spread).reshape(1, -1)
 
     def hits(self, scores: Floats) -> Floats:
-        """Return how often each probe's mate comes first, (P,), over a random order of ties."""
-        # One by one, since two may have drawn one mate.
-        each = zip(scores[:, None], self.mate[:, None], strict=True)
-        return np.concatenate([rank1(scores=row, mate=mate) for row, mate in each])
+        """Return the share of tie orders in which the mate comes first, (P,)."""
+        # Probe by probe, since two may have drawn the same mate.
+        probes = zip(scores[:, None], self.mate[:, None], strict=True)
+        return np.concatenate([rank1(scores=row, mate=mate) for row, mate in probes])
 
     def success(self, scores: Floats) -> Floats:
         """Return the logarithm of candidates over the mate's rank, (P,)."""
         return log_rank(scores=scores, mate=self.mate)
 
     def reordered(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
-        """Return the ordinary case with its tracks in another order, and how scores follow."""
+        """Return the case with its tracks in another order, and the map of scores."""
         rows, columns = (5, 2, 0, 3, 6, 1, 4), (4, 8, 0, 6, 2, 7, 1, 5, 3)
         changed = replace(
             self, probe=self.probe.tracks(rows), gallery=self.gallery.tracks(columns)
@@ -336,10 +345,10 @@ class LinkageCase(made.Case):
         return changed, lambda scores: scores[np.ix_(rows, columns)]
 
     def in_other_frames(self) -> tuple[LinkageCase, Callable[[Floats], Floats]]:
-        """Return the case with every walk of all four releases in yet another frame and clock."""
+        """Return the case with every walk in another frame and on another clock."""
         rng = draws("linkage", "other frames")
-        changed = made.of_each(
-            self, lambda one: made.moved(one, made.frames(rng, len(one)))
+        changed = made.map_releases(
+            self, lambda release: made.moved(release, made.frames(rng, len(release)))
         )
         return changed, lambda scores: scores
 
@@ -347,7 +356,7 @@ class LinkageCase(made.Case):
     def ordinary_and_another(
         granted: frozenset[Knowledge], *, same_steps: bool = False
     ) -> tuple[LinkageCase, LinkageCase]:
-        """Return a small case as most are, with P < G, and one of others under its pseudonyms."""
+        """Return a small ordinary case, P < G, and others under the same pseudonyms."""
         sizes, about = (PEOPLE[:7], PEOPLE[:9], OTHERS), "P = 7, G = 9, noise of 0.3 m"
         shown: dict[str, bool] = {
             "scene": Knowledge.SCENE in granted,
@@ -362,14 +371,14 @@ class LinkageCase(made.Case):
         return case, replace(other, probe=probe, gallery=gallery, train=case.train)
 
     def noisy(self, sigma_m: float, law: ErrorLaw) -> LinkageCase:
-        """Return the same 24 people against each other, with the same errors times `sigma_m`."""
+        """Return the same 24 people, with the same errors times `sigma_m`."""
         about = f"{N_TRACKS} people, {law} noise of {sigma_m:g} m"
         return people_made_up(
             "noisy", about=about, sigma_m=sigma_m, law=law, **self.shown
         )
 
     def null(self) -> LinkageCase:
-        """Return probes of people who are not in the gallery, with mates drawn one by one."""
+        """Return probes of people outside the gallery, with mates drawn at random."""
         strangers = people_made_up(
             "strangers", about="", sigma_m=RAW_SIGMA_M, **self.shown
         )
@@ -384,9 +393,10 @@ class LinkageCase(made.Case):
         )
 
     def odd(self) -> Iterator[LinkageCase]:
-        """Yield one probe or candidate, tracks of one to three samples, and odd steps."""
+        """Yield lone probes or candidates, tracks of 1 to 3 samples, and odd steps."""
         for sizes in ODD:
-            probes, candidates, _ = (", ".join(map(str, of_side)) for of_side in sizes)
+            probes = ", ".join(map(str, sizes[0]))
+            candidates = ", ".join(map(str, sizes[1]))
             about = f"probes of {probes} samples against {candidates}"
             yield people_made_up("short", about=about, sizes=sizes, **self.shown)
         sizes, about = ((60,) * 6, (60,) * 8, (60,) * 12), "steps from 1 ms to 30 s"
@@ -408,37 +418,37 @@ def people_made_up(
     law: ErrorLaw = "radial",
     steps_s: tuple[float, float] = made.STEADY_S,
 ) -> LinkageCase:
-    """Return people who differ in speed, in how evenly they walk and in how they turn.
+    """Return people who differ in mean speed, changes of speed, and turning.
 
-    All but the size of the errors depends on `name` and `sizes` alone: the samples of
-    each track of probe and gallery, the same people, and of either release of the
-    training set.
+    All draws depend on `name` and `sizes` alone, the size of the errors on `sigma_m`.
+    `sizes` are the samples of each track of probe, of gallery (the same people), and of
+    either release of the training set.
     """
     mechanism = Fixed(d_sigma=sigma_m - RAW_SIGMA_M, law=law)
 
     def release(
-        name: tuple[str, ...], who: list[made.Person], sizes: tuple[int, ...]
+        name: tuple[str, ...], people: list[made.Person], sizes: tuple[int, ...]
     ) -> Release:
         walks = []
         for row, size in enumerate(sizes):
             elapsed = made.instants(draws(*name, row), size, steps_s)
             is_later = scene and not same_steps and name[-1] == "gallery"
             t = GAP_S + elapsed if is_later else elapsed - elapsed[-1]
-            walks.append((t, who[row](t)))
-        # One motion for all that is in one frame, or one for every walk.
+            walks.append((t, people[row](t)))
+        # A single motion if all walks are in one frame, or else a motion per walk.
         rng = draws(*(name[:-1] if scene else name), "frames")
         frames = made.frames(rng, 1 if scene else len(walks))
         return made.moved(made.shared(walks, name, mechanism=mechanism), frames)
 
-    def pair(who: str, *sizes: tuple[int, ...]) -> LinkageTrainingSet:
-        name_of = ("linkage", name, who)
-        rng = draws(*name_of, "people")
+    def pair(role: str, *sizes: tuple[int, ...]) -> LinkageTrainingSet:
+        stream_name = ("linkage", name, role)
+        rng = draws(*stream_name, "people")
         speeds = rng.permutation(np.linspace(*made.SPEEDS_MPS, max(map(len, sizes))))
         people = [made.person(float(speed_mps), rng) for speed_mps in speeds]
-        probe = release((*name_of, "probe"), people, sizes[0])
-        gallery = release((*name_of, "gallery"), people, sizes[1])
-        # In an order of its own, lest a place in the list tell who is who.
-        order = draws(*name_of, "order").permutation(len(gallery))
+        probe = release((*stream_name, "probe"), people, sizes[0])
+        gallery = release((*stream_name, "gallery"), people, sizes[1])
+        # In an order of its own, so that a place in the list gives no mate away.
+        order = draws(*stream_name, "order").permutation(len(gallery))
         mate = np.concatenate([np.argsort(order), np.full(len(probe), -1)])[
             : len(probe)
         ]

@@ -1,4 +1,4 @@
-"""Made-up walks as mechanisms and predictors get them, and what holds for these alone."""
+"""Cases of mechanisms and predictors, and the checks that hold for these alone."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from isac_track.sharing import Fixed
 from isac_track.testing.engine import Body, by_name, call
 from isac_track.types import (
     SHARED_LIMIT_M,
+    Complexes,
     Floats,
     Ints,
     Knowledge,
@@ -30,12 +31,12 @@ from isac_track.types import (
 SHORT = (1, 2, 3, 40)  # Samples of the tracks of the odd cases.
 HORIZON_S, N_STEPS = 3.0, 16
 SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
-"""How far a variance may be from what is declared: in standard errors over the tracks, a share."""
+"""Room of a variance about the declared one: standard errors, and a share of it."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MechanismCase(made.Case):
-    """What a mechanism is asked to share."""
+    """Sensed walks that a mechanism is asked to share."""
 
     asked: ClassVar[tuple[str, ...]] = ("sensed",)
     compared: ClassVar[str] = "t, xy or sigma"
@@ -45,16 +46,16 @@ class MechanismCase(made.Case):
 
     def prepared(
         self,
-        mechanism: made.Theirs,
+        mechanism: made.Plugin,
         _given: frozenset[Knowledge],
         rng: Generator,
-        _who: str,
-    ) -> made.Theirs:
-        """Return what shares, with its random stream."""
+        _actor: str,
+    ) -> made.Plugin:
+        """Return the function that shares, with its random stream."""
         return lambda sensed: mechanism.share(sensed, rng)
 
     def read(self, result: object) -> Floats:
-        """Return track, t, xy and sigma, if declared, of all samples; ValueError if it cannot."""
+        """Return track, t, xy and sigma, if declared, of all samples; or ValueError."""
         if not isinstance(result, Release):
             raise ValueError(  # noqa: TRY004 - a stranger's
                 f"share must return a Release, got {type(result).__name__}"
@@ -68,43 +69,37 @@ class MechanismCase(made.Case):
     def fault(self, release: Release) -> str:
         if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
             return f"a position is not within {SHARED_LIMIT_M:g} m of the origin"
-        return self.samples_of(release)[1]
+        return self.match_samples(release)[1]
 
-    def samples_of(self, release: Release) -> tuple[Ints, str]:
-        """Return which of the sensed samples are shared, and what is wrong if one was not."""
-        # Number of the track and time: numpy orders complex numbers by the real part
-        # first.
-        shared, known = (
-            np.repeat(np.arange(len(one)), np.diff(one.offsets)) + 1j * one.t
-            for one in (release, self.sensed)
-        )
+    def match_samples(self, release: Release) -> tuple[Ints, str]:
+        """Return the sensed sample of each shared one, and the fault if any."""
+        shared, known = _track_and_time(release), _track_and_time(self.sensed)
         rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
         strange = shared[known[rows] != shared]
         if strange.size == 0:
             return rows, ""
-        what = (
+        fault = (
             f"in track {strange[0].real:g} nothing was sensed at"
             f" {strange[0].imag:.12g} s"
         )
-        return rows, f"{what}; samples may be left out, not moved in time or added"
+        return rows, f"{fault}; samples may be left out, not moved in time or added"
 
     def reordered(self) -> tuple[MechanismCase, Callable[[Floats], Floats]]:
-        """Return the case with its tracks in another order, and how an answer follows."""
+        """Return the case with its tracks in another order, and the map of answers."""
         rows = made.draws("plugin", "order").permutation(len(self.sensed))
         parts = [self.sensed[row] for row in rows]
-        turned: dict[str, Any] = {
+        arrays: dict[str, Any] = {
             item.name: np.concatenate([getattr(part, item.name) for part in parts])
             for item in fields(self.sensed)
             if item.metadata.get("per")
         }
         offsets = np.cumsum([0, *(part.t.size for part in parts)])
-        changed = replace(self, sensed=replace(self.sensed, offsets=offsets, **turned))
+        changed = replace(self, sensed=replace(self.sensed, offsets=offsets, **arrays))
 
         def follow(answer: Floats) -> Floats:
             place = np.argsort(rows)[answer[:, 0].astype(np.int64)]
-            return np.column_stack([place, answer[:, 1:]])[
-                np.argsort(place, kind="stable")
-            ]
+            order = np.argsort(place, kind="stable")
+            return np.column_stack([place, answer[:, 1:]])[order]
 
         return changed, follow
 
@@ -112,7 +107,7 @@ class MechanismCase(made.Case):
     def ordinary_and_another(
         _granted: object, **_shown: bool
     ) -> tuple[MechanismCase, MechanismCase]:
-        """Return 24 walks as most are, and the one of these that is the longest."""
+        """Return 24 ordinary walks, and the longest of them by itself."""
         sizes = tuple(60 + 6 * row for row in range(24))
         return _sensed(sizes, made.STEADY_S), _sensed(sizes[-1:], made.STEADY_S)
 
@@ -121,6 +116,12 @@ class MechanismCase(made.Case):
         for steps_s in (made.STEADY_S, made.IRREGULAR_S):
             for sizes in (SHORT, *((size,) for size in SHORT)):
                 yield _sensed(sizes, steps_s)
+
+
+def _track_and_time(batch: Release | Sensed) -> Complexes:
+    """Return track + 1j * t of each sample, which numpy orders by track, then time."""
+    track = np.repeat(np.arange(len(batch)), np.diff(batch.offsets))
+    return np.asarray(track + 1j * batch.t)
 
 
 @cache
@@ -148,14 +149,14 @@ def sigma_is_declared(row: common.Row) -> None:
 
 
 def sigma_is_that_of_the_error(row: common.Row) -> None:
-    """What is shared lies as far from the truth as its declared standard deviation says."""
+    """The errors of a release have the standard deviation that it declares."""
     if not getattr(row.subject, "adds_error", True):
         raise SkipTest("adds_error = False: it adds no error of a standard deviation")
     sensed = row.ordinary.sensed
     if getattr(row.subject, "law", None) not in (None, sensed.law):
         raise SkipTest("its error has a law of its own")
     (release,) = row.results(row.ordinary)
-    samples, wrong = row.ordinary.samples_of(release)
+    samples, wrong = row.ordinary.match_samples(release)
     if wrong or release.sigma is None:
         raise SkipTest(wrong or "it declares no sigma")
     truth = (sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error)[samples]
@@ -167,26 +168,25 @@ def sigma_is_that_of_the_error(row: common.Row) -> None:
     if not abs(mean - 1.0) <= SIGMA_ROOM + SIGMA_ERRORS * std_error:
         times = f"{mean:.3g} times what is declared ({std_error:.2g} standard error)"
         hint = "If it adds no error of a standard deviation, say adds_error = False"
-        whole = f"sigma is that of the whole error, raw and added. {hint}"
-        row.fail(row.ordinary, f"the error's variance is {times}; {whole}")
+        requirement = f"sigma is that of the whole error, raw and added. {hint}"
+        row.fail(row.ordinary, f"the error's variance is {times}; {requirement}")
 
 
 def another_rng_another_release(row: common.Row) -> None:
-    """Under another `rng` independent errors are others, and so is every pseudonym."""
+    """Under another `rng` all pseudonyms change, and so do independent errors."""
     mechanism, case = row.subject, row.ordinary
     (first,), (second,) = (row.results(case, seed=seed) for seed in range(2))
-    names, again = first.pseudonym, set(first.pseudonym) & set(second.pseudonym)
-    if again or len(set(names)) < len(names):
+    names, repeated = first.pseudonym, set(first.pseudonym) & set(second.pseudonym)
+    if repeated or len(set(names)) < len(names):
         wrong = (
-            f"{min(again)!r} comes again under another rng"
-            if again
+            f"{min(repeated)!r} comes again under another rng"
+            if repeated
             else "two tracks share one"
         )
         row.fail(case, f"pseudonyms: {wrong}; `perturb` draws them afresh")
     is_independent = getattr(mechanism, "adding", "") == "independent"
-    is_independent &= (
-        getattr(mechanism, "reuse", "release") != "session"
-    )  # drawn from the walk
+    # With reuse="session" errors depend on the walk alone.
+    is_independent &= getattr(mechanism, "reuse", "release") != "session"
     adds = getattr(mechanism, "adds_error", True) and not np.array_equal(
         first.xy, case.sensed.xy
     )
@@ -215,23 +215,24 @@ class PredictorCase(made.Case):
     asked: ClassVar[tuple[str, ...]] = ("release", "t_future")
     compared: ClassVar[str] = "mean or cov"
     unit: ClassVar[str] = " m or m^2"
-    mechanism: ClassVar[Fixed] = Fixed(0.25)  # One that is aware is told of it.
+    mechanism: ClassVar[Fixed] = Fixed(0.25)  # An aware predictor knows it.
 
     release: Release
     t_future: Floats  # (N, H) s
 
     def prepared(
         self,
-        predictor: made.Theirs,
+        predictor: made.Plugin,
         _given: frozenset[Knowledge],
         _rng: Generator,
-        who: str,
-    ) -> made.Theirs:
-        """Return what predicts; it knows the mechanism if it is aware."""
-        return call(knowing, predictor, self.mechanism, who=f"{who} knowing").predict
+        actor: str,
+    ) -> made.Plugin:
+        """Return the function that predicts; it knows the mechanism if it is aware."""
+        actor = f"{actor} knowing"
+        return call(knowing, predictor, self.mechanism, actor=actor).predict
 
     def read(self, result: object) -> Floats:
-        """Return means and covariances, if any, of each track in a row; ValueError if it cannot."""
+        """Return means and covariances, if any, a row for each track; or ValueError."""
         if not isinstance(result, Prediction):
             raise ValueError(  # noqa: TRY004 - a stranger's
                 f"predict must return a Prediction, got {type(result).__name__}"
@@ -241,14 +242,14 @@ class PredictorCase(made.Case):
             raise ValueError(
                 f"mean has shape {result.mean.shape}, expected (N, H, 2) = {expected}"
             )
-        found = [one for one in (result.mean, result.cov) if one is not None]
-        return np.column_stack([one.reshape(len(self.release), -1) for one in found])
+        parts = [part for part in (result.mean, result.cov) if part is not None]
+        return np.column_stack([part.reshape(len(self.release), -1) for part in parts])
 
     @staticmethod
     def ordinary_and_another(
         _granted: object, **_shown: bool
     ) -> tuple[PredictorCase, PredictorCase]:
-        """Return 8 walks and 16 times as most are, and one time alone."""
+        """Return 8 ordinary walks and 16 times, and the last time by itself."""
         case = _asked(tuple(20 + 4 * row for row in range(8)), made.STEADY_S)
         return case, replace(case, t_future=case.t_future[:, -1:])
 
@@ -267,20 +268,22 @@ def _asked(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> PredictorCas
     return PredictorCase(_about(sizes, steps_s), release, t_future)
 
 
-def one_track_is_predicted_as_among_others(row: common.Row) -> None:
-    """A track alone is predicted as in the batch."""
+def lone_track_is_predicted_as_in_batch(row: common.Row) -> None:
+    """A track by itself has the same prediction as in the batch."""
     case = row.ordinary
     together = row.answer(case)
     for number, track in enumerate(case.release):
-        alone = row.answer(
+        single = row.answer(
             replace(case, release=track, t_future=case.t_future[[number]])
         )[0]
-        if alone.shape != together[number].shape:
+        if single.shape != together[number].shape:
             row.fail(
                 case, f"track {number} alone has a covariance, or has none any more"
             )
-        if not np.allclose(alone, together[number], rtol=common.SAME, atol=common.SAME):
-            gap = float(np.abs(alone - together[number]).max())
+        if not np.allclose(
+            single, together[number], rtol=common.SAME, atol=common.SAME
+        ):
+            gap = float(np.abs(single - together[number]).max())
             row.fail(
                 case,
                 f"track {number} alone is predicted otherwise: mean or cov by"
@@ -289,7 +292,7 @@ def one_track_is_predicted_as_among_others(row: common.Row) -> None:
 
 
 def track_is_causal(row: common.Row) -> None:
-    """What `track` returns, if there is one, is a place for every sample, from no later sample."""
+    """`track`, if there is one, returns a place per sample, from no later sample."""
     if getattr(row.subject, "track", None) is None:
         raise SkipTest("it has no track")
     for case in (*row.ordinary.odd(), row.ordinary):
@@ -298,12 +301,13 @@ def track_is_causal(row: common.Row) -> None:
             if Knowledge.SIGMA in row.given
             else case.release.without_sigma()
         )
-        who = f"{row}, {case.about}: track"
-        track = call(knowing, row.subject, case.mechanism, who=who).track
+        actor = f"{row}, {case.about}: track"
+        track = call(knowing, row.subject, case.mechanism, actor=actor).track
         first = np.repeat(release.offsets[:-1], np.diff(release.offsets))
         late = np.arange(release.t.size) - first > np.diff(release.offsets).min() // 2
         moved = replace(release, xy=release.xy + np.where(late, 7.0, 0.0)[:, None])
-        places, others = (call(track, one, who=who) for one in (release, moved))
+        places = call(track, release, actor=actor)
+        others = call(track, moved, actor=actor)
         if np.shape(places) != release.xy.shape or not np.isfinite(places).all():
             row.fail(
                 case, f"track must return finite places, (M, 2) = {release.xy.shape}"
@@ -320,7 +324,7 @@ PREDICTOR: dict[str, Body] = {
     "only_required_knowledge_is_touched": common.only_granted_knowledge_is_touched,
     "release_is_not_mutated": common.inputs_are_not_mutated,
     "same_release_same_prediction": common.same_seed_same_result,
-    **by_name(one_track_is_predicted_as_among_others),
+    "one_track_is_predicted_as_among_others": lone_track_is_predicted_as_in_batch,
     "odd_tracks_are_predicted": common.odd_tracks_are_handled,
     **by_name(track_is_causal),
 }

@@ -1,4 +1,4 @@
-"""Made-up people under pseudonyms, and the same release seen otherwise: shared by all cases."""
+"""Made-up people under pseudonyms, and changed views of a release: for all cases."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import deepcopy
@@ -17,14 +17,13 @@ from isac_track.testing.engine import call
 from isac_track.types import ErrorLaw, Floats, Knowledge, Release, Sensed
 
 Person: TypeAlias = Callable[[Floats], Floats]
-Walk: TypeAlias = tuple[
-    Floats, Floats
-]  # Times, (n,) s, and where somebody then was, (n, 2) m.
-Theirs: TypeAlias = Any  # A plug-in, or what is called of it.
+# Times, (n,) s, and positions, (n, 2) m.
+Walk: TypeAlias = tuple[Floats, Floats]
+Plugin: TypeAlias = Any  # A plug-in, or a function of it.
 Holder = TypeVar("Holder", bound=Any)  # A case, or a training set.
 
 EPSILON_M = 0.3
-RAW_SIGMA_M = 0.05  # Of the sensing; all else is added by the mechanism.
+RAW_SIGMA_M = 0.05  # Of the sensing; the mechanism adds all further error.
 BOX_M = 20.0  # Side of the square in which walks start.
 STEADY_S, IRREGULAR_S = (1 / 16, 1 / 8), (1e-3, 30.0)  # Shortest and longest step.
 SPEEDS_MPS = (0.6, 2.0)  # Slowest and fastest of the people.
@@ -40,18 +39,17 @@ def draws(*name: str | int) -> np.random.Generator:
 def instants(
     rng: np.random.Generator, size: int, steps_s: tuple[float, float]
 ) -> Floats:
-    """Return so many instants after 0, s, whose steps are drawn evenly in their logarithm."""
+    """Return `size` instants after 0, s; the logarithms of their steps are uniform."""
     shortest, longest = np.log(steps_s)
     return np.cumsum(np.exp(rng.uniform(shortest, longest, size)))
 
 
 def person(speed_mps: float, rng: np.random.Generator) -> Person:
-    """Return where somebody is at times before and after 0, (M,) s -> (M, 2) m."""
+    """Return a person: the function from times about 0, (M,) s, to places, (M, 2) m."""
     round_rad = 2.0 * np.pi
-    # By what share of itself the speed rises and falls, and how often.
+    # Share of the speed that rises and falls, its period and its phase.
     sway, sway_s, sway_phase = rng.uniform([0.05, 2.0, 0.0], [0.3, 6.0, round_rad])
-    # How fast a person turns on the whole, and by how much more or less on the way, how
-    # often.
+    # Mean turning rate, and amplitude and period of its changes.
     turn_radps, wind_radps, wind_s = rng.uniform([-0.25, 0.1, 3.0], [0.25, 0.8, 8.0])
     wind_phase, heading_rad = rng.uniform(0.0, round_rad, 2)
     start_m = rng.uniform(-BOX_M / 2, BOX_M / 2, 2)
@@ -72,30 +70,30 @@ def person(speed_mps: float, rng: np.random.Generator) -> Person:
 
 
 def walks(*name: str, sizes: Iterable[int], steps_s: tuple[float, float]) -> list[Walk]:
-    """Return walks of so many samples each, on clocks of their own."""
-    found = []
+    """Return walks with `sizes` samples each, on clocks of their own."""
+    drawn = []
     for row, size in enumerate(sizes):
         rng = draws(*name, row)
         t = instants(rng, size, steps_s)
         xy = person(rng.uniform(*SPEEDS_MPS), rng)(t)
-        found.append((t + rng.uniform(0.0, 60.0), xy))
-    return found
+        drawn.append((t + rng.uniform(0.0, 60.0), xy))
+    return drawn
 
 
 def shared(
     walks: Sequence[Walk], name: tuple[str | int, ...], *, mechanism: Fixed
 ) -> Release:
     """Return walks as the mechanism shares them, under new pseudonyms."""
-    found = sensed(walks, name, law=mechanism.law or "radial")
-    return mechanism.share(found, draws("share", *name))
+    sensed_walks = sensed(walks, name, law=mechanism.law or "radial")
+    return mechanism.share(sensed_walks, draws("share", *name))
 
 
 def sensed(
-    walks: Sequence[Walk], of: tuple[str | int, ...], *, law: ErrorLaw = "radial"
+    walks: Sequence[Walk], name: tuple[str | int, ...], *, law: ErrorLaw = "radial"
 ) -> Sensed:
     """Return walks as the network senses them, with errors of `RAW_SIGMA_M`."""
     t, xy = (np.concatenate(arrays) for arrays in zip(*walks, strict=True))
-    unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *of))
+    unit = unit_errors(n_samples=t.size, law=law, rng=draws("errors", *name))
     offsets = np.cumsum([0, *(times.size for times, _ in walks)])
     sigma, information = np.full(t.size, RAW_SIGMA_M), np.full(t.size, RAW_SIGMA_M**-2)
     fid = fisher_information_density(information=information, t=t, offsets=offsets)
@@ -105,16 +103,14 @@ def sensed(
 
 
 def frames(rng: np.random.Generator, count: int) -> Floats:
-    """Return frames, (count, 4): turned by, rad, then shifted by x and y, m; how much later, s."""
-    low, high = (
-        (0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0),
-        (2 * np.pi, *[_FARTHEST_M] * 2, _LATEST_S),
-    )
+    """Return drawn frames, (count, 4): angle, rad; shift x and y, m; delay, s."""
+    low = (0.0, -_FARTHEST_M, -_FARTHEST_M, 0.0)
+    high = (2 * np.pi, _FARTHEST_M, _FARTHEST_M, _LATEST_S)
     return rng.uniform(low, high, (count, 4))
 
 
 def turned(xy: Floats, frame: Floats) -> Floats:
-    """Return points, (M, 2) m, in another frame, or each in one of its own, (4,) or (M, 4)."""
+    """Return points, (M, 2) m, in another frame, (4,), or each in its own, (M, 4)."""
     angle_rad, *shift_m, _ = frame.T
     cos, sin, (x, y) = np.cos(angle_rad), np.sin(angle_rad), xy.T
     return np.stack(
@@ -123,84 +119,84 @@ def turned(xy: Floats, frame: Floats) -> Floats:
 
 
 def moved(release: Release, frames: Floats) -> Release:
-    """Return a release in another frame and on another clock, or each track in its own, (N, 4)."""
-    of_track = np.broadcast_to(frames, (len(release), 4))
-    frame = np.repeat(of_track, np.diff(release.offsets), axis=0)
+    """Return a release in another frame, (4,), or each track in its own, (N, 4)."""
+    frame_per_track = np.broadcast_to(frames, (len(release), 4))
+    frame = np.repeat(frame_per_track, np.diff(release.offsets), axis=0)
     return replace(release, t=release.t + frame[:, 3], xy=turned(release.xy, frame))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Case:
-    """What a plug-in is asked, for checks that hold for several kinds: as an attack is, mostly."""
+    """Inputs of a plug-in, for checks of several kinds; the defaults suit attacks."""
 
-    asked: ClassVar[tuple[str, ...]]  # Names of what it is called with.
-    everything: ClassVar[frozenset[Knowledge]] = frozenset(
-        Knowledge
-    )  # All that there is to grant.
-    compared: ClassVar[str]  # What an answer is made of.
+    asked: ClassVar[tuple[str, ...]]  # Names of the arguments of its call.
+    # All knowledge that can be granted.
+    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)
+    compared: ClassVar[str]  # The parts of an answer, in words.
     unit: ClassVar[str]
 
     about: str  # For messages.
 
     def prepared(
         self,
-        plugin: Theirs,
+        plugin: Plugin,
         granted: frozenset[Knowledge],
         rng: np.random.Generator,
-        who: str,
-    ) -> Theirs:
-        """Return what is called: of an attack the function from `fit`, given what is granted."""
+        actor: str,
+    ) -> Plugin:
+        """Return the function to call: of an attack that from `fit`."""
         names = ("mechanism", "train", "repeats", "anchor", "companions")
-        held = {name: getattr(self, name, None) for name in names}
-        context = AttackContext(rng=rng, epsilon_m=EPSILON_M, granted=granted, **held)
-        return call(plugin.fit, context, who=f"{who} fit(context)")
+        knowledge = {name: getattr(self, name, None) for name in names}
+        context = AttackContext(
+            rng=rng, epsilon_m=EPSILON_M, granted=granted, **knowledge
+        )
+        return call(plugin.fit, context, actor=f"{actor} fit(context)")
 
     def fault(self, _result: Any) -> str:  # noqa: ANN401 - as the contract says
-        """Return what is wrong with a result that can be read all the same; empty if nothing."""
+        """Return the fault of a result that could be read, in words; empty if none."""
         return ""
 
-    out_of_bounds = fault  # The same of an answer that flies off.
+    out_of_bounds = fault  # The same for an answer too far away.
 
-    def gaps(self, one: Floats, other: Floats) -> Floats:
-        """Return how far apart the numbers of two answers are, a row for each sort of number."""
-        return (
-            np.abs(one - other).T if one.shape == other.shape else np.array([[np.inf]])
-        )
-
-
-# The same case, seen otherwise; what is said of cases holds for the training sets in
-# them
+    def gaps(self, first: Floats, second: Floats) -> Floats:
+        """Return the distances of two answers, a row for each sort of number."""
+        if first.shape != second.shape:
+            return np.array([[np.inf]])
+        return np.asarray(np.abs(first - second).T)
 
 
-def of_each(case: Holder, change: Callable[[Release], Release]) -> Holder:
+# Changed views of a case, or of a training set in it.
+
+
+def map_releases(case: Holder, change: Callable[[Release], Release]) -> Holder:
     """Return a case with every release in it changed, in the order of its fields."""
 
-    def changed(held: object) -> object:
-        if isinstance(held, Release):
-            return change(held)
-        if isinstance(held, TrainingSet | LinkageTrainingSet):
-            return of_each(held, change)
-        return tuple(map(changed, held)) if isinstance(held, tuple) else held
+    def changed(value: object) -> object:
+        if isinstance(value, Release):
+            return change(value)
+        if isinstance(value, TrainingSet | LinkageTrainingSet):
+            return map_releases(value, change)
+        return tuple(map(changed, value)) if isinstance(value, tuple) else value
 
-    held = {item.name: changed(getattr(case, item.name)) for item in fields(case)}
-    return replace(case, **held)
+    values = {item.name: changed(getattr(case, item.name)) for item in fields(case)}
+    return replace(case, **values)
 
 
 def copied(case: Holder) -> Holder:
-    """Return the case in arrays of its own; nothing done to them reaches another run."""
+    """Return a copy of a case: a plug-in that changes it affects no other run."""
     own = deepcopy(case)
-    for _, array in arrays_of(own):
+    for _, array in list_arrays(own):
         array.flags.writeable = False  # as `Release` has it
     return own
 
 
-def arrays_of(held: object, name: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
-    """Yield every array in a case or a part of it, behind the path to it."""
-    if isinstance(held, np.ndarray):
-        yield name, held
-    elif isinstance(held, tuple):
-        for place, one in enumerate(held):
-            yield from arrays_of(one, f"{name}[{place}]")
-    elif is_dataclass(held):
-        for item in fields(held):
-            yield from arrays_of(getattr(held, item.name), f"{name}.{item.name}")
+def list_arrays(value: object, path: str = "") -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the path to every array in a case or a part of it, and the array."""
+    if isinstance(value, np.ndarray):
+        yield path, value
+    elif isinstance(value, tuple):
+        for number, part in enumerate(value):
+            yield from list_arrays(part, f"{path}[{number}]")
+    elif is_dataclass(value):
+        for item in fields(value):
+            yield from list_arrays(getattr(value, item.name), f"{path}.{item.name}")

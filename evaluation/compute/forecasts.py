@@ -1,4 +1,4 @@
-"""The stage *sharing*: the descriptors as shared, and what every predictor makes of a release."""
+"""The stage *sharing*: descriptors of shared tracks, and the robots' predictions."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.compute.sharing import guarded, handed, samples_of, showing
+from evaluation.compute.sharing import guarded, handed, showing, track_samples
 from evaluation.compute.tables import (
     Rows,
     descriptors,
@@ -23,10 +23,10 @@ from isac_track.types import Floats, Prediction, Reconstruction, Release, Scenes
 
 if TYPE_CHECKING:
     from evaluation.plan.axes import Consumer
-    from isac_track.config import StageSettings
+    from isac_track.config import ConflictSettings, StageSettings
     from isac_track.plugins import Plugin
 
-# In which a robot's own estimates are held against the truth.
+# The first scenes, in which a robot's own estimates are compared with the truth.
 LOGGED_SCENES: Final = 500
 
 
@@ -39,12 +39,12 @@ def sharing_rows(
     stages: StageSettings,
     is_logged: bool = True,
 ) -> Rows:
-    """Return the rows of the descriptors as shared, a track each, or of a predictor, a scene each.
+    """Return the rows of a consumer: per track as shared, per scene for a predictor.
 
     `scenes` are those of the release, without the samples that it left out; `mechanism`
-    shared it. `is_logged`: a robot's own estimates of the past are held against the
-    truth, too. Raises PluginError if a predictor raises or breaks its contract, which
-    names it, and SettingsError if conflicts are decided by a probability and a
+    shared it. With `is_logged` a robot's own estimates of the past are compared with
+    the truth, too. Raises PluginError if a predictor raises or breaks its contract,
+    which names it. Raises SettingsError if conflicts are decided by a probability and a
     predictor has none.
     """
     predictor, conflict = consumer.plugin, stages.conflict
@@ -54,24 +54,43 @@ def sharing_rows(
             "speed_mps": net_speeds(scenes),
             **descriptors(release, truth=scenes.xy, settings=stages.privacy),
         }
-    who = f"predictor {predictor.spec!r}"
-    granted = handed(showing(release, predictor.instance.requires), predictor)
-    robot_knows = guarded(who, lambda: knowing(predictor.instance, mechanism.instance))
+    name = f"predictor {predictor.spec!r}"
+    shown = handed(showing(release, predictor.instance.requires), predictor)
+    robot_predictor = guarded(
+        name, lambda: knowing(predictor.instance, mechanism.instance)
+    )
     prediction = guarded(
-        who, lambda: robot_knows.predict(granted, scenes.t_future.copy())
+        name, lambda: robot_predictor.predict(shown, scenes.t_future.copy())
     )
     expected = scenes.xy_future.shape
     if not isinstance(prediction, Prediction) or prediction.mean.shape != expected:
-        raise PluginError(f"{who} must return a Prediction with mean {expected}")
+        raise PluginError(f"{name} must return a Prediction with mean {expected}")
     if prediction.cov is None and conflict.decision == "probability":
         raise SettingsError(
-            f"{who} has no covariance, which conflict.decision=probability needs; leave"
-            " it out or decide by the mean"
+            f"{name} has no covariance, which conflict.decision=probability needs;"
+            " leave it out or decide by the mean"
         )
-    robot, radius_m = (
-        robot_positions(scenes, settings=conflict),
-        conflict.safety_radius_m,
-    )
+    plr_robot = np.full(len(scenes), np.nan)
+    if is_logged:
+        plr_robot = _own_plr(name, robot_predictor, shown, scenes, stages=stages)
+    return {
+        "scene": scenes.index,
+        "track": scenes.track[:: scenes.n_agents],
+        "exhausted": scenes.exhausted,
+        "conflict": scenes.conflict,
+        "inside_now": scenes.inside_now,
+        "time_to_conflict_s": scenes.time_to_conflict_s,
+        **_decision_rows(prediction, scenes, conflict=conflict),
+        "plr_robot": plr_robot,
+    }
+
+
+def _decision_rows(
+    prediction: Prediction, scenes: Scenes, *, conflict: ConflictSettings
+) -> Rows:
+    """Return the columns of a robot's decision in each scene, (S,)."""
+    robot = robot_positions(scenes, settings=conflict)
+    radius_m = conflict.safety_radius_m
     mean = prediction.mean.reshape(robot.shape)
     separation_m = minimum_separation(robot=robot, agents=mean)
     probability = np.full(len(scenes), np.nan)
@@ -84,51 +103,41 @@ def sharing_rows(
     if conflict.decision == "probability":
         predicted = probability >= conflict.probability_threshold
     return {
-        "scene": scenes.index,
-        "track": scenes.track[:: scenes.n_agents],
-        "exhausted": scenes.exhausted,
-        "conflict": scenes.conflict,
-        "inside_now": scenes.inside_now,
-        "time_to_conflict_s": scenes.time_to_conflict_s,
         "predicted": predicted,
         "separation_m": scenes.separation,
         "predicted_separation_m": separation_m,
         "probability": probability,
-        "plr_robot": (
-            _own_plr(who, robot_knows, granted, scenes, stages=stages)
-            if is_logged
-            else np.full(len(scenes), np.nan)
-        ),
     }
 
 
 def _own_plr(
-    who: str,
+    name: str,
     predictor: object,
     release: Release,
     scenes: Scenes,
     *,
     stages: StageSettings,
 ) -> Floats:
-    """Return of which share of a scene's first agent's samples the robot knew the place by then.
+    """Return the PLR of the robot's own estimates of each scene's first agent, (S,).
 
-    (S,); NaN after the first `LOGGED_SCENES`, and for a predictor that has no
-    ``track``. A scene's cluster is that of its first agent. Raises PluginError as
+    That is the share of the samples whose place the robot knew by then. NaN after the
+    first `LOGGED_SCENES`, and for a predictor that has no ``track``. The first agent
+    alone: a scene's cluster is that of its first agent. Raises PluginError as
     `sharing_rows` does.
     """
-    found = np.full(len(scenes), np.nan)
+    plr = np.full(len(scenes), np.nan)
     logged = np.flatnonzero(scenes.index < LOGGED_SCENES)
     track = getattr(predictor, "track", None)
     if track is None or not logged.size:
-        return found
+        return plr
     rows = logged * scenes.n_agents
-    first, samples = release.tracks(rows), samples_of(scenes.offsets, rows)
-    places = guarded(who, lambda: Reconstruction(track(first)).xy)
-    if places.shape != first.xy.shape:
+    first, samples = release.tracks(rows), track_samples(scenes.offsets, rows)
+    estimate = guarded(name, lambda: Reconstruction(track(first)).xy)
+    if estimate.shape != first.xy.shape:
         raise PluginError(
-            f"{who} must track positions {first.xy.shape}, got {places.shape}"
+            f"{name} must track positions {first.xy.shape}, got {estimate.shape}"
         )
     truth, epsilon_m = scenes.xy.take(samples.rows, axis=0), stages.privacy.epsilon_m
-    leaked = leakage_indicator(shared_xy=places, true_xy=truth, epsilon_m=epsilon_m)
-    found[logged] = track_means(leaked.astype(np.float64), samples.offsets)
-    return found
+    leaked = leakage_indicator(shared_xy=estimate, true_xy=truth, epsilon_m=epsilon_m)
+    plr[logged] = track_means(leaked.astype(np.float64), samples.offsets)
+    return plr

@@ -1,9 +1,9 @@
-"""What is read off the scores of a linkage attack, and the tables that a cell keeps of it.
+"""The scorecard of a linkage attack, and the tables of its cell.
 
-The scorecard takes a bootstrap and a permutation test; it belongs to the cell, so that
-a report is drawn without computing either again. Replicates of rank metrics follow from
-the probes; those of score metrics visit every pair, and are kept, but not of controls:
-each is held against its own permutation test, and nobody pairs two.
+The scorecard takes a bootstrap and a permutation test. The cell stores it, so that a
+report computes neither again. Replicates of rank metrics follow from the probes. Those
+of score metrics visit every pair; the cells of attacks store them. Cells of controls do
+not: each control has its own permutation test, and no comparison pairs two.
 """
 
 import json
@@ -22,32 +22,31 @@ from evaluation.compute.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
 from isac_track.linkability.ranks import expected_hit
-from isac_track.linkability.scoring import RANK_METRICS, Drawn, draw, scorecard_of
-from isac_track.linkability.significance import People, people_of
+from isac_track.linkability.scoring import (
+    RANK_METRICS,
+    Drawn,
+    draw,
+    scorecard_from_draws,
+)
+from isac_track.linkability.significance import People, searched_people
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
-"""Without people who walk in a group, and move alike; without nearly frozen annotations."""
-SHUFFLES, AUDIT_SHUFFLES = (
-    999,
-    1999,
-)  # The audit's can reject at a hundredth over six tests.
+"""Cohorts without people in groups, who move alike, or without frozen annotations."""
+SHUFFLES = 999
+AUDIT_SHUFFLES = 1999  # Enough to reject at a hundredth over six tests.
 ESTIMATES: Final = "estimates"
 REPLICATES: Final = "replicates"
 ABOUT: Final = "about"
-DERIVED: Final = (
-    "chance",
-    "residual_risk",
-    "d_sys_corrected",
-)  # Replicates follow from others'.
+DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
+"""Metrics whose replicates follow from those of others."""
 COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
-"""Columns of `ProbeRanks.companions`: who walks along is no candidate of `rank1_g100`."""
+"""Columns of `ProbeRanks.companions`, which are no candidates of `rank1_g100`."""
 ASSIGNED: Final = ("nobody", "other", "mate", "mate if any", "unknown")
-"""What is assigned to a probe: `ProbeRanks.assigned`; unknown where scores have no scale."""
-NAMED_MATES: Final = frozenset(
-    {"mate", "mate if any"}
-)  # Of `ASSIGNED`: they count as found.
+"""Names of `ProbeRanks.assigned` + 1; unknown where scores have no scale."""
+NAMED_MATES: Final = frozenset({"mate", "mate if any"})
+"""The values of `ASSIGNED` that count as hits."""
 _NUMBERS = (
     "p_value",
     "p_value_low",
@@ -62,203 +61,260 @@ _NUMBERS = (
     "is_inverted",
     "minimum_detectable_rank1",
 )
-_AT_ONCE = 256  # Probes that are compared at a time: of thousands all take 200 MB.
+# Probes that are compared at a time: thousands at once would take 200 MB.
+_AT_ONCE = 256
 _NOTHING: Final[Mapping[int, Any]] = MappingProxyType({})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Linked:
-    """Outcome of one cell: raw scores, and all that is read off them."""
+class LinkResult:
+    """Outcome of one linkage cell: raw scores, and all that is computed from them."""
 
     searches: tuple[linkability.Search, ...]
     calibration: Mapping[int, linkability.Calibration]  # By fold.
-    scored: linkability.Scorecard
-    cohorts: Mapping[
-        str, Mapping[str, float]
-    ]  # Rank 1 by who is left out; none for a control.
+    scorecard: linkability.Scorecard
+    # Rank 1 by the people that are left out; none for a control.
+    cohorts: Mapping[str, Mapping[str, float]]
     is_assigned: bool  # Whether scores have a known scale, or need none.
     losses: Floats | None = None
-    """(n,) hits that scoring some candidates alone costs each probe that is searched in full."""
+    """(n,) hits lost by each fully searched probe if only candidates are scored."""
 
 
-def read_off(
+def score_links(
     scores: Mapping[int, Floats],
     *,
-    known: SensedSessions,
+    setup: SensedSessions,
     drawn_from: Generator | tuple[str, ...],
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
     matched: Mapping[int, Floats] = _NOTHING,
     is_audit: bool = False,
     losses: Floats | None = None,
-) -> Linked:
-    """Return the scorecard of an attack or a control, and of an attack without confounders.
+) -> LinkResult:
+    """Return the scorecard of an attack or a control.
 
-    `scores` are those of every search, (P, G) each, by its number, `calibration` those
-    by fold that there was somebody for. `matched` are by search the probabilities of
-    the pairs of an open gallery (`matched_pairs`): without them there is no assignment
-    in one. What the scorecard draws is `drawn_from` a control's own stream, or from
-    that of the attack of this name, alike at all levels. With `known.candidates` all is
-    read off the ranks, and `losses` says what the attack lost.
+    An attack also has its rank 1 without confounders. `scores` has the scores of every
+    search, (P, G) each, by its number; `calibration` has that of every fold with people
+    to calibrate on. `matched` has by search the probabilities of the pairs of an open
+    gallery (`match_pairs`): without them an open gallery has no assignment.
+    `drawn_from` is a control's own random stream, or the name of an attack, whose
+    stream is the same at all levels. With `setup.candidates` all metrics follow from
+    the ranks, and `losses` holds what the attack lost.
     """
-    sessions, weights = known.sessions, known.weights
-    searches = tuple(
-        linkability.Search(
-            scores=scores[number],
-            mate=pairing.mate,
-            probe_cluster=known.cluster[sessions.probe.person[pairing.probe]],
-            gallery_cluster=known.cluster[sessions.gallery.person[pairing.gallery]],
-            scale=int(sessions.fold[number]),
-        )
-        for number, pairing in sorted(known.searches.items())
-    )
+    sessions = setup.sessions
+    searches = _make_searches(scores, setup)
     is_matched = sessions.task.is_open and scores.keys() <= matched.keys()
-    probable = [matched[number] for number in sorted(scores)] if is_matched else None
     is_assigned = is_matched or not sessions.task.is_open
-    is_assigned &= not known.candidates  # what was not scored has no score to be summed
-    is_calibrated = {search.scale for search in searches} <= set(calibration)
-    shuffles = AUDIT_SHUFFLES if is_audit else SHUFFLES
-    if known.candidates:
-        rng = (
-            drawn_from
-            if isinstance(drawn_from, Generator)
-            else _stream(known.seed, *drawn_from)
-        )
-        scored = linkability.rank_scorecard(
-            searches, weights=weights, rng=rng, n_shuffles=shuffles
-        )
-    else:
-        people = tuple(people_of(search) for search in searches)
-        if isinstance(drawn_from, Generator):
-            draws = draw(people, drawn_from, shuffles)
-        else:
-            draws = _draws(people, known.seed, *drawn_from)
-        scored = scorecard_of(
-            searches,
-            weights=weights,
-            calibration=calibration if is_calibrated else None,
-            no_match_score=None,
-            draws=draws,
-            matched=probable,
-        )
-    estimates = dict(scored.estimates)
-    if not is_assigned:  # nobody knows what leaving somebody alone costs
-        for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
-            unknown = np.full_like(estimates[name].replicates, np.nan)
-            estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
-    if sessions.task.comes_back:  # one outcome a person, and few
-        hits = int(
-            estimates["rank1"].value * scored.n_mated + 1e-9
-        )  # ties leave fractions
-        low, high = exact_binomial(hits=hits, n=scored.n_mated)
-        estimates["rank1"] = replace(estimates["rank1"], ci_low=low, ci_high=high)
-    return Linked(
+    # Scores of candidates alone cannot be summed into an assignment.
+    is_assigned &= not setup.candidates
+    scorecard = _scorecard(
+        searches,
+        setup,
+        drawn_from=drawn_from,
+        calibration=calibration,
+        matched=[matched[number] for number in sorted(scores)] if is_matched else None,
+        n_shuffles=AUDIT_SHUFFLES if is_audit else SHUFFLES,
+    )
+    scorecard = _with_known_estimates(
+        scorecard, is_assigned=is_assigned, comes_back=sessions.task.comes_back
+    )
+    is_control = isinstance(drawn_from, Generator)
+    return LinkResult(
         searches=searches,
         calibration=calibration,
-        scored=replace(scored, estimates=estimates),
-        cohorts={} if isinstance(drawn_from, Generator) else _cohorts(searches, known),
+        scorecard=scorecard,
+        cohorts={} if is_control else _cohort_hits(searches, setup),
         is_assigned=is_assigned,
         losses=losses,
     )
 
 
+def _scorecard(
+    searches: tuple[linkability.Search, ...],
+    setup: SensedSessions,
+    *,
+    drawn_from: Generator | tuple[str, ...],
+    calibration: Mapping[int, linkability.Calibration],
+    matched: Sequence[Floats] | None,
+    n_shuffles: int,
+) -> linkability.Scorecard:
+    """Return the scorecard of all searches; `matched` has the pairs of each, if any."""
+    if setup.candidates:
+        rng = drawn_from
+        if not isinstance(rng, Generator):
+            rng = _stream(setup.seed, *rng)
+        return linkability.rank_scorecard(
+            searches, weights=setup.weights, rng=rng, n_shuffles=n_shuffles
+        )
+    is_calibrated = {search.scale for search in searches} <= set(calibration)
+    people = tuple(searched_people(search) for search in searches)
+    if isinstance(drawn_from, Generator):
+        draws = draw(people, drawn_from, n_shuffles)
+    else:
+        draws = _draws(people, setup.seed, *drawn_from)
+    return scorecard_from_draws(
+        searches,
+        weights=setup.weights,
+        calibration=calibration if is_calibrated else None,
+        no_match_score=None,
+        draws=draws,
+        matched=matched,
+    )
+
+
+def _make_searches(
+    scores: Mapping[int, Floats], setup: SensedSessions
+) -> tuple[linkability.Search, ...]:
+    """Return every search with its scores, mates and clusters, by number."""
+    probe, gallery = setup.sessions.probe, setup.sessions.gallery
+    return tuple(
+        linkability.Search(
+            scores=scores[number],
+            mate=pairing.mate,
+            probe_cluster=setup.cluster[probe.person[pairing.probe]],
+            gallery_cluster=setup.cluster[gallery.person[pairing.gallery]],
+            scale=int(setup.sessions.fold[number]),
+        )
+        for number, pairing in sorted(setup.searches.items())
+    )
+
+
+def _with_known_estimates(
+    scorecard: linkability.Scorecard, *, is_assigned: bool, comes_back: bool
+) -> linkability.Scorecard:
+    """Return a scorecard without unknown assignments, exact for few people."""
+    estimates = dict(scorecard.estimates)
+    if not is_assigned:  # the cost of leaving a probe without a mate is unknown
+        for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
+            unknown = np.full_like(estimates[name].replicates, np.nan)
+            estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
+    if comes_back:  # a single outcome per person, and few people
+        # Ties leave fractions of hits.
+        hits = int(estimates["rank1"].value * scorecard.n_mated + 1e-9)
+        low, high = exact_binomial(hits=hits, n=scorecard.n_mated)
+        estimates["rank1"] = replace(estimates["rank1"], ci_low=low, ci_high=high)
+    return replace(scorecard, estimates=estimates)
+
+
 def _stream(seed: int, *names: str) -> Generator:
-    """Return the stream of the scorecard of the attack of this name, at whatever level."""
+    """Return the stream of the scorecard of the attack of this name, at any level."""
     return stream(seed, "linkage", "scorecard", *names)
 
 
-@lru_cache(maxsize=20)  # those of a task; of a thousand people 2 MB each
+# The draws of a task's attacks, shared by its levels; of a thousand people 2 MB each.
+@lru_cache(maxsize=20)
 def _draws(people: tuple[People, ...], seed: int, *names: str) -> tuple[Drawn, ...]:
     return draw(people, _stream(seed, *names), SHUFFLES)
 
 
-def _cohorts(
-    searches: Sequence[linkability.Search], known: SensedSessions
+@dataclass(frozen=True, eq=False, slots=True)
+class _CohortSearch:
+    """The mated probes of one search, and the cohorts of people that they count in."""
+
+    mated: Ints  # (p,) probes that have a mate.
+    mate: Ints  # (p,) their mates' places in the gallery.
+    candidates: Floats  # (G, cohorts) 1 for a candidate of the cohort, else 0.
+    probe: Ints  # (t,) place among `mated` of each trial.
+    cohort: Ints  # (t,) cohort of each trial.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _CohortTrials:
+    """All trials of a task in its cohorts: the same for every attack."""
+
+    searches: tuple[_CohortSearch, ...]
+    cohort: Ints  # (T,) cohort of each trial, search after search.
+    chance: Floats  # (T,) chance of rank 1.
+    place: Ints  # (T,) place in `counts`, flattened.
+    counts: Floats  # (cohorts, C) trials by cohort and cluster.
+
+
+def _cohort_hits(
+    searches: Sequence[linkability.Search], setup: SensedSessions
 ) -> dict[str, dict[str, float]]:
-    """Return rank 1 where only some people are probes and candidates, for each set of people."""
-    parts, of_set, chance, place, trials = _without(known)
+    """Return rank 1 of each cohort: only its people are probes and candidates."""
+    trials = _cohort_trials(setup)
     hits = []
-    for search, (mated, mate, gallery, probe, of) in zip(searches, parts, strict=True):
-        own, count = (
-            search.scores[mated, mate][:, None],
-            np.empty((2, mated.size, 2), np.float32),
-        )
-        for first in range(0, mated.size, _AT_ONCE):
+    for search, part in zip(searches, trials.searches, strict=True):
+        mate_scores = search.scores[part.mated, part.mate][:, None]
+        counts = np.empty((2, part.mated.size, 2), np.float32)
+        for first in range(0, part.mated.size, _AT_ONCE):
             rows = slice(first, first + _AT_ONCE)
-            scores, mine = search.scores[mated[rows]], own[rows]
-            # How many of each set stand above the mate and as high: exact in single
-            # precision.
-            for which, one in enumerate((scores > mine, scores == mine)):
-                count[which, rows] = one.astype(np.float32) @ gallery
-        above, tied = count[:, probe, of]
+            scores, own = search.scores[part.mated[rows]], mate_scores[rows]
+            # How many candidates of each cohort score above the mate, and as high:
+            # exact in single precision.
+            for place, is_counted in enumerate((scores > own, scores == own)):
+                counts[place, rows] = is_counted.astype(np.float32) @ part.candidates
+        above, tied = counts[:, part.probe, part.cohort]
         hits.append(expected_hit(above, tied.astype(np.float64)))
     hit = np.concatenate(hits)
-    sums = cluster_sums(values=hit, cluster=place, n_clusters=trials.size).reshape(
-        trials.shape
+    n_places, shape = trials.counts.size, trials.counts.shape
+    sums = cluster_sums(values=hit, cluster=trials.place, n_clusters=n_places)
+    estimates = ratio_estimates(
+        numerator=sums.reshape(shape),
+        denominator=trials.counts,
+        weights=setup.weights,
+        is_share=[True] * len(trials.counts),
     )
-    of = {"numerator": sums, "denominator": trials, "weights": known.weights}
-    found = ratio_estimates(**of, is_share=[True] * len(trials))
+    names = (WITHOUT_GROUPS, WITHOUT_FROZEN)
     cohorts = {}
-    for number, (name, one) in enumerate(
-        zip((WITHOUT_GROUPS, WITHOUT_FROZEN), found, strict=True)
-    ):
-        mine = of_set == number
-        of_mine, is_any = chance[mine], bool(mine.any())
+    for number, (name, estimate) in enumerate(zip(names, estimates, strict=True)):
+        in_cohort = trials.cohort == number
+        chance, has_trials = trials.chance[in_cohort], bool(in_cohort.any())
+        p_rank1 = mean_chance = np.nan
+        if has_trials:
+            mean_chance = float(chance.mean())
+            p_rank1 = linkability.rank1_p(hits=hit[in_cohort], chance=chance)
         cohorts[name] = {
-            "rank1": one.value,
-            "ci_low": one.ci_low,
-            "ci_high": one.ci_high,
-            "n_clusters": one.n,
-            "chance": float(of_mine.mean()) if is_any else np.nan,
-            "p_rank1": (
-                linkability.rank1_p(hits=hit[mine], chance=of_mine)
-                if is_any
-                else np.nan
-            ),
-            "n_mated": int(mine.sum()),
+            "rank1": estimate.value,
+            "ci_low": estimate.ci_low,
+            "ci_high": estimate.ci_high,
+            "n_clusters": estimate.n,
+            "chance": mean_chance,
+            "p_rank1": p_rank1,
+            "n_mated": int(in_cohort.sum()),
         }
     return cohorts
 
 
+# Of the newest tasks of this process.
 @lru_cache(maxsize=4)
-def _without(
-    known: SensedSessions,
-) -> tuple[list[tuple[Any, ...]], Ints, Floats, Ints, Floats]:
-    """Return who searches for whom without some people, the same at every attack.
-
-    Of each search mated probes, their mates, candidates, (G, sets), and which probe
-    counts in which set; of all these trials the set, the chance, the place among sets
-    by clusters, and their number at each place.
-    """
-    among, sessions = (
-        np.stack([known.sessions.alone, known.sessions.moving]),
-        known.sessions,
-    )
-    parts, chances, clusters = [], [], []
-    for _, pairing in sorted(known.searches.items()):
+def _cohort_trials(setup: SensedSessions) -> _CohortTrials:
+    """Return the trials of a task's cohorts: without groups, and without frozen."""
+    sessions = setup.sessions
+    is_member = np.stack([sessions.alone, sessions.moving])  # (cohorts, K)
+    searches, chances, clusters = [], [], []
+    for _, pairing in sorted(setup.searches.items()):
         mated = np.flatnonzero(pairing.mate >= 0)
         mate, person = pairing.mate[mated], sessions.probe.person[pairing.probe[mated]]
-        gallery = among[:, sessions.gallery.person[pairing.gallery]].T
-        probe, of = np.nonzero(among[:, person].T & gallery[mate])
-        parts.append((mated, mate, gallery.astype(np.float32), probe, of))
-        chances.append(1.0 / gallery.sum(axis=0)[of])
-        clusters.append(known.cluster[person[probe]])
-    of_set = np.concatenate([of for *_, of in parts])
-    shape = len(among), known.weights.shape[1]
-    place = of_set * shape[1] + np.concatenate(clusters)
-    trials = (
-        np.bincount(place, minlength=shape[0] * shape[1])
-        .astype(np.float64)
-        .reshape(shape)
+        candidates = is_member[:, sessions.gallery.person[pairing.gallery]].T
+        probe, cohort = np.nonzero(is_member[:, person].T & candidates[mate])
+        searches.append(
+            _CohortSearch(mated, mate, candidates.astype(np.float32), probe, cohort)
+        )
+        chances.append(1.0 / candidates.sum(axis=0)[cohort])
+        clusters.append(setup.cluster[person[probe]])
+    cohort = np.concatenate([search.cohort for search in searches])
+    n_cohorts, n_clusters = len(is_member), setup.weights.shape[1]
+    place = cohort * n_clusters + np.concatenate(clusters)
+    counts = np.bincount(place, minlength=n_cohorts * n_clusters).astype(np.float64)
+    return _CohortTrials(
+        searches=tuple(searches),
+        cohort=cohort,
+        chance=np.concatenate(chances),
+        place=place,
+        counts=counts.reshape(n_cohorts, n_clusters),
     )
-    return parts, of_set, np.concatenate(chances), place, trials
 
 
-def calibrated(
-    found: Sequence[tuple[Floats, Pairing]],
+def fit_scores(
+    scored_searches: Sequence[tuple[Floats, Pairing]],
 ) -> linkability.Calibration | None:
-    """Return the calibration on who is neither attacked nor learnt from; None without pairs."""
+    """Return the calibration on people neither attacked nor learnt from.
+
+    None without pairs of mates, or without other pairs.
+    """
     mated, non_mated = [np.zeros(0)], [np.zeros(0)]
-    for scores, pairing in found:
+    for scores, pairing in scored_searches:
         is_mate = pairing.mate[:, None] == np.arange(scores.shape[1])
         mated.append(scores[is_mate])
         non_mated.append(scores[~is_mate])
@@ -268,110 +324,133 @@ def calibrated(
     return linkability.fit_calibration(mated=first, non_mated=second)
 
 
-def score_scale(found: Sequence[tuple[Floats, Pairing]]) -> float | None:
-    """Return by what scores of an open gallery are to be multiplied to be log ratios.
+def fit_score_scale(
+    scored_searches: Sequence[tuple[Floats, Pairing]],
+) -> float | None:
+    """Return the factor that turns scores of an open gallery into log ratios.
 
-    Fitted on the same people as `calibrated`, within the gallery of each: what parts a
-    mate from the candidates nearby counts, not from those at the other end of the
-    scene. None without mates.
+    Fitted on the same people as `fit_scores`, within the gallery of each: the scale
+    must separate a mate from the candidates nearby, not from those at the other end of
+    the scene. None without mates.
     """
-    if not any((pairing.mate >= 0).any() for _, pairing in found):
+    if not any((pairing.mate >= 0).any() for _, pairing in scored_searches):
         return None
-    scores, pairings = zip(*found, strict=True)
+    scores, pairings = zip(*scored_searches, strict=True)
     return linkability.fit_scale(scores, [pairing.mate for pairing in pairings])
 
 
-def matched_pairs(scores: Floats, *, scale: float, mate_rate: float) -> Floats:
-    """Return how probable each pair of an open search is if all are matched at once, (P, G).
+def match_pairs(scores: Floats, *, scale: float, mate_rate: float) -> Floats:
+    """Return the probability of each pair of an open search, matched at once, (P, G).
 
-    As many probes are expected to have a mate as of other people, `mate_rate` of them.
-    Whoever seeks the most correct links names the most probable candidate of every
-    probe.
+    The expected share of probes with a mate is `mate_rate`, as among other people. An
+    adversary that wants the most correct links names the most probable candidate of
+    every probe.
     """
     return linkability.open_matches(scale * scores, n_links=mate_rate * len(scores))
 
 
 def linkage_tables(
-    linked: Linked, known: SensedSessions, *, keep_scores: bool
+    result: LinkResult, setup: SensedSessions, *, keep_scores: bool
 ) -> Tables:
     """Return the tables of a linkage attack or control at one level.
 
-    - `rows`, one a probe: `search` (a half, or the instant of a handover), `source`, `group`;
-      `above` and `tied`, how many candidates score above its mate and how many as high, the mate
-      included (-1 and 0 without a mate); `chance` of rank 1, `assigned` (`ASSIGNED`);
-      with the raw scores also `mate` (place in the gallery, or -1) and `scores` against
-      the whole gallery; `COMPANIONS`;
-    - `estimates`, one a metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
-    - `replicates`, one a bootstrap draw: a column for each score metric, in single precision;
+    - `rows`, one per probe: `search` (a half, or the instant of a handover), `source`,
+      `group`; `above` and `tied`, the numbers of candidates that score above its mate
+      and as high, the mate included (-1 and 0 without a mate); `chance` of rank 1,
+      `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in the gallery, or
+      -1) and `scores` against the whole gallery; `COMPANIONS`;
+    - `estimates`, one per metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
+    - `replicates`, one per bootstrap draw: a column for each score metric, in single
+      precision;
     - `about`: one row with all other numbers as JSON.
     """
-    scored, probes, sessions = linked.scored, linked.scored.probes, known.sessions
-    assigned = (
-        probes.assigned + 1
-        if linked.is_assigned
-        else np.full_like(probes.assigned, len(ASSIGNED) - 1)
-    )
+    scorecard, probes = result.scorecard, result.scorecard.probes
+    assigned = np.full_like(probes.assigned, len(ASSIGNED) - 1)
+    if result.is_assigned:
+        assigned = probes.assigned + 1
     rows = {
-        **_probe_names(known),
+        **_probe_names(setup),
         "above": probes.above.astype(np.int32),
         "tied": probes.tied.astype(np.int32),
         "chance": probes.chance,
         "assigned": names_column(assigned, ASSIGNED),
-        **dict(zip(COMPANIONS, probes.companions.astype(np.int32).T, strict=True)),
     }
-    about: dict[str, Any] = {
-        "calibration": {fold: asdict(one) for fold, one in linked.calibration.items()},
-        "numbers": {name: getattr(scored, name) for name in _NUMBERS},
-        "cohorts": linked.cohorts,
-    }
-    if linked.losses is not None:
-        about["numbers"]["n_checked"] = linked.losses.size
-        about["numbers"]["rank1_loss"] = (
-            float(linked.losses.mean()) if linked.losses.size else None
-        )
+    companions = probes.companions.astype(np.int32).T
+    rows.update(zip(COMPANIONS, companions, strict=True))
+    about = _about_result(result)
     if keep_scores:
-        flat = np.concatenate([one.scores.ravel() for one in linked.searches]).astype(
-            np.float32
-        )
-        sizes = [row.size for one in linked.searches for row in one.scores]
-        starts = np.cumsum([0, *sizes], dtype=np.int32)
-        rows["mate"] = np.concatenate([one.mate for one in linked.searches]).astype(
-            np.int32
-        )
-        rows["scores"] = pa.ListArray.from_arrays(column(starts), column(flat))
-        about["gallery"] = [
-            [
-                sessions.source[person]
-                for person in sessions.gallery.person[pairing.gallery]
-            ]
-            for _, pairing in sorted(known.searches.items())
-        ]
-    found = scored.estimates
-    estimates = {"metric": [*found]} | {
-        field: np.array([getattr(one, field) for one in found.values()])
+        rows |= _score_columns(result.searches)
+        about["gallery"] = _gallery_sources(setup)
+    estimates = scorecard.estimates
+    columns = {"metric": [*estimates]} | {
+        field: np.array([getattr(estimate, field) for estimate in estimates.values()])
         for field in ("value", "ci_low", "ci_high", "n")
     }
     tables = {
         ROWS: table(rows),
-        ESTIMATES: table(estimates),
-        ABOUT: table({"about": [_about_task(known) + _json(about)[1:]]}),
+        ESTIMATES: table(columns),
+        ABOUT: table({"about": [_about_task(setup) + _json(about)[1:]]}),
     }
-    if linked.cohorts:  # of controls nobody pairs two
-        follow = {*DERIVED, *RANK_METRICS}
-        kept = {
-            name: one.replicates for name, one in found.items() if name not in follow
-        }
+    if result.cohorts:  # no comparison pairs two controls
+        stored = estimates.keys() - {*DERIVED, *RANK_METRICS}
         tables[REPLICATES] = table(
-            {name: one.astype(np.float32) for name, one in kept.items()}
+            {
+                name: estimate.replicates.astype(np.float32)
+                for name, estimate in estimates.items()
+                if name in stored
+            }
         )
     return tables
 
 
+def _about_result(result: LinkResult) -> dict[str, Any]:
+    """Return the numbers of a result that are stored as JSON."""
+    numbers = {name: getattr(result.scorecard, name) for name in _NUMBERS}
+    if result.losses is not None:
+        numbers["n_checked"] = result.losses.size
+        numbers["rank1_loss"] = None
+        if result.losses.size:
+            numbers["rank1_loss"] = float(result.losses.mean())
+    return {
+        "calibration": {
+            fold: asdict(calibration)
+            for fold, calibration in result.calibration.items()
+        },
+        "numbers": numbers,
+        "cohorts": result.cohorts,
+    }
+
+
+def _score_columns(searches: Sequence[linkability.Search]) -> dict[str, Any]:
+    """Return the columns of raw scores: each probe's mate, and its scores."""
+    flat = np.concatenate([search.scores.ravel() for search in searches])
+    sizes = [row.size for search in searches for row in search.scores]
+    starts = np.cumsum([0, *sizes], dtype=np.int32)
+    return {
+        "mate": np.concatenate([search.mate for search in searches]).astype(np.int32),
+        "scores": pa.ListArray.from_arrays(
+            column(starts), column(flat.astype(np.float32))
+        ),
+    }
+
+
+def _gallery_sources(setup: SensedSessions) -> list[list[str]]:
+    """Return the people of the gallery of every search, by the number of the search."""
+    sessions = setup.sessions
+    return [
+        [sessions.source[person] for person in sessions.gallery.person[pairing.gallery]]
+        for _, pairing in sorted(setup.searches.items())
+    ]
+
+
+# Of the newest tasks of this process.
 @lru_cache(maxsize=4)
-def _probe_names(known: SensedSessions) -> dict[str, pa.Array]:
+def _probe_names(setup: SensedSessions) -> dict[str, pa.Array]:
     """Return the columns that name the probes: those of every cell of a task."""
-    sessions = known.sessions
-    probe = np.concatenate([one.probe for _, one in sorted(known.searches.items())])
+    sessions = setup.sessions
+    probe = np.concatenate(
+        [pairing.probe for _, pairing in sorted(setup.searches.items())]
+    )
     person = sessions.probe.person[probe]
     return {
         "search": names_column(sessions.probe.search[probe], sessions.searches),
@@ -380,14 +459,15 @@ def _probe_names(known: SensedSessions) -> dict[str, pa.Array]:
     }
 
 
+# As above.
 @lru_cache(maxsize=4)
-def _about_task(known: SensedSessions) -> str:
-    """Return what the JSON about every cell of a task begins with."""
+def _about_task(setup: SensedSessions) -> str:
+    """Return the beginning of the JSON about every cell of a task."""
     about = {
-        "clusters": sorted(set(known.sessions.group)),
-        "drawn_as": known.drawn_as.tolist(),
-        "n_groups": known.n_groups,
-        "seed": known.seed,
+        "clusters": sorted(set(setup.sessions.group)),
+        "drawn_as": setup.drawn_as.tolist(),
+        "n_groups": setup.n_groups,
+        "seed": setup.seed,
     }
     return f"{_json(about)[:-1]}, "
 

@@ -1,7 +1,7 @@
-"""What all mechanism levels of a linkage task have in common, before anything is shared.
+"""Prepare a linkage task for all mechanism levels: sense the sessions, split people.
 
-Both sessions are sensed like everything else. Unless the task shows the scene, every
-walk is turned and shifted by itself and put on a clock of its own.
+Both sessions are sensed as scenes are. Unless the task shows the scene, every walk is
+turned and shifted by itself and put on a clock of its own.
 """
 
 import hashlib
@@ -15,7 +15,7 @@ from attacks.tasks.sessions import Sessions
 from evaluation.compute.sharing import FAR_M, LONG_S, Frame
 from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
-from isac_track.model_world import Motion, simulated
+from isac_track.model_world import Motion, simulate_walks
 from isac_track.rng import stream
 from isac_track.sensing import (
     draw_walk_channel,
@@ -32,7 +32,7 @@ SIDES = ("probe", "gallery")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Pairing:
-    """Some windows of both sides, and who is who in them: a search, or a training set."""
+    """Windows of both sides, and their mates: a search, or a training set."""
 
     probe: Ints  # (p,) rows of the probe side.
     gallery: Ints  # (g,) rows of the gallery side.
@@ -41,27 +41,26 @@ class Pairing:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Half:
-    """What belongs to one fold: whom its adversary attacks, and from whom it learns."""
+    """One fold: the people that its adversary attacks, and those it learns from."""
 
     searches: tuple[tuple[int, Pairing], ...]  # Number of the search, and its windows.
     learns: Pairing
-    calibrates: tuple[
-        Pairing, ...
-    ]  # Searches on whose scores those of this fold are calibrated.
-    mate_rate: float  # Share of the probes of those that have a mate, kept off 0 and 1.
+    # Searches of other people, whose scores calibrate those of this fold.
+    calibrates: tuple[Pairing, ...]
+    # Share of the calibrating probes that have a mate; never 0 or 1.
+    mate_rate: float
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SensedSessions:
-    """Both sessions of a task as they are sensed, and what else all of its levels share."""
+    """Both sessions of a task as sensed, and all else that its levels share."""
 
     sessions: Sessions
     sensed: tuple[Sensed, ...]  # Probe and gallery.
-    frames: tuple[
-        Frame, ...
-    ]  # Of the walks of either; none where the task shows the scene.
+    # Frames of the walks of either side; none where the task shows the scene.
+    frames: tuple[Frame, ...]
     halves: tuple[Half, ...]
-    searches: Mapping[int, Pairing]  # Every search, by number, whole.
+    searches: Mapping[int, Pairing]  # Every search, by number, with all of its probes.
     drawn_as: Ints  # (C,) which cluster of the run's scenes each cluster is, or -1.
     n_groups: int  # Clusters of the run's scenes.
     weights: Floats  # (B, C) bootstrap weights of the clusters.
@@ -71,9 +70,11 @@ class SensedSessions:
     candidates: int  # How many of a gallery are scored for each probe; 0: all.
 
 
-_last: dict[bytes, SensedSessions] = {}
-"""What was sensed last, by a digest of what it was made of: a worker gets one piece of a task after
-another, and each in arrays of its own."""
+_newest: dict[bytes, SensedSessions] = {}
+"""A memo of the newest setup alone, by a digest of its inputs.
+
+A worker gets the pieces of a task one after another, each in arrays of its own. The
+next task replaces it."""
 
 
 def sensed_sessions(
@@ -86,37 +87,35 @@ def sensed_sessions(
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    `groups` are the clusters of the run's scenes: who is in both is drawn alike in
-    both. With a `motion` people walk as that says, and all else is as it was recorded.
+    `groups` are the clusters of the run's scenes: the bootstrap draws a cluster of both
+    alike in both. With a `motion` people walk by that model; all else is as recorded.
     """
     key = hashlib.sha256(
         pickle.dumps((sessions, groups, motion, stages, seed))
     ).digest()
-    if key in _last:
-        return _last[key]
-    names, cluster = np.unique(sessions.group, return_inverse=True)
-    known = {name: place for place, name in enumerate(groups)}
-    drawn_as = np.array([known.get(name, -1) for name in names.tolist()])
+    if key in _newest:
+        return _newest[key]
+    clusters, cluster = np.unique(sessions.group, return_inverse=True)
+    group_place = {name: place for place, name in enumerate(groups)}
+    drawn_as = np.array([group_place.get(name, -1) for name in clusters.tolist()])
     task = sessions.task
     largest = int(np.bincount(sessions.gallery.search).max())
     candidates = 0 if task.comes_back else stages.linkage.candidates
-    folds = (
-        range(len(sessions.learns))
-        if task.comes_back
-        else np.unique(sessions.fold).tolist()
-    )
-    halves = tuple(_half(sessions, fold) for fold in folds)
-    frames = (
-        ()
-        if task.shows_scene
-        else tuple(_frames(sessions, one, seed=seed) for one in SIDES)
-    )
-    found = SensedSessions(
+    folds = np.unique(sessions.fold).tolist()
+    if task.comes_back:
+        folds = list(range(len(sessions.learns)))
+    halves = tuple(_prepare_half(sessions, fold) for fold in folds)
+    frames: tuple[Frame, ...] = ()
+    if not task.shows_scene:
+        frames = tuple(_draw_frames(sessions, side, seed=seed) for side in SIDES)
+    setup = SensedSessions(
         sessions=sessions,
-        sensed=tuple(_sensed(sessions, one, stages=stages, seed=seed) for one in SIDES),
+        sensed=tuple(
+            _sense_side(sessions, side, stages=stages, seed=seed) for side in SIDES
+        ),
         frames=frames,
         halves=halves,
-        searches=_whole(one for half in halves for one in half.searches),
+        searches=_whole_searches(search for half in halves for search in half.searches),
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(
@@ -127,58 +126,59 @@ def sensed_sessions(
         seed=seed,
         candidates=candidates if candidates < largest else 0,
     )
-    _last.clear()
-    _last[key] = found if motion is None else _modelled(found, motion)
-    return _last[key]
+    _newest.clear()
+    _newest[key] = setup if motion is None else _walk_by_model(setup, motion)
+    return _newest[key]
 
 
-def _modelled(found: SensedSessions, motion: Motion) -> SensedSessions:
-    """Return sessions whose people walk as a motion says, one walk a person on both sides."""
-    sides = (found.sessions.probe, found.sessions.gallery)
+def _walk_by_model(setup: SensedSessions, motion: Motion) -> SensedSessions:
+    """Return sessions whose people walk by a model: one walk a person on both sides."""
+    sides = (setup.sessions.probe, setup.sessions.gallery)
     owner = np.concatenate(
-        [np.repeat(one.person, np.diff(one.offsets)) for one in sides]
+        [np.repeat(windows.person, np.diff(windows.offsets)) for windows in sides]
     )
-    t = np.concatenate([one.t for one in sides])
+    t = np.concatenate([windows.t for windows in sides])
     walks = np.empty((t.size, 2))
-    for person, source in enumerate(found.sessions.source):
-        rng = stream(found.seed, "model walks", "linkage", source)
-        instants, which = np.unique(t[owner == person], return_inverse=True)
+    for person, source in enumerate(setup.sessions.source):
+        rng = stream(setup.seed, "model walks", "linkage", source)
+        instants, place = np.unique(t[owner == person], return_inverse=True)
         offsets, start = np.array([0, instants.size]), np.zeros((1, 2))
-        walk = simulated(
+        walk = simulate_walks(
             t=instants, offsets=offsets, start=start, motion=motion, rng=rng
         )
-        walks[owner == person] = walk[which]
-    places = np.split(walks, [sides[0].t.size])
+        walks[owner == person] = walk[place]
+    walks_by_side = np.split(walks, [sides[0].t.size])
     probe, gallery = (
-        replace(one, xy=xy) for one, xy in zip(sides, places, strict=True)
+        replace(windows, xy=xy)
+        for windows, xy in zip(sides, walks_by_side, strict=True)
     )
     sensed = tuple(
-        derived(one, xy=xy + one.sigma_raw[:, None] * one.unit_error)
-        for one, xy in zip(found.sensed, places, strict=True)
+        derived(side, xy=xy + side.sigma_raw[:, None] * side.unit_error)
+        for side, xy in zip(setup.sensed, walks_by_side, strict=True)
     )
-    sessions = replace(found.sessions, probe=probe, gallery=gallery)
-    return replace(found, sessions=sessions, sensed=sensed)
+    sessions = replace(setup.sessions, probe=probe, gallery=gallery)
+    return replace(setup, sessions=sessions, sensed=sensed)
 
 
-def _whole(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
-    """Return every search whole, of which each fold may have some of the probes."""
-    found: dict[int, Pairing] = {}
-    for number, part in parts:
-        one = found.setdefault(number, part)
-        if one is not part:
-            probe = np.concatenate([one.probe, part.probe])
-            found[number] = Pairing(
-                probe, part.gallery, np.concatenate([one.mate, part.mate])
+def _whole_searches(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
+    """Return every search with all of its probes, which the folds may have split."""
+    searches: dict[int, Pairing] = {}
+    for number, piece in parts:
+        whole = searches.setdefault(number, piece)
+        if whole is not piece:
+            probe = np.concatenate([whole.probe, piece.probe])
+            searches[number] = Pairing(
+                probe, piece.gallery, np.concatenate([whole.mate, piece.mate])
             )
-    return found
+    return searches
 
 
-def _half(sessions: Sessions, fold: int) -> Half:
-    mine = np.flatnonzero(sessions.fold == fold)
+def _prepare_half(sessions: Sessions, fold: int) -> Half:
+    own = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
     attacked = everybody = np.ones(len(sessions.source), dtype=bool)
-    if sessions.task.comes_back:  # a fold is a person, who is searched for among all
-        mine = others = np.arange(sessions.fold.size)
+    if sessions.task.comes_back:  # a fold is a person, searched for among all people
+        own = others = np.arange(sessions.fold.size)
         attacked = np.arange(everybody.size) == fold
     learns, calibrates = sessions.learns[fold], sessions.calibrates[fold]
 
@@ -196,14 +196,20 @@ def _half(sessions: Sessions, fold: int) -> Half:
             mate=np.where(mate >= 0, place[mate], -1),
         )
 
-    known = [part(one, calibrates, calibrates) for one in others[:, None]]
-    mated = np.concatenate([np.zeros(0, dtype=bool), *(one.mate >= 0 for one in known)])
+    calibrating = [part(number, calibrates, calibrates) for number in others[:, None]]
+    has_mate = [pairing.mate >= 0 for pairing in calibrating]
+    mated = np.concatenate([np.zeros(0, dtype=bool), *has_mate])
     return Half(
         searches=tuple(
-            (int(one[0]), part(one, attacked, everybody)) for one in mine[:, None]
+            (int(number[0]), part(number, attacked, everybody))
+            for number in own[:, None]
         ),
         learns=part(others, learns, learns),
-        calibrates=tuple(one for one in known if (one.mate >= 0).any()),
+        calibrates=tuple(
+            pairing
+            for pairing, is_mated in zip(calibrating, has_mate, strict=True)
+            if is_mated.any()
+        ),
         mate_rate=(int(mated.sum()) + 0.5) / (mated.size + 1.0),
     )
 
@@ -215,47 +221,45 @@ def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> F
     are drawn among themselves. `drawn_as`, (C,), is the place of each among the
     `n_groups` clusters of the run's scenes, or -1.
     """
-    # Cluster by cluster: so a product with sums in each cluster need not be laid out
-    # anew.
+    # In the memory order of clusters: products with sums by cluster need no copy.
     weights = np.empty((N_REPLICATES, drawn_as.size), order="F")
-    again, further = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
-    if again.size:
+    shared, new = np.flatnonzero(drawn_as >= 0), np.flatnonzero(drawn_as < 0)
+    if shared.size:
         drawn = cluster_weights(
             n_clusters=n_groups, n_replicates=N_REPLICATES, seed=seed
         )
-        weights[:, again] = drawn[:, drawn_as[again]]
-    if further.size:
+        weights[:, shared] = drawn[:, drawn_as[shared]]
+    if new.size:
         rng = stream(seed, "bootstrap", "linkage", task)
-        share = np.full(further.size, 1.0 / further.size)
-        weights[:, further] = rng.multinomial(further.size, share, N_REPLICATES)
+        share = np.full(new.size, 1.0 / new.size)
+        weights[:, new] = rng.multinomial(new.size, share, N_REPLICATES)
     return read_only(weights)
 
 
-def _sensed(
+def _sense_side(
     sessions: Sessions, side: str, *, stages: StageSettings, seed: int
 ) -> Sensed:
-    """Return what the network senses of one side; every window draws from its own streams.
+    """Return what the network senses of one side; every window has streams of its own.
 
-    What lasts of the channel is of the walk and its time: one before and after a gap,
-    another one when the steps are logged again or people are back.
+    The slow part of the channel belongs to the walk and its time: the same before and
+    after a gap, another one when the steps are logged again or people come back.
     """
     windows, task = getattr(sessions, side), sessions.task
     keys, sensed_walks = list[tuple[str | int, ...]](), list[tuple[str | int, ...]]()
     for person, search in zip(windows.person, windows.search, strict=True):
         source = sessions.source[person]
         own = ("linkage", task.family, side, source)
-        # The number of a closed search is a half, which may change with who else is
-        # there.
+        # The number of a closed search is a half, which depends on the other people.
         keys.append((*own, sessions.searches[search]) if task.is_open else own)
         sensed_walks.append(recorded_walk(source) if task.is_one_time else own)
     walked_m = windows.walked_m
     if walked_m is None:
         walked_m = walked_within(windows.xy, windows.offsets)
-    names = [
-        ("person", one, *(() if task.is_one_walk else (side,)))
-        for one in sessions.source
-    ]
-    walks = np.concatenate([walk_numbers(*one, n_walks=1, seed=seed) for one in names])
+    ending = () if task.is_one_walk else (side,)
+    names = [("person", source, *ending) for source in sessions.source]
+    walks = np.concatenate(
+        [walk_numbers(*name, n_walks=1, seed=seed) for name in names]
+    )
     return sense(
         t=windows.t,
         xy=windows.xy,
@@ -273,8 +277,8 @@ def _sensed(
     )
 
 
-def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
-    """Return the frames of one side: those of a walk are its own, whoever else is there."""
+def _draw_frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
+    """Return the frames of one side; a walk's frame does not depend on other people."""
     windows = getattr(sessions, side)
     names = ("frames", "linkage", sessions.task.family, side)
     draws = [
@@ -286,7 +290,6 @@ def _frames(sessions: Sessions, side: str, *, seed: int) -> Frame:
     return Frame(
         turn=np.cos(angle) + 1j * np.sin(angle),
         shift_m=FAR_M * (2.0 * drawn[:, 1:3] - 1.0).view(np.complex128)[:, 0],
-        # From the start of each window: a recording may last longer than the draw
-        # reaches.
+        # From the start of each window: a recording may last longer than `LONG_S`.
         clock_s=LONG_S * drawn[:, 3] - windows.t[windows.offsets[:-1]],
     )

@@ -1,8 +1,8 @@
-"""The stages of linkage: how well each adversary links at one mechanism level of a task.
+"""The stages of linkage: how well each adversary links at one level of a task.
 
-An attack that learns does so on people of the other half, and prepares anew for every
-mechanism level. Beside the attacks a cell has a row for every window, of what it gives
-away by itself: what a person's linkability is compared with.
+An attack that learns does so on people of the other half, and is fitted again for every
+mechanism level. Beside the attacks a cell has a row for every window, with its own
+descriptors: a person's linkability is compared with these.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 import pyarrow as pa
 
 from attacks.linkage.alignment import Shape
-from attacks.remembered import part, reconstructed_from
+from attacks.remembered import record_shared, select_tracks
 from attacks.tasks.controls import CONTROLS, closeness
 from evaluation.compute import sharing
 from evaluation.compute.candidates import (
@@ -26,11 +26,11 @@ from evaluation.compute.candidates import (
     first_stage,
 )
 from evaluation.compute.link_scores import (
-    Linked,
-    calibrated,
-    matched_pairs,
-    read_off,
-    score_scale,
+    LinkResult,
+    fit_score_scale,
+    fit_scores,
+    match_pairs,
+    score_links,
 )
 from evaluation.compute.link_setup import SIDES, Pairing, SensedSessions
 from evaluation.compute.sharing import declared, reconstructed, showing
@@ -48,7 +48,7 @@ from evaluation.plan.constants import BOUND
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch
-from isac_track.model_world import START_STD_M, Motion, errors_of, log_ratios
+from isac_track.model_world import START_STD_M, Motion, log_ratios, release_errors
 from isac_track.protocols import (
     AttackContext,
     LinkageAttack,
@@ -64,7 +64,8 @@ if TYPE_CHECKING:
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
 
-WINDOW_COLUMNS = (  # Of the rows of a cell of windows.
+# Columns of the rows of a cell of windows.
+WINDOW_COLUMNS = (
     "side",
     "search",
     "source",
@@ -82,44 +83,51 @@ _LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Sides:
-    """Both releases as some linkers get them, and the windows of each pairing so far."""
+class _View:
+    """Both releases as some linkers see them, and the windows of pairings so far."""
 
-    both: tuple[Release, ...]
-    std: tuple[
-        Floats | None, ...
-    ] = ()  # (M,) m of either, that the reconstruction in front claims
-    found: dict[int, tuple[Release, Release]] = field(default_factory=dict)
+    releases: tuple[Release, ...]
+    # (M,) m of either release, as the reconstruction in front claims.
+    claimed_std: tuple[Floats | None, ...] = ()
+    windows: dict[int, tuple[Release, Release]] = field(default_factory=dict)
+    """A memo by the id of the pairing; `LinkedLevel.forget_views` empties it."""
 
-    def of(self, pairing: Pairing) -> tuple[Release, Release]:
-        """Return the windows of a pairing, the same ones every time."""
-        if id(pairing) not in self.found:
-            probe, gallery = self.both
-            self.found[id(pairing)] = (
-                part(probe, pairing.probe),
-                part(gallery, pairing.gallery),
+    def pair_windows(self, pairing: Pairing) -> tuple[Release, Release]:
+        """Return the windows of a pairing, the same objects every time."""
+        if id(pairing) not in self.windows:
+            probe, gallery = self.releases
+            self.windows[id(pairing)] = (
+                select_tracks(probe, pairing.probe),
+                select_tracks(gallery, pairing.gallery),
             )
-        return self.found[id(pairing)]
+        return self.windows[id(pairing)]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkedLevel:
-    """What all that link at one mechanism level of a task share."""
+    """All that the consumers of a linkage task share at one mechanism level."""
 
     mechanism: Plugin
-    whole: SensedSessions
-    # Without the samples that were left out; `whole` if there are none.
-    known: SensedSessions
-    shared: tuple[
-        Release, ...
-    ]  # Of the probe and of the gallery side, in the true frame.
-    blind: _Sides  # The same in the frames of the adversary,
-    seen: _Sides  # and with the declared standard deviations.
-    sides: dict[tuple[object, ...], _Sides] = field(default_factory=dict)
-    """By whether SIGMA shows, the reconstruction in front, what it was granted, and fold."""
+    full_setup: SensedSessions  # With all samples.
+    # Without the samples that were left out; `full_setup` itself if none were.
+    setup: SensedSessions
+    # Of the probe and of the gallery side, in the true frame.
+    shared: tuple[Release, ...]
+    blind: _View  # The same in the frames of the adversary,
+    seen: _View  # and with the declared standard deviations.
+    views: dict[tuple[object, ...], _View] = field(default_factory=dict)
+    """A memo of smoothed views; `forget_views` empties it.
 
-    def showing(self, granted: frozenset[Knowledge]) -> _Sides:
-        """Return both releases as they show, the same ones every time."""
+    The key is whether SIGMA shows, the reconstruction, its knowledge, and the fold."""
+
+    def forget_views(self) -> None:
+        """Drop all windows and smoothed views, and what linkers remember of them."""
+        self.views.clear()
+        self.blind.windows.clear()
+        self.seen.windows.clear()
+
+    def showing(self, granted: frozenset[Knowledge]) -> _View:
+        """Return both releases as they show, the same objects every time."""
         return self.seen if Knowledge.SIGMA in granted else self.blind
 
     def context(
@@ -128,357 +136,401 @@ class LinkedLevel:
         *names: str | int,
         train: TrainingSet | LinkageTrainingSet | None = None,
     ) -> AttackContext:
-        """Return what an attack prepares with that is granted so much; `names` are its stream's."""
+        """Return the context of an attack with knowledge; `names` are of its stream."""
         return AttackContext(
-            rng=stream(self.known.seed, *names),
-            epsilon_m=self.known.privacy.epsilon_m,
+            rng=stream(self.setup.seed, *names),
+            epsilon_m=self.setup.privacy.epsilon_m,
             granted=granted,
             mechanism=self.mechanism.instance,
             train=train,
         )
 
 
-def linked_level(mechanism: Plugin, whole: SensedSessions) -> LinkedLevel:
+def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
     """Share both sessions of a task."""
-    family = whole.sessions.task.family
-    known, shared, seen = whole, [], list[Release]()
-    for number, (side, network) in enumerate(zip(SIDES, whole.sensed, strict=True)):
+    family = full_setup.sessions.task.family
+    setup, shared, seen = full_setup, [], list[Release]()
+    for number, (side, sensed) in enumerate(zip(SIDES, full_setup.sensed, strict=True)):
         release = sharing.share(
-            mechanism, network, "linkage", family, side, seed=whole.seed
+            mechanism, sensed, "linkage", family, side, seed=full_setup.seed
         )
-        left = sharing.samples_shared(release, network)
-        if left is not None:
-            windows = sharing.restricted(getattr(whole.sessions, side), left)
-            known = replace(known, sessions=replace(known.sessions, **{side: windows}))
+        samples = sharing.samples_shared(release, sensed)
+        if samples is not None:
+            windows = sharing.restricted(getattr(full_setup.sessions, side), samples)
+            setup = replace(setup, sessions=replace(setup.sessions, **{side: windows}))
         shared.append(release)
-        if whole.frames:
-            release = whole.frames[number].of(release.offsets).release(release)
+        if full_setup.frames:
+            frame = full_setup.frames[number].per_sample(release.offsets)
+            release = frame.release(release)
         seen.append(release)
-    blind = _Sides(tuple(one.without_sigma() for one in seen))
     return LinkedLevel(
-        mechanism, whole, known, tuple(shared), blind, _Sides(tuple(seen))
+        mechanism=mechanism,
+        full_setup=full_setup,
+        setup=setup,
+        shared=tuple(shared),
+        blind=_View(tuple(release.without_sigma() for release in seen)),
+        seen=_View(tuple(seen)),
     )
 
 
 def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
-    """Whether a consumer is a control that is alike at every level that leaves nothing out."""
+    """Whether a control has the same result at all levels that leave out no sample."""
     is_control = (
         consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
     )
-    return is_control and level.known is level.whole
+    return is_control and level.setup is level.full_setup
 
 
-def who_sees_alike(consumer: Consumer) -> tuple[str, str]:
-    """Return which reconstruction is in front and what it is granted: who has both sees alike.
+def view_key(consumer: Consumer) -> tuple[str, str]:
+    """Return the reconstruction in front and its knowledge: equal keys, equal releases.
 
-    If they come one after the other, the releases that they see are alone in memory.
+    Consumers are sorted by it, so that the memory holds the releases of one key only.
     """
     if consumer.behind is None:
         return "", ""
     granted = consumer.granted & declared(consumer.behind)
-    return consumer.behind.spec, ",".join(sorted(one.name for one in granted))
+    return consumer.behind.spec, ",".join(sorted(item.name for item in granted))
 
 
-def link(consumer: Consumer, level: LinkedLevel) -> Linked:
+def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return what a linkage attack or control achieves at one mechanism level."""
     if consumer.kind == "control":
-        return _controlled(consumer, level)
-    known = level.known
-    if known.candidates:
-        return _approximated(consumer, level)
+        return _link_control(consumer, level)
+    setup = level.setup
+    if setup.candidates:
+        return _link_candidates(consumer, level)
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     matched: dict[int, Floats] = {}
-    for fold, half in enumerate(known.halves):
-        score, sides = _fitted(consumer, level, fold)
+    for fold, half in enumerate(setup.halves):
+        score, view = _fitted_linker(consumer, level, fold)
         for number, pairing in half.searches:
-            found = score(*sides.of(pairing))
-            scores[number] = np.concatenate([scores.get(number, found[:0]), found])
-        others = [(score(*sides.of(one)), one) for one in half.calibrates]
-        if (on_others := calibrated(others)) is not None:
-            calibration[fold] = on_others
-        scale = score_scale(others) if known.sessions.task.is_open else None
+            fold_scores = score(*view.pair_windows(pairing))
+            earlier = scores.get(number, fold_scores[:0])
+            scores[number] = np.concatenate([earlier, fold_scores])
+        calibrating = [
+            (score(*view.pair_windows(pairing)), pairing) for pairing in half.calibrates
+        ]
+        if (fold_calibration := fit_scores(calibrating)) is not None:
+            calibration[fold] = fold_calibration
+        is_open = setup.sessions.task.is_open
+        scale = fit_score_scale(calibrating) if is_open else None
         if scale is not None:
             for number, _ in half.searches:
-                matched[number] = matched_pairs(
+                matched[number] = match_pairs(
                     scores[number], scale=scale, mate_rate=half.mate_rate
                 )
-    name = consumer.spec, consumer.knowledge
-    return read_off(
-        scores, known=known, calibration=calibration, matched=matched, drawn_from=name
+    return score_links(
+        scores,
+        setup=setup,
+        calibration=calibration,
+        matched=matched,
+        drawn_from=(consumer.spec, consumer.knowledge),
     )
 
 
-def bound(level: LinkedLevel, motion: Motion | None) -> Linked:
-    """Return what the likelihood ratio of pairs links where people walk as a motion says.
+def bound(level: LinkedLevel, motion: Motion | None) -> LinkResult:
+    """Return the links of the optimum: the likelihood ratio of pairs in a model world.
 
-    It is told the motion, the variance of every sample and how lags are distributed:
-    nobody who looks at one probe at a time links more of them, in expectation, where
-    errors are Gaussian. PluginError for a mechanism whose errors are not white and of
-    known laws.
+    The optimum knows the motion, the variance of every sample and the distribution of
+    lags. No adversary that looks at one probe at a time links more of them, in
+    expectation, where errors are Gaussian. Raises PluginError for a mechanism whose
+    errors are not white, or of unknown laws.
     """
     assert motion is not None
-    known, batches, (lags_s, weight) = level.known, [], _lags(level.known.sessions)
-    for side, release, sensed in zip(SIDES, level.shared, known.sensed, strict=True):
-        rng = stream(known.seed, "genie", "linkage", level.mechanism.spec, side)
-        mechanism = level.mechanism.instance
-        errors = errors_of(release=release, sensed=sensed, mechanism=mechanism, rng=rng)
+    setup, mechanism = level.setup, level.mechanism
+    lags_s, weight = _lag_distribution(setup.sessions)
+    variances = []
+    for side, release, sensed in zip(SIDES, level.shared, setup.sensed, strict=True):
+        rng = stream(setup.seed, "genie", "linkage", mechanism.spec, side)
+        errors = release_errors(
+            release=release, sensed=sensed, mechanism=mechanism.instance, rng=rng
+        )
         if errors is None or errors.slow is not None:
-            raise PluginError(f"the optimum behind {level.mechanism.spec} is not known")
-        batches.append((release, errors.variance))
+            raise PluginError(f"the optimum behind {mechanism.spec} is not known")
+        variances.append(errors.variance)
     scores, prior = {}, (START_STD_M, motion.speed_mps)
-    for number, pairing in known.searches.items():
+    for number, pairing in setup.searches.items():
         walks = []
-        for side, (release, variance) in zip(SIDES, batches, strict=True):
-            samples = sharing.samples_of(release.offsets, getattr(pairing, side))
-            t, xy, var = (
-                one[samples.rows] for one in (release.t, release.xy, variance)
+        for side, release, variance in zip(SIDES, level.shared, variances, strict=True):
+            samples = sharing.track_samples(release.offsets, getattr(pairing, side))
+            rows = samples.rows
+            walks.append(
+                Batch(
+                    release.t[rows],
+                    release.xy[rows],
+                    variance[rows],
+                    samples.offsets,
+                    prior,
+                )
             )
-            walks.append(Batch(t, xy, var, samples.offsets, prior))
         scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
-    return read_off(scores, known=known, drawn_from=(BOUND,))
+    return score_links(scores, setup=setup, drawn_from=(BOUND,))
 
 
-def _lags(sessions: Sessions) -> tuple[Floats, Floats]:
-    """Return lags of the gallery's window after the probe's, (L,) s, and how often they are so."""
-    starts = [one.t[one.offsets[:-1]] for one in (sessions.probe, sessions.gallery)]
+def _lag_distribution(sessions: Sessions) -> tuple[Floats, Floats]:
+    """Return lags of the gallery's window after the probe's, (L,) s, and weights."""
+    probe, gallery = sessions.probe, sessions.gallery
+    probe_start_s = probe.t[probe.offsets[:-1]]
+    gallery_start_s = gallery.t[gallery.offsets[:-1]]
     mated = np.flatnonzero(sessions.mate >= 0)
-    lag_s = starts[1][sessions.mate[mated]] - starts[0][mated]
+    lag_s = gallery_start_s[sessions.mate[mated]] - probe_start_s[mated]
     most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
     lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
-    away_s, width_s = (
-        lags_s[:, None] - np.concatenate([lag_s, -lag_s]),
-        _LAG_WIDTH * _LAG_STEP_S,
-    )
+    away_s = lags_s[:, None] - np.concatenate([lag_s, -lag_s])
+    width_s = _LAG_WIDTH * _LAG_STEP_S
     weight = np.maximum(1.0 - np.abs(away_s) / width_s, 0.0).sum(axis=1) + _LEAST_WEIGHT
     return lags_s, weight / weight.sum()
 
 
-def _approximated(consumer: Consumer, level: LinkedLevel) -> Linked:
-    """Return what a linkage attack achieves that scores the best candidates of each probe alone."""
-    known, found, name = level.known, {}, (consumer.spec, consumer.knowledge)
-    rng = stream(known.seed, "linkage", "candidates", *name)
-    for fold, half in enumerate(known.halves):
-        score, sides = _fitted(consumer, level, fold)
+def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
+    """Return the result of an attack that scores only each probe's best candidates."""
+    setup, name = level.setup, (consumer.spec, consumer.knowledge)
+    rng = stream(setup.seed, "linkage", "candidates", *name)
+    results = {}
+    for fold, half in enumerate(setup.halves):
+        score, view = _fitted_linker(consumer, level, fold)
         for number, pairing in half.searches:
-            found[number] = among_candidates(
+            ranking = _score_untrained(
+                first_stage(setup.sessions.task), level, view, pairing
+            )
+            results[number] = among_candidates(
                 score,
-                *sides.of(pairing),
+                *view.pair_windows(pairing),
                 mate=pairing.mate,
-                first=_untaught(
-                    first_stage(known.sessions.task), level, sides, pairing
-                ),
-                n_candidates=known.candidates,
-                n_checked=-(-CHECKED // len(known.searches)),
+                first=ranking,
+                n_candidates=setup.candidates,
+                n_checked=-(-CHECKED // len(setup.searches)),
                 n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
             )
-    losses = np.concatenate([one.exact - one.approximate for one in found.values()])
-    scores = {number: one.scores for number, one in found.items()}
-    return read_off(scores, known=known, drawn_from=name, losses=losses)
+    losses = np.concatenate(
+        [result.exact - result.approximate for result in results.values()]
+    )
+    scores = {number: result.scores for number, result in results.items()}
+    return score_links(scores, setup=setup, drawn_from=name, losses=losses)
 
 
-def _untaught(
-    attack: LinkageAttack, level: LinkedLevel, sides: _Sides, pairing: Pairing
+def _score_untrained(
+    attack: LinkageAttack, level: LinkedLevel, view: _View, pairing: Pairing
 ) -> Floats:
-    """Return the scores of a linker of ours that is granted what the task grants to everyone."""
-    granted = attack.requires & level.known.sessions.task.everyone
-    return attack.fit(level.context(granted, "linkage", "untaught"))(*sides.of(pairing))
+    """Return the scores of a built-in linker that knows what the task grants to all."""
+    granted = attack.requires & level.setup.sessions.task.everyone
+    linker = attack.fit(level.context(granted, "linkage", "untaught"))
+    return linker(*view.pair_windows(pairing))
 
 
-def _controlled(consumer: Consumer, level: LinkedLevel) -> Linked:
+def _link_control(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return what a control links: it learns nothing and knows what is declared."""
-    known, control = level.known, CONTROLS[consumer.control]
+    setup, control = level.setup, CONTROLS[consumer.control]
     key = () if control.sees_times_only else (level.mechanism.spec,)
-    rng = stream(known.seed, "controls", consumer.spec, *key)
-    task, scores = known.sessions.task, dict[int, Floats]()
+    rng = stream(setup.seed, "controls", consumer.spec, *key)
+    task, scores = setup.sessions.task, dict[int, Floats]()
     score = control.scorer(task)
-    first, second = known.sessions.probe.about, known.sessions.gallery.about
+    probe_about = setup.sessions.probe.about
+    gallery_about = setup.sessions.gallery.about
     columns = list(control.circumstance)
-    for number, pairing in known.searches.items():
-        if columns and first is not None and second is not None:
+    for number, pairing in setup.searches.items():
+        if columns and probe_about is not None and gallery_about is not None:
             scores[number] = closeness(
-                first[pairing.probe][:, columns], second[pairing.gallery][:, columns]
+                probe_about[pairing.probe][:, columns],
+                gallery_about[pairing.gallery][:, columns],
             )
         elif score is not None:
-            scores[number] = score(*level.seen.of(pairing), rng)
+            scores[number] = score(*level.seen.pair_windows(pairing), rng)
         else:
-            attack = (
-                Shape()
-                if not (task.shows_scene or known.candidates)
-                else first_stage(task)
-            )
-            real = _untaught(attack, level, level.blind, pairing)
+            attack: LinkageAttack = Shape()
+            if task.shows_scene or setup.candidates:
+                attack = first_stage(task)
+            real = _score_untrained(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
-    return read_off(scores, known=known, drawn_from=rng, is_audit=control.is_audit)
+    return score_links(scores, setup=setup, drawn_from=rng, is_audit=control.is_audit)
 
 
-def _sides(consumer: Consumer, level: LinkedLevel, fold: int) -> _Sides:
-    """Return both releases as a linker gets them: smoothed first, where it stands behind that."""
+def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
+    """Return both releases as a linker sees them: smoothed behind a smoother."""
     behind, shows = consumer.behind, consumer.granted
     if consumer.plugin is not None:
         shows &= declared(consumer.plugin)
     if behind is None:
         return level.showing(shows)
     granted = consumer.granted & declared(behind)
-    # Ours draw nothing: what has learnt nothing either is the same in both folds.
-    is_alike = Knowledge.TRAIN not in granted and behind.origin.startswith(sharing.OURS)
-    key = (Knowledge.SIGMA in shows, behind.spec, granted, None if is_alike else fold)
-    if key not in level.sides:
-        made = _smoothed(consumer, behind, level, fold, shows)
-        # Both folds may have chosen alike: what linkers make of a release is then made
-        # once.
-        alike = (one for one in level.sides.values() if _are_same(one.both, made.both))
-        level.sides[key] = next(alike, made)
-    return level.sides[key]
+    # Built-in attacks draw nothing: one without training is the same in both folds.
+    is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
+        sharing.OURS
+    )
+    key_fold = None if is_same_in_folds else fold
+    key = (Knowledge.SIGMA in shows, behind.spec, granted, key_fold)
+    if key not in level.views:
+        smoothed = _smoothed_view(consumer, behind, level, fold, shows)
+        # The smoother may choose alike in both folds: share the earlier view, so that
+        # linkers compute their descriptors of a release once.
+        equal_views = (
+            view
+            for view in level.views.values()
+            if _are_same(view.releases, smoothed.releases)
+        )
+        level.views[key] = next(equal_views, smoothed)
+    return level.views[key]
 
 
-def _are_same(some: Iterable[Release], others: Iterable[Release]) -> bool:
+def _are_same(releases: Iterable[Release], others: Iterable[Release]) -> bool:
     """Whether releases of one level hold the very same arrays."""
-    pairs = zip(some, others, strict=True)
-    return all(one.xy is other.xy and one.sigma is other.sigma for one, other in pairs)
+    return all(
+        release.xy is other.xy and release.sigma is other.sigma
+        for release, other in zip(releases, others, strict=True)
+    )
 
 
-def _smoothed(
+def _smoothed_view(
     consumer: Consumer,
     behind: Plugin,
     level: LinkedLevel,
     fold: int,
     shows: frozenset[Knowledge],
-) -> _Sides:
-    """Return both releases with the positions that a reconstruction attack makes of them."""
-    who, known = f"attack {behind.spec} (behind {consumer.label})", level.known
+) -> _View:
+    """Return both releases with the positions that a reconstruction estimates."""
+    name, setup = f"attack {behind.spec} (behind {consumer.label})", level.setup
     granted = consumer.granted & declared(behind)
-    sides = level.showing(granted)
-    train, rows = None, known.halves[fold].learns.probe
-    if rows.size:
-        truth = _true_walks(level, 0)[
-            sharing.samples_of(known.sessions.probe.offsets, rows).rows
-        ]
-        probe, _ = sides.of(known.halves[fold].learns)
+    view = level.showing(granted)
+    learns, train = setup.halves[fold].learns, None
+    if learns.probe.size:
+        samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
+        truth = _true_walks(level, 0)[samples.rows]
+        probe, _ = view.pair_windows(learns)
         train = TrainingSet(sharing.handed(probe, behind), truth)
     names = ("attacks", behind.spec, "linkage", level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
-    attack = sharing.guarded(who, lambda: behind.instance.fit(context))
-    rebuilt, std = list[Release](), []
-    for release, view in zip(level.seen.both, sides.both, strict=True):
-        found = reconstructed(attack, sharing.handed(view, behind), who=who)
-        smooth = showing(derived(release, xy=found.xy), shows)
-        rebuilt.append(reconstructed_from(smooth, view))
-        std.append(found.std)
-    return _Sides(tuple(rebuilt), tuple(std))
+    attack = sharing.guarded(name, lambda: behind.instance.fit(context))
+    smoothed, claimed_std = list[Release](), []
+    for release, visible in zip(level.seen.releases, view.releases, strict=True):
+        result = reconstructed(attack, sharing.handed(visible, behind), name=name)
+        smooth = showing(derived(release, xy=result.xy), shows)
+        smoothed.append(record_shared(smooth, visible))
+        claimed_std.append(result.std)
+    return _View(tuple(smoothed), tuple(claimed_std))
 
 
 def _true_walks(level: LinkedLevel, side: int) -> Floats:
-    """Return the true positions of a side's samples, (M, 2) m, in the frames of the adversary."""
-    windows: Windows = getattr(level.known.sessions, SIDES[side])
-    frames = level.known.frames
-    return frames[side].of(windows.offsets).points(windows.xy) if frames else windows.xy
+    """Return the true positions of a side, (M, 2) m, in the adversary's frames."""
+    windows: Windows = getattr(level.setup.sessions, SIDES[side])
+    frames = level.setup.frames
+    if not frames:
+        return windows.xy
+    return frames[side].per_sample(windows.offsets).points(windows.xy)
 
 
-def _fitted(
+def _fitted_linker(
     consumer: Consumer, level: LinkedLevel, fold: int
-) -> tuple[Callable[[Release, Release], Floats], _Sides]:
-    """Return `scores_of` a linker that is prepared for a fold, and the releases that it gets."""
+) -> tuple[Callable[[Release, Release], Floats], _View]:
+    """Return the scoring function of a linker fitted for a fold, and its view."""
     assert consumer.plugin is not None
-    plugin, known, who = consumer.plugin, level.known, f"attack {consumer.label}"
-    sides = _sides(consumer, level, fold)
+    plugin, setup, name = consumer.plugin, level.setup, f"attack {consumer.label}"
+    view = _linker_view(consumer, level, fold)
     granted = consumer.granted & declared(plugin)
-    learns = known.halves[fold].learns
+    learns = setup.halves[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):
-            task = known.sessions.task.name
+            task = setup.sessions.task.name
             raise DataError(
-                f"{who} needs other people to train on, and task {task} has none; "
+                f"{name} needs other people to train on, and task {task} has none; "
                 "use a recording of more people or leave the attack out"
             )
-        probes, gallery = (sharing.handed(one, plugin) for one in sides.of(learns))
-        train = LinkageTrainingSet(probes, gallery, learns.mate.copy())
+        probe, gallery = (
+            sharing.handed(release, plugin) for release in view.pair_windows(learns)
+        )
+        train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
     names = ("attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
-    attack = sharing.guarded(who, lambda: plugin.instance.fit(context))
-    return partial(scores_of, attack, plugin=plugin, who=who), sides
+    attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
+    return partial(score_releases, attack, plugin=plugin, name=name), view
 
 
-def scores_of(
+def score_releases(
     attack: Callable[..., object],
     probe: Release,
     gallery: Release,
     *,
     plugin: Plugin,
-    who: str,
+    name: str,
 ) -> Floats:
-    """Return what a fitted linker makes of two releases: (p, g), rounded to float32.
+    """Return a fitted linker's scores of two releases: (p, g), rounded to float32.
 
-    Raises PluginError if it raises or returns anything else; the message names it.
+    Raises PluginError if the linker raises or returns anything else; the message says
+    its `name`.
     """
-    shown = [sharing.handed(one, plugin) for one in (probe, gallery)]
-    found = sharing.guarded(who, lambda: attack(*shown))
-    if np.ma.isMaskedArray(found):
+    shown = [sharing.handed(release, plugin) for release in (probe, gallery)]
+    result = sharing.guarded(name, lambda: attack(*shown))
+    if np.ma.isMaskedArray(result):
         raise PluginError(
-            f"{who} must return a score for every pair, got a masked array"
+            f"{name} must return a score for every pair, got a masked array"
         )
-    scores, expected = np.asarray(found), (len(probe), len(gallery))
+    scores, expected = np.asarray(result), (len(probe), len(gallery))
     if scores.shape != expected or scores.dtype.kind not in "fiu":
         got = f"{scores.shape} of {scores.dtype}"
-        raise PluginError(f"{who} must return scores {expected}, got {got}")
+        raise PluginError(f"{name} must return scores {expected}, got {got}")
     with np.errstate(over="ignore"):
         single = scores.astype(np.float32)
     if not np.isfinite(single).all():
-        raise PluginError(f"{who} returned a score that is not finite")
+        raise PluginError(f"{name} returned a score that is not finite")
     return single.astype(np.float64)
 
 
 def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
-    """Return the table of a cell of windows: a row for each of both sides, `WINDOW_COLUMNS`.
+    """Return the table of a cell of windows: `WINDOW_COLUMNS` for each of both sides.
 
-    `side` (probe or gallery), `search` (a half, or the instant of a handover),
-    `source`, `group`; of what was shared `n_samples`, `sigma_m` (mean declared standard
-    deviation) and `DESCRIPTORS`; of the true walk, alike at all levels, `duration_s`
-    and `speed_mps` (NaN for a window of one sample); after the reconstruction that the
-    consumer stands behind, whatever else is in the run, `ON_TRIAL`: the descriptors,
-    `privacy.alignment_error`, and the mean standard deviation that it claims.
+    `side` is probe or gallery, `search` a half or the instant of a handover. Of the
+    shared samples: `n_samples`, `sigma_m` (mean declared standard deviation) and
+    `DESCRIPTORS`. Of the true walk, the same at all levels: `duration_s` and
+    `speed_mps` (NaN for a window of a single sample). After the reconstruction that the
+    consumer stands behind, whatever else is in the run: `ON_TRIAL`, which are the
+    descriptors, `privacy.alignment_error`, and the mean standard deviation that it
+    claims.
     """
-    known, sessions = level.known, level.whole.sessions
-    smooth = _sides(consumer, level, 0)
-    sides = []
-    for number, side in enumerate(SIDES):
-        release, attacked, std = (
-            level.shared[number],
-            smooth.both[number].xy,
-            smooth.std[number],
-        )
-        whole: Windows = getattr(sessions, side)
-        assert release.sigma is not None  # `share` refuses what declares none
-        truth, walked = getattr(known.sessions, side).xy, _true_walks(level, number)
-        rebuilt = derived(release, xy=attacked)
-        exposed = descriptors(release, truth=truth, settings=known.privacy)
-        left = descriptors(rebuilt, truth=walked, settings=known.privacy)
-        columns = (
-            [side] * len(whole),
-            names_column(whole.search, sessions.searches),
-            names_column(whole.person, sessions.source),
-            names_column(whole.person, sessions.group),
-            np.diff(release.offsets),
-            *_walked(whole),  # which does not depend on which samples were shared
-            track_means(release.sigma, release.offsets),
-            *(exposed[name] for name in DESCRIPTORS),
-            *(left[name] for name in DESCRIPTORS),
-            privacy.alignment_error(xy=attacked, truth=walked, offsets=release.offsets),
-            track_means(
-                np.full(release.t.size, np.nan) if std is None else std, release.offsets
-            ),
-        )
-        sides.append(table(dict(zip(WINDOW_COLUMNS, columns, strict=True))))
+    smoothed = _linker_view(consumer, level, 0)
+    sides = [_side_table(level, smoothed, side) for side in range(len(SIDES))]
     return {ROWS: pa.concat_tables(sides).combine_chunks()}
 
 
-def _walked(windows: Windows) -> tuple[Floats, Floats]:
-    """Return how long each window lasted, s, and how fast its walk was, m/s."""
+def _side_table(level: LinkedLevel, smoothed: _View, side: int) -> pa.Table:
+    """Return the rows of `window_tables` of one side, 0 or 1."""
+    setup, sessions = level.setup, level.full_setup.sessions
+    release, offsets = level.shared[side], level.shared[side].offsets
+    assert release.sigma is not None  # `share` refuses a release without
+    windows: Windows = getattr(sessions, SIDES[side])
+    # The full windows: these do not depend on which samples were shared.
+    duration_s, speed_mps = _durations_and_speeds(windows)
+    attacked_xy, claimed_std = smoothed.releases[side].xy, smoothed.claimed_std[side]
+    if claimed_std is None:
+        claimed_std = np.full(release.t.size, np.nan)
+    true_xy = getattr(setup.sessions, SIDES[side]).xy
+    walked_xy = _true_walks(level, side)
+    as_shared = descriptors(release, truth=true_xy, settings=setup.privacy)
+    rebuilt = derived(release, xy=attacked_xy)
+    attacked = descriptors(rebuilt, truth=walked_xy, settings=setup.privacy)
+    columns = (
+        [SIDES[side]] * len(windows),
+        names_column(windows.search, sessions.searches),
+        names_column(windows.person, sessions.source),
+        names_column(windows.person, sessions.group),
+        np.diff(offsets),
+        duration_s,
+        speed_mps,
+        track_means(release.sigma, offsets),
+        *(as_shared[name] for name in DESCRIPTORS),
+        *(attacked[name] for name in DESCRIPTORS),
+        privacy.alignment_error(xy=attacked_xy, truth=walked_xy, offsets=offsets),
+        track_means(claimed_std, offsets),
+    )
+    return table(dict(zip(WINDOW_COLUMNS, columns, strict=True)))
+
+
+def _durations_and_speeds(windows: Windows) -> tuple[Floats, Floats]:
+    """Return the duration of each window, s, and the speed of its walk, m/s."""
     step_m = np.zeros(windows.t.size)
     step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
-    step_m[windows.offsets[:-1]] = 0.0  # from one window to the next
+    step_m[windows.offsets[:-1]] = 0.0  # between windows
     duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])
     speed_mps = np.full(duration_s.size, np.nan)

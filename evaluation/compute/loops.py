@@ -1,4 +1,4 @@
-"""Compiled loops that cells call: compiled ahead of the cells, in parallel, each once.
+"""Compiled loops that cells call: each compiled once, in parallel, before the cells.
 
 A loop that is missing here is compiled by the first process that calls it.
 """
@@ -9,7 +9,7 @@ import contextlib
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Final
 
-from evaluation.compute.where import note
+from evaluation.compute.current_cell import note_cell
 from isac_track.kalman.slow_errors import added_error
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ _BEHIND_SLOW_ERROR: Final = {
         "isac_track.kalman._error_loops:smooth_tracks",
     ),
 }
-"""Further loops of a mechanism, and of what reads it, where the error changes slowly."""
-_OF_PLUGIN: Final = {
+"""Further loops where the error changes slowly: of a mechanism, and of its readers."""
+_PLUGIN_LOOPS: Final = {
     "kalman_cv": _FILTER,
     "kalman_ca": ("isac_track.kalman._linear_loops:ca_last", *_NOISE),
     "kalman_imm": ("isac_track.kalman._imm_loops:imm_last", *_NOISE),
@@ -61,7 +61,7 @@ _OF_PLUGIN: Final = {
     "imm_rts": ("isac_track.kalman._imm_loops:imm_smoother", *_SMOOTHER),
     "gaussian_process": _SMOOTHER,
     "posterior": _SMOOTHER,
-    "kinematic": ("attacks.linkage._lag_loop:continued", *_FILTER),
+    "kinematic": ("attacks.linkage._lag_loop:continuation_densities", *_FILTER),
     "shape": (
         "attacks.linkage._lag_loop:least_costs",
         "attacks.linkage._lag_loop:cell_means",
@@ -78,7 +78,7 @@ _OF_PLUGIN: Final = {
     "likelihood_ratio": (
         "attacks.linkage._ratio_loop:ratios",
         "attacks.linkage._ratio_loop:take_sides",
-        "attacks.linkage._ratio_loop:tell",
+        "attacks.linkage._ratio_loop:accumulate_information",
         *_SMOOTHER,
     ),
 }
@@ -92,19 +92,19 @@ _SLOWEST: Final = (
     "described",
     "centred_means",
 )
-"""Of compiling: these begin, so that no process waits long for another at the end."""
+"""The loops that compile longest: they begin, so that no process waits at the end."""
 
 
-def loops_of(cells: Iterable[tuple[Plugin, Consumer]]) -> list[str]:
-    """Return the loops of some cells, as ``package.module:loop``, the slowest to compile first."""
-    found = {GAIN: None}
+def list_loops(cells: Iterable[tuple[Plugin, Consumer]]) -> list[str]:
+    """Return the loops of some cells, as ``package.module:loop``, the slowest first."""
+    loops = {GAIN: None}
     for mechanism, consumer in cells:
-        found |= dict.fromkeys(_loops_of_cell(mechanism, consumer))
+        loops |= dict.fromkeys(_cell_loops(mechanism, consumer))
     ranks = {name: rank for rank, name in enumerate(_SLOWEST)}
-    return sorted(found, key=lambda name: ranks.get(name.partition(":")[2], len(ranks)))
+    return sorted(loops, key=lambda name: ranks.get(name.partition(":")[2], len(ranks)))
 
 
-def _loops_of_cell(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
+def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
     std_m, tau_s = added_error(mechanism.instance)
     is_slow = std_m > 0.0 and tau_s > 0.0
     if is_slow:
@@ -115,7 +115,7 @@ def _loops_of_cell(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
     if consumer.kind in {"linkage", "control"}:
         yield from _SCORECARD
     for plugin in consumer.plugins:
-        yield from _OF_PLUGIN.get(plugin.name.partition(":")[0], ())
+        yield from _PLUGIN_LOOPS.get(plugin.name.partition(":")[0], ())
         if is_slow and consumer.kind != "predictor":
             yield from _BEHIND_SLOW_ERROR["attack"]
 
@@ -124,18 +124,18 @@ def prepare_loop(name: str) -> Iterator[str]:
     """Load a loop or compile it, in a process that may be a worker.
 
     Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED`
-    if that filled the cache, `LOADED` if not. What goes wrong is left to the first
-    call, which a cell makes: that cell fails by name.
+    if that filled the cache, `LOADED` if not. Errors are ignored here: the first cell
+    that calls the loop fails by name.
     """
-    note()
+    note_cell()
     fills_cache = False
     with contextlib.suppress(Exception):
         from isac_track.compiling import (  # noqa: PLC0415 - imports numba
             is_cached,
-            prepared,
+            prepare_loop,
         )
 
         if not is_cached(name):
             yield COMPILING
-        fills_cache = prepared(name, quietly=True)
+        fills_cache = prepare_loop(name, quietly=True)
     yield COMPILED if fills_cache else LOADED

@@ -1,7 +1,7 @@
-"""A gallery of tracks: where four people walked, what was shared of it, and what was rebuilt.
+"""A gallery of four people's tracks: as walked, as shared, and as reconstructed.
 
-Cells hold no positions: the run computes these few once, and a redraw finds them in its
-folder.
+Cells hold no positions: the run computes these few once, and a redraw reads them from
+its folder.
 """
 
 from __future__ import annotations
@@ -54,18 +54,25 @@ _FIXED_M = 0.7
 _DIGITS = 3
 
 
-def chosen(mechanisms: Sequence[Plugin]) -> list[Plugin]:
-    """Return those shown: raw, the strictest FID, fixed noise near 0.7 m; or the first three."""
+def gallery_mechanisms(mechanisms: Sequence[Plugin]) -> list[Plugin]:
+    """Return the mechanisms of the gallery.
+
+    These are raw, the strictest FID and fixed noise near 0.7 m; or the first three.
+    """
 
     def nearest(name: str, level: float) -> list[Plugin]:
-        some = [one for one in mechanisms if one.name == name and one.level is not None]
-        return sorted(some, key=lambda one: abs((one.level or 0.0) - level))[:1]
+        swept = [
+            plugin
+            for plugin in mechanisms
+            if plugin.name == name and plugin.level is not None
+        ]
+        return sorted(swept, key=lambda plugin: abs((plugin.level or 0.0) - level))[:1]
 
-    raw = [one for one in mechanisms if one.name == "raw"][:1]
+    raw = [plugin for plugin in mechanisms if plugin.name == "raw"][:1]
     usual = [*raw, *nearest("fid", 0.0), *nearest("fixed", _FIXED_M)]
-    return (
-        usual if len(usual) == _MOST_MECHANISMS else list(mechanisms[:_MOST_MECHANISMS])
-    )
+    if len(usual) == _MOST_MECHANISMS:
+        return usual
+    return list(mechanisms[:_MOST_MECHANISMS])
 
 
 def gallery_rows(
@@ -76,10 +83,10 @@ def gallery_rows(
     stages: StageSettings,
     seed: int,
 ) -> pa.Table:
-    """Return the tracks of the run's first scene, as they were, shared and rebuilt.
+    """Return the tracks of the run's first scene, as walked, shared and reconstructed.
 
     The people are those of the first scene, not chosen by how they look. The adversary
-    is blind and uses `radial_rts`, or what the run has instead among `attacks`, its
+    is blind and uses `radial_rts`, or the first suitable one of `attacks`, the run's
     reconstructions. The columns are `COLUMNS`, t in s and positions in m; there is one
     row for each shared sample. Raises PluginError if a plug-in raises.
     """
@@ -89,10 +96,12 @@ def gallery_rows(
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=seed)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=seed)
     able = [
-        one for one in attacks if one.name != IDENTITY and not one.instance.requires
+        plugin
+        for plugin in attacks
+        if plugin.name != IDENTITY and not plugin.instance.requires
     ]
-    able = [one for one in able if not getattr(one.instance, "slow", False)]
-    best = min(able, key=lambda one: one.name != "radial_rts", default=None)
+    able = [plugin for plugin in able if not getattr(plugin.instance, "slow", False)]
+    best = min(able, key=lambda plugin: plugin.name != "radial_rts", default=None)
     name, attack = (
         ("radial_rts", RadialRTS()) if best is None else (best.spec, best.instance)
     )
@@ -112,14 +121,15 @@ def gallery_rows(
         "epsilon_m": np.full(owner.size, epsilon_m),
         "t": release.t - release.t[release.offsets[owner]],
     }
-    for what, xy in (
+    for version, xy in (
         ("true", truth),
         ("shared", release.xy),
         ("rec", np.asarray(rebuilt.xy)),
     ):
         columns |= {
-            f"{axis}_{what}": np.round(xy[:, i], _DIGITS) for i, axis in enumerate("xy")
+            f"{axis}_{version}": np.round(xy[:, i], _DIGITS)
+            for i, axis in enumerate("xy")
         }
         leaked = leakage_indicator(shared_xy=xy, true_xy=truth, epsilon_m=epsilon_m)
-        columns[f"leaked_{what}"] = leaked
+        columns[f"leaked_{version}"] = leaked
     return table(columns).select(COLUMNS)

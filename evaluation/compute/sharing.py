@@ -1,8 +1,7 @@
-"""One release of a mechanism, checked: what it holds, and what of it whoever reads it is given.
+"""Releases: share with a mechanism, check what it returns, and show it to a reader.
 
-An adversary gets it as it shows, in a frame and on a clock of its own. What a stranger
-wrote is called by `guarded`: their mistakes are named, and by `copied` their hands are
-kept off our arrays.
+An adversary sees a release in a frame and on a clock of its own. `guarded` calls a
+user's plug-in and names its mistakes; `copied` protects our arrays from it.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ from numpy.random import Generator
 
 from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
-from isac_track.errors import PluginError, raised_at, told
+from isac_track.errors import PluginError, error_text, raised_at
 from isac_track.rng import stream
-from isac_track.sharing import names_of
+from isac_track.sharing import split_pseudonyms
 from isac_track.types import (
     SHARED_LIMIT_M,
     Complexes,
@@ -38,16 +37,12 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 _Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
-OURS = (
-    "isac_track.",
-    "attacks.",
-    "predictors.",
-)  # Where plug-ins come from that are no stranger's
-SHOWS = frozenset(
-    {Knowledge.SIGMA, Knowledge.SCENE}
-)  # Knowledge that shows in the release itself.
-FAR_M = 1000.0
+# Where the project's own plug-ins come from.
+OURS = ("isac_track.", "attacks.", "predictors.")
+# Knowledge that shows in the release itself.
+SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
 # How far off, and how long ago, an adversary's frame and clock may begin.
+FAR_M = 1000.0
 LONG_S = 86_400.0
 _PER_SAMPLE = (
     "t",
@@ -68,76 +63,78 @@ class Samples(NamedTuple):
     offsets: Ints  # (n + 1,) of the tracks among them.
 
 
-def guarded(who: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
+def guarded(name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
     """Return what a plug-in's function returns.
 
-    Raises PluginError for whatever it raises, with who it was and where, but for the
-    user's Ctrl-C.
+    Raises PluginError for whatever it raises, with the plug-in's name and the place in
+    its code. The user's Ctrl-C passes.
     """
     try:
-        with np.errstate():  # as it is after the call, whatever was set within
+        with np.errstate():  # undoes what the call sets
             return call()
     except BaseException as error:  # a plug-in may do anything
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
         check_interrupt()  # it may have caught the user's and raised something else
-        raise PluginError(f"{who} failed: {told(error)}{raised_at(error)}") from error
+        raise PluginError(
+            f"{name} failed: {error_text(error)}{raised_at(error)}"
+        ) from error
 
 
 def handed(batch: _Batch, to: Plugin) -> _Batch:
-    """Return a batch as a plug-in gets it: a stranger's is a copy, ours write to nothing."""
+    """Return a batch as a plug-in gets it: a user's own plug-in gets a copy."""
     return batch if to.origin.startswith(OURS) else copied(batch)
 
 
 def copied(batch: _Batch) -> _Batch:
-    """Return a batch in arrays of its own: a stranger may unlock them and write."""
-    values = ((one.name, getattr(batch, one.name)) for one in fields(batch))
-    own = {
+    """Return a batch in arrays of its own: a plug-in may unlock them and write."""
+    values = ((field.name, getattr(batch, field.name)) for field in fields(batch))
+    copies = {
         name: value.copy() for name, value in values if isinstance(value, np.ndarray)
     }
-    return derived(batch, **own)
+    return derived(batch, **copies)
 
 
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
-    """Return what a mechanism shares of what was sensed.
+    """Return the release of a mechanism, checked, with fresh pseudonyms.
 
     `key` names the stream. Every mechanism gets the same one: common random numbers.
     Raises PluginError if the mechanism raises or breaks its contract; the message names
     it.
     """
-    who, limit = f"mechanism {mechanism.spec!r}", f"{SHARED_LIMIT_M:g} m"
+    name, limit = f"mechanism {mechanism.spec!r}", f"{SHARED_LIMIT_M:g} m"
     rng = stream(seed, "sharing", *key)
     release = guarded(
-        who, lambda: mechanism.instance.share(handed(sensed, mechanism), rng)
+        name, lambda: mechanism.instance.share(handed(sensed, mechanism), rng)
     )
     if not isinstance(release, Release):
-        raise PluginError(f"{who} must return a Release, got {type(release).__name__}")
+        raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
     try:
         samples_shared(release, sensed)
     except ValueError as error:
-        raise PluginError(f"{who} changed the tracks or their times: {error}") from None
+        raise PluginError(
+            f"{name} changed the tracks or their times: {error}"
+        ) from None
     if not within(release.xy, -SHARED_LIMIT_M, SHARED_LIMIT_M):
         raise PluginError(
-            f"{who} shared a position that is not within {limit} of the origin"
+            f"{name} shared a position that is not within {limit} of the origin"
         )
     if release.sigma is None:
         raise PluginError(
-            f"{who} declared no sigma: a standard deviation for every sample, in m"
+            f"{name} declared no sigma: a standard deviation for every sample, in m"
         )
     if not within(release.sigma, 0.0, SHARED_LIMIT_M):
-        wrong = (
-            f"above {limit}, the limit"
-            if (release.sigma >= 0).all()
-            else "below 0 or NaN"
-        )
-        raise PluginError(f"{who} declared a sigma {wrong}")
-    # Fresh for every release: the common stream gives every mechanism the same ones.
+        fault = "below 0 or NaN"
+        if (release.sigma >= 0).all():
+            fault = f"above {limit}, the limit"
+        raise PluginError(f"{name} declared a sigma {fault}")
+    # A stream for every release: from the common one all mechanisms would draw alike.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
-    return derived(release, pseudonym=names_of(drawn))
+    return derived(release, pseudonym=split_pseudonyms(drawn))
 
 
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
-    """Return which samples a release holds; None if it is all of them.
+    """Return the sensed samples that a release holds; None if it holds all.
 
     Raises ValueError if it holds other tracks, or a sample when nothing was sensed.
     """
@@ -161,19 +158,21 @@ def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
     return Samples(place, release.offsets)
 
 
-def same_samples(one: Sensed | Release, other: Sensed | Release) -> bool:
-    """Whether two batches hold the same number of samples of each track, at the same instants."""
-    pairs = (one.offsets, other.offsets), (one.t, other.t)
-    return all(mine is its or np.array_equal(mine, its) for mine, its in pairs)
+def same_samples(first: Sensed | Release, second: Sensed | Release) -> bool:
+    """Whether two batches hold the same numbers of samples, at the same instants."""
+    pairs = (first.offsets, second.offsets), (first.t, second.t)
+    return all(
+        values is others or np.array_equal(values, others) for values, others in pairs
+    )
 
 
-def samples_of(offsets: Ints, tracks: Ints) -> Samples:
-    """Return the samples of some tracks, one after the other: rows, (n,), of those at `offsets`."""
+def track_samples(offsets: Ints, tracks: Ints) -> Samples:
+    """Return the samples of some tracks, (n,), end to end; `offsets` are of all."""
     return Samples(*stretches(offsets[tracks], np.diff(offsets)[tracks]))
 
 
 def restricted(batch: _Batch, to: Samples | None) -> _Batch:
-    """Return a batch with some of the samples of each of its tracks; None: with all."""
+    """Return a batch with only the samples `to` of its tracks; None: with all."""
     if to is None:
         return batch
     samples = {
@@ -186,10 +185,10 @@ def restricted(batch: _Batch, to: Samples | None) -> _Batch:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frame:
-    """A frame and a clock, one for all samples or one each: turned by an angle, then shifted."""
+    """A frame and a clock, of all samples or of each: turn by an angle, then shift."""
 
-    turn: Complexes | complex = 1.0  # (M,) or one: cosine and sine of the angle
-    shift_m: Complexes | complex = 0.0  # (M,) or one: x and y, m
+    turn: Complexes | complex = 1.0  # (M,) or a number: cosine and sine of the angle
+    shift_m: Complexes | complex = 0.0  # (M,) or a number: x and y, m
     clock_s: Floats | float = 0.0
 
     def points(self, xy: Floats) -> Floats:
@@ -201,16 +200,20 @@ class Frame:
         """Return a release in the frame and on the clock."""
         return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
 
-    def of(self, offsets: Ints) -> Frame:
-        """Return the frame of each sample of walks that begin and end at offsets, of their own."""
-        arrays = (self.turn, self.shift_m, self.clock_s)
-        return Frame(*(np.repeat(one, np.diff(offsets)) for one in arrays))
+    def per_sample(self, offsets: Ints) -> Frame:
+        """Return the frame of each sample from those of walks; `offsets`, (N + 1,)."""
+        n_samples = np.diff(offsets)
+        return Frame(
+            turn=np.repeat(self.turn, n_samples),
+            shift_m=np.repeat(self.shift_m, n_samples),
+            clock_s=np.repeat(self.clock_s, n_samples),
+        )
 
 
-def view_of(
+def adversary_view(
     release: Release, *, granted: frozenset[Knowledge], rng: Generator
 ) -> tuple[Release, Frame]:
-    """Return a release as it shows, without SCENE in a frame that is drawn; and the frame."""
+    """Return a release as an adversary sees it, and its frame: drawn without SCENE."""
     release = showing(release, granted)
     if Knowledge.SCENE in granted:
         return release, Frame()
@@ -221,27 +224,33 @@ def view_of(
 
 
 def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
-    """Return a release with its standard deviations for who is granted SIGMA alone."""
+    """Return a release, without standard deviations unless SIGMA is granted."""
     return release if Knowledge.SIGMA in granted else release.without_sigma()
 
 
 def declared(plugin: Plugin) -> frozenset[Knowledge]:
-    """Return what a plug-in says that it needs or takes."""
+    """Return the knowledge that a plug-in needs or takes."""
     return frozenset(plugin.instance.requires | plugin.instance.uses)
 
 
 def reconstructed(
-    attack: Callable[[Release], object], release: Release, *, who: str
+    attack: Callable[[Release], object], release: Release, *, name: str
 ) -> Reconstruction:
-    """Return what a fitted attack makes of a release, in its frame.
+    """Return the reconstruction of a fitted attack, in the frame of the release.
 
-    Raises PluginError if it raises or returns anything else; the message names it.
+    Raises PluginError if the attack raises or returns anything else; the message says
+    its `name`.
     """
     expected = release.xy.shape
-    found = guarded(who, lambda: attack(release))
-    if not isinstance(found, Reconstruction) or found.xy.shape != expected:
-        got = getattr(getattr(found, "xy", None), "shape", type(found).__name__)
-        raise PluginError(
-            f"{who} must return a Reconstruction with xy {expected}, got {got}"
+    reconstruction = guarded(name, lambda: attack(release))
+    if (
+        not isinstance(reconstruction, Reconstruction)
+        or reconstruction.xy.shape != expected
+    ):
+        got = getattr(
+            getattr(reconstruction, "xy", None), "shape", type(reconstruction).__name__
         )
-    return found
+        raise PluginError(
+            f"{name} must return a Reconstruction with xy {expected}, got {got}"
+        )
+    return reconstruction

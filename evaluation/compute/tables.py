@@ -1,4 +1,4 @@
-"""What a consumer leaves of a unit of work: tables, by name, most of them one called `rows`."""
+"""The tables that a cell consists of, by name: most cells have only `rows`."""
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
@@ -14,11 +14,8 @@ from isac_track.types import Floats, Ints, Release, Scenes, Tracks, squared_leng
 Rows: TypeAlias = dict[str, np.ndarray[Any, np.dtype[Any]]]
 Tables: TypeAlias = "dict[str, pa.Table]"
 ROWS: Final = "rows"
-DESCRIPTORS: Final = (
-    "plr",
-    "ael_s",
-    "mel_s",
-)  # Columns of those of a track, or of a window.
+DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
+"""Columns of the privacy descriptors of a track, or of a window."""
 ON_TRIAL: Final = (
     "plr_attacked",
     "ael_attacked",
@@ -26,11 +23,11 @@ ON_TRIAL: Final = (
     "alignment_error",
     "posterior_std",
 )
-"""Columns of other descriptors of a window, after a blind smoother: fraction, s, s, m, and m."""
+"""Columns of a window's descriptors after a blind smoother: fraction, s, s, m, m."""
 
 
 def rows_table(rows: Rows, *, tracks: Tracks) -> pa.Table:
-    """Return rows with the source and the group of each row's track, in place of `track`."""
+    """Return rows as a table, with the track's source and group in place of `track`."""
     columns: dict[str, Any] = {}
     for name, values in rows.items():
         if name == "track":
@@ -43,18 +40,16 @@ def rows_table(rows: Rows, *, tracks: Tracks) -> pa.Table:
 
 def table(columns: Mapping[str, Any]) -> pa.Table:
     """Return a table of columns, each as `column` takes it."""
-    return pa.Table.from_arrays(
-        [column(one) for one in columns.values()], names=[*columns]
-    )
+    arrays = [column(values) for values in columns.values()]
+    return pa.Table.from_arrays(arrays, names=[*columns])
 
 
 def column(
     values: Any,  # noqa: ANN401 - an array of either library, or text
 ) -> pa.Array:
-    """Return an array of numbers or of truth values, or a sequence of text, as a column.
+    """Return an array of numbers or truth values, or a sequence of text, as a column.
 
-    pyarrow's own ways import pandas, to ask whether it is one of its: 40 MB of every
-    worker.
+    pyarrow's own conversions import pandas, to check the type: 40 MB in every worker.
     """
     if isinstance(values, pa.Array):
         return values
@@ -66,7 +61,7 @@ def column(
         )
         kind = pa.from_numpy_dtype(values.dtype)
     else:
-        encoded = [one.encode() for one in values]
+        encoded = [text.encode() for text in values]
         ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
         kind, buffers = pa.string(), (ends, b"".join(encoded))
     return pa.Array.from_buffers(kind, len(values), [None, *map(pa.py_buffer, buffers)])
@@ -79,13 +74,14 @@ def names_column(rows: Ints, names: Sequence[str]) -> pa.Array:
     )
 
 
-@lru_cache(maxsize=16)  # once for all cells of a task
+# The columns of a task, shared by its cells; the oldest makes room for the 17th.
+@lru_cache(maxsize=16)
 def _names_column(rows: bytes, names: tuple[str, ...]) -> pa.Array:
     return column(names).take(column(np.frombuffer(rows, dtype=np.int64)))
 
 
 def track_columns(scenes: Scenes, rows: Ints) -> Rows:
-    """Return what names some tracks of a block: scene, agent and source track."""
+    """Return the columns that identify tracks of a block: scene, agent, track."""
     return {
         "scene": np.repeat(scenes.index, scenes.n_agents)[rows],
         "agent": np.tile(np.arange(scenes.n_agents), len(scenes))[rows],
@@ -95,9 +91,9 @@ def track_columns(scenes: Scenes, rows: Ints) -> Rows:
 
 
 def net_speeds(batch: Tracks | Scenes) -> Floats:
-    """Return how far each track gets from its first to its last sample, (N,) m/s.
+    """Return the speed of each track from its first to its last sample, (N,) m/s.
 
-    NaN for a track of one sample.
+    NaN for a track of a single sample.
     """
     first, last = batch.offsets[:-1], batch.offsets[1:] - 1
     way_m = np.sqrt(squared_lengths(batch.xy[last] - batch.xy[first]))
@@ -110,21 +106,27 @@ def net_speeds(batch: Tracks | Scenes) -> Floats:
 def descriptors(release: Release, *, truth: Floats, settings: PrivacySettings) -> Rows:
     """Return the columns of `described_rows` of every track; `truth` is (M, 2) m."""
     xy, t, offsets = release.xy, release.t, release.offsets
-    found = privacy.described(
+    values = privacy.described(
         xy=xy, truth=truth, t=t, offsets=offsets, settings=settings
     )
-    return described_rows(found)
+    return described_rows(values)
 
 
-def described_rows(found: Floats) -> Rows:
-    """Return the columns of what `privacy.described` found."""
-    plr, ael_s, mel_s, _, mse_m2, plr_wide, median_m = found
-    about = {"plr": plr, "ael_s": ael_s, "mel_s": mel_s, "mse_m2": mse_m2}
-    return about | {"plr_wide": plr_wide, "median_error_m": median_m}
+def described_rows(described: Floats) -> Rows:
+    """Return the columns of the descriptors that `privacy.described` returns."""
+    plr, ael_s, mel_s, _, mse_m2, plr_wide, median_m = described
+    return {
+        "plr": plr,
+        "ael_s": ael_s,
+        "mel_s": mel_s,
+        "mse_m2": mse_m2,
+        "plr_wide": plr_wide,
+        "median_error_m": median_m,
+    }
 
 
 def track_means(values: Floats, offsets: Ints) -> Floats:
     """Return the mean over the samples of each track, (N,)."""
-    if offsets.size == 1:  # reduceat wants something to reduce
+    if offsets.size == 1:  # reduceat needs at least one segment
         return np.zeros(0)
     return np.asarray(np.add.reduceat(values, offsets[:-1]) / np.diff(offsets))

@@ -1,8 +1,8 @@
 """Pieces of work for one process: levels of a block of scenes, or of a linkage task.
 
-What all levels have in common is made once: walks, unit errors, frames, folds, and what
-sees no more of a level than its times. A level is shared once; all of its consumers
-read the same release.
+All levels of a piece share their walks, unit errors, frames and folds. They also share
+the tables of controls that see only the times of a level. A level is shared once; all
+of its consumers read the same release.
 """
 
 from __future__ import annotations
@@ -10,35 +10,43 @@ from __future__ import annotations
 import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from evaluation.compute import linkage, reconstruction, sharing
+from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
-from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_setup import SensedSessions, sensed_sessions
 from evaluation.compute.tables import ROWS, Tables, rows_table
-from evaluation.compute.where import Failed, here, note
 from evaluation.plan.constants import (
     MODEL,
     OTHER_LAW,
     OTHER_LAW_WORLD,
-    horizon_of,
+    world_horizon_s,
 )
 from evaluation.plan.fingerprint import OURS
-from isac_track.errors import IsacTrackError, PluginError, told
+from isac_track.errors import IsacTrackError, PluginError, error_text
 from isac_track.scenes import Cut, make_scenes
-from isac_track.types import Ints, Knowledge
+from isac_track.types import Ints, Knowledge, Scenes, Sensed
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.plan.axes import Consumer
     from isac_track.config import StageSettings
+    from isac_track.model_world import Motion
     from isac_track.plugins import Plugin
 
 Levels: TypeAlias = "tuple[tuple[Plugin, tuple[Consumer, ...]], ...]"
-"""Mechanisms, and the consumers that are missing of each."""
-Item: TypeAlias = "tuple[int, Plugin, Consumer, Tables]"
-"""A finished cell: its block, mechanism, consumer, and tables."""
+"""Mechanisms, each with its consumers whose cells are missing."""
+
+
+class FinishedCell(NamedTuple):
+    """The tables of one consumer at one level, in one block of scenes or one task."""
+
+    block: int  # Number of the block; 0 for a linkage task.
+    mechanism: Plugin
+    consumer: Consumer
+    tables: Tables
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,7 +57,8 @@ class Block:
     first_scene: int
     order: Ints  # (S, A) rows of the tracks.
     levels: Levels
-    world: str = ""  # Of `WORLDS`, or of a further horizon; empty: that of the run.
+    # One of `WORLDS`, or the world of a further horizon; empty: that of the run.
+    world: str = ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -63,34 +72,35 @@ class LinkWork:
     world: str = ""
 
 
-def attempt(
+def attempt_cells(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[Item | Failed]:
-    """Yield `cells` until something fails, and then that (for workers, too).
+) -> Iterator[FinishedCell | Failure]:
+    """Yield finished cells until one fails, and then its failure.
 
-    A fault of our own fails by name as a plug-in's does: what an odd plug-in brings to
-    light in one cell takes no others along. Raises IsacTrackError for what fails all
-    cells alike: data or settings that do not fit.
+    An error in the project's own code fails one cell, as a plug-in's error does: an
+    unusual plug-in may cause it, and other cells must go on. Raises IsacTrackError for
+    an error that all cells share: data or settings that do not fit.
     """
     try:
-        yield from cells(work, tracks=tracks, stages=stages, seed=seed)
+        yield from compute_cells(work, tracks=tracks, stages=stages, seed=seed)
     except PluginError as error:
-        yield Failed(here.at, str(error))
+        yield Failure(current_cell.names, str(error))
     except IsacTrackError:
         raise
-    except Exception as error:  # noqa: BLE001 - nobody knows what else goes wrong
+    except Exception as error:  # noqa: BLE001 - a plug-in may cause any error
         frames = traceback.walk_tb(error.__traceback__)
         places = ((frame.f_globals.get("__name__", ""), line) for frame, line in frames)
-        # The innermost of ours; there is one: this very function.
-        module, line = [one for one in places if one[0].partition(".")[0] in OURS][-1]
-        where = f"in isac-track's own code, {module}, line {line}: please report this"
-        yield Failed(here.at, f"{told(error)} ({where})")
+        own_places = [place for place in places if place[0].partition(".")[0] in OURS]
+        # The innermost one; at least this function is among them.
+        module, line = own_places[-1]
+        report = f"in isac-track's own code, {module}, line {line}: please report this"
+        yield Failure(current_cell.names, f"{error_text(error)} ({report})")
 
 
-def cells(
+def compute_cells(
     work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[Item]:
-    """Yield every cell of a piece of work: its block, mechanism, consumer, and tables.
+) -> Iterator[FinishedCell]:
+    """Yield every cell of a piece of work.
 
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a
     predictor per scene, those of a linkage task per window or probe. Raises PluginError
@@ -100,96 +110,128 @@ def cells(
     if OTHER_LAW_WORLD in work.world:
         stages = stages.changed({"sensing.law": OTHER_LAW})
     if isinstance(work, LinkWork):
-        yield from _linked(work, tracks=tracks, stages=stages, seed=seed)
+        yield from _linkage_cells(work, tracks=tracks, stages=stages, seed=seed)
     else:
-        yield from _of_scenes(work, tracks=tracks, stages=stages, seed=seed)
+        yield from _scene_cells(work, tracks=tracks, stages=stages, seed=seed)
 
 
-def _linked(
+def _linkage_cells(
     work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[Item]:
-    motion = reconstruction.motion_of(tracks) if MODEL in work.world else None
-    whole = sensed_sessions(
+) -> Iterator[FinishedCell]:
+    motion = reconstruction.recording_motion(tracks) if MODEL in work.world else None
+    setup = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
-    alike: dict[str, Tables] = {}
+    # Tables of controls that are the same at every level, by the control's label.
+    shared_tables: dict[str, Tables] = {}
     for mechanism, consumers in work.levels:
-        note(mechanism.spec, "")
-        level, before = linkage.linked_level(mechanism, whole), ("", "")
-        for consumer in sorted(consumers, key=linkage.who_sees_alike):
-            note(mechanism.spec, consumer.label)
-            if linkage.who_sees_alike(consumer) != before:
-                before = linkage.who_sees_alike(consumer)
-                for held in (level.sides, level.blind.found, level.seen.found):
-                    held.clear()  # and what was made of it goes with it
-                if (
-                    whole.candidates
-                ):  # of thousands of people all that was made of it is gone, too
-                    level = linkage.linked_level(mechanism, whole)
-            is_same = linkage.sees_times_alone(consumer, level)
-            tables = alike.get(consumer.label) if is_same else None
-            if tables is None and consumer.kind == "windows":
-                tables = linkage.window_tables(consumer, level)
-            elif tables is None:
-                is_bound = consumer.kind == "linkage" and not consumer.plugins
-                found = (
-                    linkage.bound(level, motion)
-                    if is_bound
-                    else linkage.link(consumer, level)
+        note_cell(mechanism.spec, "")
+        level, last_view = linkage.linked_level(mechanism, setup), ("", "")
+        for consumer in sorted(consumers, key=linkage.view_key):
+            note_cell(mechanism.spec, consumer.label)
+            if linkage.view_key(consumer) != last_view:
+                last_view = linkage.view_key(consumer)
+                # Releases of the last view, and all that linkers remember of them, go.
+                level.forget_views()
+                if setup.candidates:
+                    # Thousands of people: forget all that was made of the level.
+                    level = linkage.linked_level(mechanism, setup)
+            sees_only_times = linkage.sees_times_alone(consumer, level)
+            tables = shared_tables.get(consumer.label) if sees_only_times else None
+            if tables is None:
+                tables = _linkage_tables(
+                    consumer, level, setup, motion=motion, keep_scores=work.keep_scores
                 )
-                tables = linkage_tables(found, whole, keep_scores=work.keep_scores)
-                # Of thousands of people its scores must not stay beside the next ones.
-                del found
-            if is_same:
-                alike[consumer.label] = tables
-            yield 0, mechanism, consumer, tables
+            if sees_only_times:
+                shared_tables[consumer.label] = tables
+            yield FinishedCell(0, mechanism, consumer, tables)
 
 
-def _of_scenes(
+def _linkage_tables(
+    consumer: Consumer,
+    level: linkage.LinkedLevel,
+    setup: SensedSessions,
+    *,
+    motion: Motion | None,
+    keep_scores: bool,
+) -> Tables:
+    """Return the tables of a consumer of a linkage task; its scores are freed."""
+    if consumer.kind == "windows":
+        return linkage.window_tables(consumer, level)
+    if consumer.kind == "linkage" and not consumer.plugins:
+        linked = linkage.bound(level, motion)
+    else:
+        linked = linkage.link(consumer, level)
+    return linkage_tables(linked, setup, keep_scores=keep_scores)
+
+
+def _scene_cells(
     block: Block, *, tracks: Cut, stages: StageSettings, seed: int
-) -> Iterator[Item]:
-    horizon_s, order, first = horizon_of(block.world), block.order, block.first_scene
+) -> Iterator[FinishedCell]:
+    horizon_s, is_model = world_horizon_s(block.world), MODEL in block.world
     if horizon_s is not None:
         tracks = tracks.further[horizon_s]
-    scenes = make_scenes(tracks, order=order, first=first, settings=stages, seed=seed)
-    of: dict[str, Any] = {"tracks": tracks, "stages": stages, "seed": seed}
-    of["is_model"] = MODEL in block.world
-    scenes, sensed = reconstruction.sensed_scenes(scenes, **of)
-    granted = {what for _, some in block.levels for one in some for what in one.granted}
+    scenes = make_scenes(
+        tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
+    )
+    scenes, sensed = reconstruction.sensed_scenes(
+        scenes, tracks=tracks, is_model=is_model, stages=stages, seed=seed
+    )
     attacked: reconstruction.AttackedBlock | None = None
     for mechanism, consumers in block.levels:
-        note(mechanism.spec, "")
-        # All that was made of the one before is gone.
+        note_cell(mechanism.spec, "")
+        # Nothing of the level before stays in memory.
         level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
-        left = sharing.restricted(scenes, sharing.samples_shared(release, sensed))
+        shared_scenes = sharing.restricted(
+            scenes, sharing.samples_shared(release, sensed)
+        )
         for consumer in consumers:
-            note(mechanism.spec, consumer.label)
+            note_cell(mechanism.spec, consumer.label)
             if consumer.kind not in {"attack", "bound"}:
                 rows = sharing_rows(
                     consumer,
                     release,
-                    left,
+                    shared_scenes,
                     mechanism=mechanism,
                     stages=stages,
-                    is_logged=horizon_s
-                    is None,  # what a robot knows of the past is one for all
+                    # A robot's estimates of the past depend on no horizon.
+                    is_logged=horizon_s is None,
                 )
             else:
-                attacked = attacked or reconstruction.attacked_block(
-                    scenes=scenes,
-                    sensed=sensed,
-                    repeats=Knowledge.REPEATS in granted,
-                    **of,
+                attacked = attacked or _attacked_block(
+                    block, scenes, sensed, tracks=tracks, stages=stages, seed=seed
                 )
-                attacks = [one for one in consumers if one.kind == "attack"]
+                attacks = [reader for reader in consumers if reader.kind == "attack"]
                 level = level or reconstruction.attacked_level(
                     mechanism, release, attacked, attacks
                 )
                 rows = reconstruction.attack_rows(consumer, level)
-            yield (
-                block.number,
-                mechanism,
-                consumer,
-                {ROWS: rows_table(rows, tracks=tracks)},
-            )
+            tables = {ROWS: rows_table(rows, tracks=tracks)}
+            yield FinishedCell(block.number, mechanism, consumer, tables)
+
+
+def _attacked_block(
+    block: Block,
+    scenes: Scenes,
+    sensed: Sensed,
+    *,
+    tracks: Cut,
+    stages: StageSettings,
+    seed: int,
+) -> reconstruction.AttackedBlock:
+    """Prepare the scenes of a block for all attacks on its levels."""
+    needs_repeats = any(
+        Knowledge.REPEATS in consumer.granted
+        for _, consumers in block.levels
+        for consumer in consumers
+    )
+    return reconstruction.attacked_block(
+        scenes=scenes,
+        sensed=sensed,
+        tracks=tracks,
+        repeats=needs_repeats,
+        is_model=MODEL in block.world,
+        stages=stages,
+        seed=seed,
+    )

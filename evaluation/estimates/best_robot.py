@@ -2,9 +2,9 @@
 
 The least of several noisy rates is too low. Here each half of the people chooses a
 robot, by its mean over all levels, and the choice is scored on the other half
-(`cross_fit`). A half has a curve, a false-alarm rate at raw and hence a threshold of
-its own, so that nothing is shared by choice and score. Every replicate of an interval
-repeats all of that.
+(`cross_fit`). Each half has its own curve, its own false-alarm rate at raw and hence
+its own threshold, so that choice and score share nothing. Every replicate of an
+interval repeats all of that.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -21,35 +21,34 @@ from evaluation.estimates.cross_fit import (
 )
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Found, Key, Measure, Where
+from evaluation.estimates.keys import EstimatesByKey, Key, Measure, Where
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
-from evaluation.estimates.summary import Scored, weights_of
+from evaluation.estimates.summary import Scored, bootstrap_weights
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
 
 BEST: Final = {EQUAL_ALARMS: "best(missed)", FUTURE_EQUAL_ALARMS: "best(missed_future)"}
-"""By the metric that robots are chosen by, the name of the best; no plug-in can bear it."""
+"""Name of the best robot, by the metric of its choice; no plug-in has it."""
 _NUMBERS: Final = (*BEST, FALSE_ALARMS)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class BestRobots:
-    """What the best robot of a run misses, and how often it raises a false alarm."""
+    """Missed conflicts and false alarms of the best robot of a run."""
 
-    estimates: dict[Key, Estimate] = field(
-        default_factory=dict
-    )  # Under the names of `BEST`.
+    # Under the names of `BEST`.
+    estimates: dict[Key, Estimate] = field(default_factory=dict)
     choices: dict[str, tuple[str, str]] = field(default_factory=dict)
-    """By these names which robot either half chose: the first half is scored by the second."""
+    """Robot that either half chose; each half is scored by the other half's choice."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _People:
     """Clusters of people in two halves, and R rows of weights for them.
 
-    The first row is the people themselves, the next B are replicates, the others lack a
-    cluster.
+    The first row is the people themselves, the next B rows are replicates, each further
+    row lacks a cluster.
     """
 
     rows: Floats  # (R, C)
@@ -58,28 +57,28 @@ class _People:
 
     @property
     def halves(self) -> tuple[Bools, Bools]:
-        """Which clusters are in either half, (C,) each."""
+        """Whether a cluster is in the first half, and in the second, (C,) each."""
         return self.is_first, ~self.is_first
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Trials:
-    """How many trials every cluster has, (C,), by the number of `_NUMBERS`."""
+    """Trials of every cluster, (C,), for each number of `_NUMBERS`."""
 
     by_number: dict[str, Floats]
 
     def estimate(self, number: str, value: float) -> Estimate:
-        """Return a value with the clusters it rests on, without an interval."""
+        """Return a value with the number of its clusters, without an interval."""
         n = int((self.by_number[number] > 0.0).sum())
         return Estimate(value, n=n, effective=self.effective(number))
 
     def effective(self, number: str) -> float:
-        """Return the effective clusters that a number rests on."""
+        """Return the effective clusters behind a number."""
         return effective_clusters(self.by_number[number])
 
     @property
     def needs_deletions(self) -> bool:
-        """Whether an interval is a jackknife's."""
+        """Whether some interval is a jackknife's."""
         return any(
             is_few(effective_clusters(trials)) for trials in self.by_number.values()
         )
@@ -88,20 +87,20 @@ class _Trials:
 def best_robots(
     scored: Sequence[Scored],
     manifest: Mapping[str, Any],
-    found: Found,
+    estimates: EstimatesByKey,
     *,
     among: Collection[str],
 ) -> BestRobots:
-    """Return the best robots of a run at one horizon, by all conflicts and by those to come.
+    """Return the best robots at one horizon: by all conflicts, and by those to come.
 
-    `scored` is what predictors said of every scene, `found` their estimates at raw's
-    false-alarm rate; levels of the mechanisms `among` choose and are scored. Robots
-    count that ran at most of these levels. A single one is the best without a choice,
-    and keeps its estimates.
+    `scored` has the predictors' answers for every scene, `estimates` their numbers at
+    raw's false-alarm rate. The choice and the score use the levels of the mechanisms
+    `among`. Those robots compete that ran at the most of these levels. A single robot
+    is the best without a choice, and keeps its estimates.
     """
     robots: dict[str, dict[Where, Scored]] = {}
     for robot in scored:
-        entry = robot[0]
+        entry = robot.entry
         if entry["mechanism"] in among:
             where = entry["mechanism"], entry["level"]
             robots.setdefault(entry["consumer"], {})[where] = robot
@@ -112,15 +111,15 @@ def best_robots(
         if len(levels) == most and (RAW, None) in levels
     }
     if len(rivals) == 1:
-        return _only_robot(next(iter(rivals)), found)
+        return _only_robot(next(iter(rivals)), estimates)
     return _chosen(rivals, manifest) if rivals else BestRobots()
 
 
-def _only_robot(name: str, found: Found) -> BestRobots:
+def _only_robot(name: str, estimates: EstimatesByKey) -> BestRobots:
     best = BestRobots()
     for metric, consumer in BEST.items():
         best.choices[consumer] = name, name
-        for key, estimate in found.items():
+        for key, estimate in estimates.items():
             if key.consumer == name and key.metric in (metric, FALSE_ALARMS):
                 best.estimates[key._replace(consumer=consumer)] = estimate
     return best
@@ -131,11 +130,13 @@ def _chosen(
 ) -> BestRobots:
     """Return the best of two robots or more."""
     names, wheres = list(rivals), list(next(iter(rivals.values())))
-    weights = weights_of(manifest)
-    trials = [_trials_of(rivals[name][RAW, None], weights.shape[1]) for name in names]
+    weights = bootstrap_weights(manifest)
+    trials = [
+        _count_trials(rivals[name][RAW, None], weights.shape[1]) for name in names
+    ]
     people = _people(weights, first_half(tuple(manifest["groups"])), trials)
     sums = np.array([_sums_of_robot(rivals[name], wheres, people) for name in names])
-    sums = _of_equal_weight(sums)
+    sums = _equally_weighted(sums)
     best = BestRobots()
     for metric, consumer in BEST.items():
         choice = _choices(sums[:, :, _NUMBERS.index(metric)])
@@ -145,17 +146,18 @@ def _chosen(
         for place, where in enumerate(wheres):
             for number in (metric, FALSE_ALARMS):
                 counted = sums[:, place, _NUMBERS.index(number)]
-                # A costly robot is judged in fewer scenes: the fewer clusters count.
+                # A costly robot is judged in fewer scenes: take the fewer clusters.
                 fewer = min(chosen, key=lambda robot: robot.effective(number))
                 estimate = _estimate(counted, choice, people, fewer, number=number)
                 best.estimates[Measure(consumer, number).at(*where)] = estimate
     return best
 
 
-def _of_equal_weight(sums: Floats) -> Floats:
-    """Return sums, (K, L, 3, 2, 2, R), of robots as if all had been judged in as many scenes.
+def _equally_weighted(sums: Floats) -> Floats:
+    """Return robots' sums, (K, L, 3, 2, 2, R), as if all were judged in as many scenes.
 
-    A half of the people then weighs the same whoever is chosen. Rates stay.
+    A half of the people then has the same weight whichever robot is chosen. The rates
+    do not change.
     """
     under = sums[:, :, :, 1]
     most = under.max(axis=0)
@@ -163,8 +165,8 @@ def _of_equal_weight(sums: Floats) -> Floats:
     return np.asarray(sums * times[:, :, :, None])
 
 
-def _trials_of(robot: Scored, n_clusters: int) -> _Trials:
-    """Return the trials of a robot within each cluster: its scenes are the same at all levels."""
+def _count_trials(robot: Scored, n_clusters: int) -> _Trials:
+    """Return the trials of a robot within each cluster, the same at all levels."""
     _, cluster, columns = robot
     conflict = columns["conflict"]
     has_trial = {
@@ -186,10 +188,10 @@ def _people(weights: Floats, is_first: Bools, trials: Sequence[_Trials]) -> _Peo
     n_clusters = weights.shape[1]
     rows = [np.ones((1, n_clusters)), weights]
     if any(robot.needs_deletions for robot in trials):
-        # Who has no conflict still sets the false-alarm rate.
+        # People without a conflict still set the false-alarm rate.
         counted = [number for robot in trials for number in robot.by_number.values()]
-        there = np.sum(counted, axis=0) > 0.0
-        rows.append(1.0 - np.eye(n_clusters)[there])
+        has_trial = np.sum(counted, axis=0) > 0.0
+        rows.append(1.0 - np.eye(n_clusters)[has_trial])
     return _People(np.concatenate(rows), is_first, n_drawn=1 + len(weights))
 
 
@@ -198,8 +200,8 @@ def _sums_of_robot(
 ) -> Floats:
     """Return numerators and denominators of a robot's numbers, (L, 3, 2, 2, R).
 
-    By level, number (`_NUMBERS`), numerator or denominator, half of the people, row of
-    weights.
+    The axes are: level, number (`_NUMBERS`), numerator or denominator, half of the
+    people, row of weights.
     """
     sums = np.zeros((len(wheres), len(_NUMBERS), 2, 2, len(people.rows)))
     raw = levels[RAW, None]
@@ -216,7 +218,7 @@ def _sums_of_robot(
 
 
 def _alarms(robot: Scored, in_half: Bools, rows: Floats) -> Floats:
-    """Return false alarms of a half of the people, and scenes without a conflict, (2, R)."""
+    """Return false alarms and conflict-free scenes of a half of the people, (2, R)."""
     _, cluster, columns = robot
     is_free = ~columns["conflict"] & in_half[cluster]
     false = is_free & columns["predicted"]
@@ -226,45 +228,43 @@ def _alarms(robot: Scored, in_half: Bools, rows: Floats) -> Floats:
 def _misses(
     robot: Scored, in_half: Bools, rows: Floats, false_alarm: Floats, *, number: str
 ) -> Floats:
-    """Return missed conflicts of a half of the people at a false-alarm rate, and all, (2, R).
+    """Return missed conflicts of a half of the people, and all its conflicts, (2, R).
 
-    Both are 0 where the rate, (R,), or the curve is unknown.
+    Conflicts are missed at the false-alarm rate `false_alarm`, (R,). Both are 0 where
+    the rate or the curve is unknown.
     """
     _, cluster, columns = robot
-    some = in_half[cluster]
+    in_question = in_half[cluster]
     if number == FUTURE_EQUAL_ALARMS:
-        some &= ~(columns["conflict"] & columns["inside_now"])
-    conflict, score = (
-        columns["conflict"][some],
-        -columns["predicted_separation_m"][some],
-    )
-    # The curve has the row of the people themselves before the weights that it is
-    # given.
+        in_question &= ~(columns["conflict"] & columns["inside_now"])
+    conflict = columns["conflict"][in_question]
+    score = -columns["predicted_separation_m"][in_question]
+    # `curve` itself puts the row of the people before the weights.
     rates = curve(
-        score=score, conflict=conflict, cluster=cluster[some], weights=rows[1:]
+        score=score, conflict=conflict, cluster=cluster[in_question], weights=rows[1:]
     )
     if rates is None:
         return np.zeros((2, len(rows)))
-    (conflicts,) = _weighted([columns["conflict"] & some], cluster, rows)
+    (conflicts,) = _weighted([columns["conflict"] & in_question], cluster, rows)
     missed = rates.missed_at(false_alarm)
     is_known = np.isfinite(missed)
     return np.where(is_known, [np.nan_to_num(missed) * conflicts, conflicts], 0.0)
 
 
 def _weighted(scenes: Sequence[Bools], cluster: Ints, rows: Floats) -> Floats:
-    """Return how many of some scenes there are under each row of weights, (K, R)."""
+    """Return the size of K sets of scenes under each row of weights, (K, R)."""
     n_clusters = rows.shape[1]
     sums = [
         cluster_sums(
-            values=some.astype(np.float64), cluster=cluster, n_clusters=n_clusters
+            values=is_in_set.astype(np.float64), cluster=cluster, n_clusters=n_clusters
         )
-        for some in scenes
+        for is_in_set in scenes
     ]
     return np.asarray(np.array(sums) @ rows.T)
 
 
 def _choices(sums: Floats) -> Ints:
-    """Return which robot either half chooses in each row, (2, R), of sums (K, L, 2, 2, R)."""
+    """Return the robot that either half chooses, (2, R), from sums (K, L, 2, 2, R)."""
     over, under = np.moveaxis(sums, 2, 0)
     everybody = best_rival(over.sum(axis=2), under.sum(axis=2), least=True, otherwise=0)
     return np.stack(
@@ -281,7 +281,10 @@ def _choices(sums: Floats) -> Ints:
 
 
 def _joined(sums: Floats, choice: Ints) -> Floats:
-    """Return a number of K robots, (K, 2, 2, R), each half scored by the other's choice, (R,)."""
+    """Return a rate, (R,), each half scored by the other's choice of K robots.
+
+    `sums`, (K, 2, 2, R), are those of the robots.
+    """
     row, (by_first, by_second) = np.arange(sums.shape[-1]), choice
     return ratio_of_sums((sums[by_second, :, 0, row] + sums[by_first, :, 1, row]).T)
 

@@ -1,10 +1,10 @@
-"""How far the attacks of a run are from what no attack exceeds, where that is known.
+"""Gaps between the attacks of a run and the bound on all attacks, where it is known.
 
-In worlds where each walk follows the motion that was fitted to it, `plr_gap` is what an
-attack with one release lacks of the exact posterior where errors are Gaussian, and at
-most what it lacks where they are not, since only a genie who is told the scale of every
-error reaches the ceiling. Recorded walks follow no model: there the genie's value is no
-bound, and a gap would mix errors with motion.
+In a model world each walk follows the motion that was fitted to it. There `plr_gap` is
+the PLR that an attack with one release lacks. With Gaussian errors the bound is the
+exact posterior. Otherwise it is a ceiling that only a genie reaches, which knows the
+scale of every error: the gap is then at most so large. Recorded walks follow no model:
+there the genie's value is no bound, and a gap would mix errors with motion.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import Found, Key, Source, Where, worlds_of
+from evaluation.estimates.keys import EstimatesByKey, Key, Source, Where, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
     EXPOSURE,
@@ -30,23 +30,20 @@ _ENDS = ["value", "ci_low", "ci_high"]
 _PLACE = ["world", "mechanism", "level", "task"]
 
 
-def linked_gaps(found: Found) -> dict[Key, Estimate]:
-    """Return linkage of a model world with the optimum's name, and what attacks lack of it."""
-    named = dict[Key, Estimate]()
-    for key, one in found.items():
-        task, _, who = key.consumer.partition("/")
-        if who == BOUND:
-            named |= (
-                {key._replace(metric=RANK_OPTIMUM): one}
-                if key.metric == SUCCESS
-                else {}
-            )
+def linked_gaps(estimates: EstimatesByKey) -> dict[Key, Estimate]:
+    """Return linkage in a model world with its optimum, and each attack's gap to it."""
+    numbers = dict[Key, Estimate]()
+    for key, estimate in estimates.items():
+        task, _, linker = key.consumer.partition("/")
+        if linker == BOUND:
+            if key.metric == SUCCESS:
+                numbers[key._replace(metric=RANK_OPTIMUM)] = estimate
             continue
-        named[key] = one
-        best = found.get(Key(*key.where, f"{task}/{BOUND}", SUCCESS))
+        numbers[key] = estimate
+        best = estimates.get(Key(*key.where, f"{task}/{BOUND}", SUCCESS))
         if key.metric == SUCCESS and key.knowledge and best is not None:
-            named[key._replace(metric=RANK_GAP)] = difference(best, one)
-    return named
+            numbers[key._replace(metric=RANK_GAP)] = difference(best, estimate)
+    return numbers
 
 
 class Gap(NamedTuple):
@@ -55,50 +52,60 @@ class Gap(NamedTuple):
     world: str
     where: Where
     attack: Source  # With the task, if it links.
-    reached: Estimate  # PLR or rank 1 that it comes to there.
+    reached: Estimate  # PLR or rank 1 of the attack there.
     gap: Estimate
     bound: Estimate
-    is_exact: bool  # Whether `bound` is the optimum; else it is the ceiling of a genie.
+    is_exact: bool  # Whether `bound` is the optimum; else it is a genie's ceiling.
 
 
 def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
-    """Return the closest attack, short of the oracle's, at every level of every model world.
+    """Return the closest attack, short of the oracle's, at each level of model worlds.
 
-    First those that rebuild, then those that link. Of few tracks an attack may seem
-    closer than it is: the closest is who is surely so.
+    Reconstructions come first, then linkers. With few tracks an attack may seem closer
+    than it is: the closest attack is the one with the lowest upper end of its gap.
     """
-    world = worlds_of(summary)
+    world = row_worlds(summary)
     rows = summary.assign(world=world)[world.str.startswith(MODEL)]
-    rows = rows.assign(task=[Source(one).task for one in rows["consumer"]])
-    rows["most"] = rows["ci_high"].fillna(
-        rows["value"]
-    )  # very few people have no interval
-    found = []
-    for gap, metric, known in (
+    rows = rows.assign(task=[Source(consumer).task for consumer in rows["consumer"]])
+    # With very few people there is no interval.
+    rows["most"] = rows["ci_high"].fillna(rows["value"])
+    closest = []
+    for gap_metric, metric, bound_metrics in (
         (GAP, EXPOSURE, BOUNDS),
         (RANK_GAP, SUCCESS, (RANK_OPTIMUM,)),
     ):
-        able = (
-            (rows["metric"] == gap)
+        has_gap = (
+            (rows["metric"] == gap_metric)
             & rows["knowledge"].isin(HEADLINE)
             & rows["value"].notna()
         )
-        some = rows[able | rows["metric"].isin([*known, metric])]
-        for place, of in some.groupby(_PLACE, sort=False, dropna=False):
+        is_needed = has_gap | rows["metric"].isin([*bound_metrics, metric])
+        for place, level_rows in rows[is_needed].groupby(
+            _PLACE, sort=False, dropna=False
+        ):
             name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
-            lacking = of[of["metric"] == gap].nsmallest(1, "most")
-            bounds = of[of["metric"].isin(known)]
+            is_gap = level_rows["metric"] == gap_metric
+            lacking = level_rows[is_gap].nsmallest(1, "most")
+            bounds = level_rows[level_rows["metric"].isin(bound_metrics)]
             if lacking.empty or bounds.empty:
                 continue
             best = lacking.iloc[0]
             source = Source(best["consumer"], best["knowledge"])
-            is_own = (of["consumer"] == source.consumer) & (
-                of["knowledge"] == source.knowledge
+            is_own = (level_rows["consumer"] == source.consumer) & (
+                level_rows["knowledge"] == source.knowledge
             )
-            reached = of.loc[is_own & (of["metric"] == metric)].iloc[0]
-            is_exact = known[0] in bounds["metric"].to_numpy()
-            bound = bounds[(bounds["metric"] == known[0]) | (not is_exact)].iloc[0]
-            plr, lacks, most = (Estimate(*one[_ENDS]) for one in (reached, best, bound))
-            where = mechanism, None if np.isnan(level) else level
-            found.append(Gap(name, where, source, plr, lacks, most, is_exact))
-    return found
+            reached = level_rows.loc[is_own & (level_rows["metric"] == metric)].iloc[0]
+            is_exact = bound_metrics[0] in bounds["metric"].to_numpy()
+            is_bound = (bounds["metric"] == bound_metrics[0]) | (not is_exact)
+            closest.append(
+                Gap(
+                    world=name,
+                    where=(mechanism, None if np.isnan(level) else level),
+                    attack=source,
+                    reached=Estimate(*reached[_ENDS]),
+                    gap=Estimate(*best[_ENDS]),
+                    bound=Estimate(*bounds[is_bound].iloc[0][_ENDS]),
+                    is_exact=is_exact,
+                )
+            )
+    return closest

@@ -1,4 +1,4 @@
-"""PLR over net speed: whom a slow walk exposes; `by_speed.csv`."""
+"""PLR over net speed: whether slow people are more exposed; `by_speed.csv`."""
 
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
@@ -10,10 +10,10 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import AS_SHARED, Found, Source, Where
+from evaluation.estimates.keys import AS_SHARED, EstimatesByKey, Source, Where
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
-from evaluation.estimates.summary import clusters, weights_of
+from evaluation.estimates.summary import bootstrap_weights, clusters
 from evaluation.store.cell_files import read_rows
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
@@ -21,7 +21,8 @@ from isac_track.types import Floats
 SHOWN: Final = ((RAW, None), (FID, 1.0), (FIXED, 1.0), ("ou", 0.4))
 """Mechanisms, without their adding rule, and levels."""
 EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
-"""Of the bins: below the first inner edge people stand. Finer ones hold too few for an interval."""
+"""Edges of the bins. People slower than the first inner edge stand. Finer bins would
+hold too few people for an interval."""
 COLUMNS: Final = [
     "dataset",
     "mechanism",
@@ -42,17 +43,18 @@ _SPEED: Final = "speed_mps"
 def by_speed(
     out: Path,
     manifest: Mapping[str, Any],
-    estimates: Found,
+    estimates: EstimatesByKey,
     *,
-    known: Mapping[str, Family],
+    families: Mapping[str, Family],
     best: Mapping[str, Source],
 ) -> pd.DataFrame:
-    """Return PLR in bins of net speed, as shared and after the strongest attack; as `COLUMNS`.
+    """Return PLR by net speed, as shared and after the strongest attack: `COLUMNS`.
 
-    The net speed of a track is the way from its first to its last true position over
-    its duration. The strongest attack on raw, FID and fixed noise is the run's, on
-    another mechanism its own, as in the first table. `found` are the run's estimates,
-    `best` its strongest attacks. Raises DataError if a cell cannot be read.
+    The net speed of a track is the distance from its first to its last true position
+    over its duration. The strongest attack on raw, FID and fixed noise is the run's;
+    on another mechanism it is the strongest against that, as in the first table.
+    `estimates` are the run's, `best` are its strongest attacks. Raises DataError if a
+    cell cannot be read.
     """
     entries = {
         (
@@ -65,16 +67,22 @@ def by_speed(
     shown = [
         where
         for where, source in entries
-        if source == AS_SHARED and _is_shown(known, where)
+        if source == AS_SHARED and _is_shown(families, where)
     ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
     at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
     speed_by_source = _speeds(out, entries[at_raw, AS_SHARED])
-    own = against_each(by_task(estimates, metric=EXPOSURE).get("", {}))
+    strongest_by_mechanism = against_each(
+        by_task(estimates, metric=EXPOSURE).get("", {})
+    )
     rows = []
     for where in shown:
-        attack = best.get("") if known[where[0]].family in SWEPT else own.get(where[0])
+        attack = (
+            best.get("")
+            if families[where[0]].family in SWEPT
+            else strongest_by_mechanism.get(where[0])
+        )
         for source in filter(None, (AS_SHARED, attack)):
             if entry := entries.get((where, source)):
                 level = np.nan if where[1] is None else where[1]
@@ -92,16 +100,15 @@ def by_speed(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _is_shown(known: Mapping[str, Family], where: Where) -> bool:
-    return (known[where[0]].name, where[1]) in SHOWN
+def _is_shown(families: Mapping[str, Family], where: Where) -> bool:
+    return (families[where[0]].name, where[1]) in SHOWN
 
 
 def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
     """Return the net speed of each source track of a cell, m/s."""
     table = read_rows(out, entry, columns=["source", _SPEED])
-    return dict(
-        zip(table["source"].to_pylist(), table[_SPEED].to_pylist(), strict=True)
-    )
+    sources, speeds = (table[name].to_pylist() for name in ("source", _SPEED))
+    return dict(zip(sources, speeds, strict=True))
 
 
 def _bins(
@@ -112,18 +119,16 @@ def _bins(
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""
     table = read_rows(out, entry, columns=["source", "group", METRICS[EXPOSURE].column])
-    values, speed_mps = (
-        table[METRICS[EXPOSURE].column].to_numpy(),
-        _row_speeds(table, speed_by_source),
-    )
-    cluster, weights = clusters(table, manifest), weights_of(manifest)
+    values = table[METRICS[EXPOSURE].column].to_numpy()
+    speed_mps = _row_speeds(table, speed_by_source)
+    cluster, weights = clusters(table, manifest), bootstrap_weights(manifest)
     for low, high in pairwise(EDGES_MPS):
         inside = (low <= speed_mps) & (speed_mps < high)
         if not inside.any():
             continue
         sums = [
-            cluster_sums(values=part, cluster=cluster, n_clusters=weights.shape[1])
-            for part in (np.where(inside, values, 0.0), inside.astype(np.float64))
+            cluster_sums(values=numbers, cluster=cluster, n_clusters=weights.shape[1])
+            for numbers in (np.where(inside, values, 0.0), inside.astype(np.float64))
         ]
         (plr,) = ratio_estimates(
             numerator=sums[0][None],
@@ -136,7 +141,7 @@ def _bins(
 
 
 def _row_speeds(table: pa.Table, speed_by_source: Mapping[str, float]) -> Floats:
-    """Return the net speed of each row's source, (R,) m/s; NaN where it is not known."""
+    """Return the net speed of each row's source, (R,) m/s; NaN if unknown."""
     column = table["source"].combine_chunks()
     speeds = np.array(
         [speed_by_source.get(name, np.nan) for name in column.dictionary.to_pylist()]

@@ -1,8 +1,9 @@
-"""The best of many rivals without the bias of its choice: chosen on one half, scored on the other.
+"""Success of the best of many rivals without the bias of its choice (cross-fitting).
 
-Whoever takes the highest of many noisy numbers takes one that chance has raised. Here
-two halves of the clusters choose for each other (cross-fitting), and every replicate of
-an interval repeats the choice, whose uncertainty is thus a part of it.
+The highest of many noisy numbers is one that chance has raised. Here two halves of the
+clusters choose for each other: the rival chosen on one half is scored on the other.
+Every replicate of an interval repeats the choice, so that the interval contains the
+uncertainty of the choice.
 
 References
 ----------
@@ -36,22 +37,22 @@ _NONE: Final = np.zeros(0)
 class _Contest:
     """Sums of K rivals within each of C clusters, at L levels and of J numbers."""
 
-    # (K, L, 2, C) of what they are chosen by: numerator and denominator
+    # (K, L, 2, C) numerator and denominator of the number that ranks the rivals
     choosing: Floats
-    scored: Floats  # (K, J, 2, C) of what is scored
+    scored: Floats  # (K, J, 2, C) the same of the numbers that are scored
     is_first: Bools  # (C,) which clusters are in the first half
     least: bool  # Whether the lowest is the best.
 
     def best(self, half: Bools, rows: Floats, otherwise: int = 0) -> Ints:
-        """Return the best rival on some clusters, (R,); `otherwise` where nobody has a trial.
+        """Return the best rival on a half of the clusters, (R,).
 
-        `rows`, (R, C), weigh the clusters.
+        `rows`, (R, C), weigh the clusters. `otherwise` stands where there is no trial.
         """
         over, under = np.moveaxis(self.choosing[..., half] @ rows[:, half].T, 2, 0)
         return best_rival(over, under, least=self.least, otherwise=otherwise)
 
     def joined(self, rows: Floats) -> tuple[Floats, Ints]:
-        """Return the sums of what is scored, (J, 2, R), and the choice of either half, (2, R)."""
+        """Return the scored sums, (J, 2, R), and the choice of either half, (2, R)."""
         halves = self.is_first, ~self.is_first
         everybody = np.ones_like(self.is_first)
         overall = int(self.best(everybody, np.ones((1, everybody.size)))[0])
@@ -59,10 +60,9 @@ class _Contest:
         sums = np.zeros((self.scored.shape[1], 2, len(rows)))
         for half, choice in zip(halves, best[::-1], strict=True):
             for rival in np.unique(choice).tolist():
-                chose = np.flatnonzero(choice == rival)
-                sums[..., chose] += (
-                    self.scored[rival][..., half] @ rows[np.ix_(chose, half)].T
-                )
+                chosen = np.flatnonzero(choice == rival)
+                weights = rows[np.ix_(chosen, half)]
+                sums[..., chosen] += self.scored[rival][..., half] @ weights.T
         return sums, best
 
 
@@ -75,26 +75,26 @@ def cross_fit(
     is_share: Sequence[bool],
     least: bool = False,
 ) -> tuple[list[Estimate], tuple[int, int]]:
-    """Return what the best of K rivals achieves, and which one each half of the clusters chose.
+    """Return the numbers of the best of K rivals, and the rival that each half chose.
 
     On either half the rival is chosen whose ratio of sums has the highest mean over the
-    levels of `choosing` (with `least` the lowest; of equals the first). All J numbers
-    of `scored` then join the sums of either half under the choice of the other one.
+    levels of `choosing` (with `least` the lowest; among equals the first). All J
+    numbers of `scored` then join the sums of either half under the other half's choice.
     Intervals are those of `isac_track.intervals.ratio_estimates`, but every replicate,
-    and every deletion of the jackknife, chooses anew (`interval_of_choice`).
+    and every deletion of the jackknife, chooses again (`interval_of_choice`).
 
     Parameters
     ----------
     choosing : (K, L, 2, C)
         Numerator and denominator within each cluster, of each rival at each level.
     scored : (K, J, 2, C)
-        The same of what is scored.
+        Numerator and denominator of each number that is scored.
     is_first : (C,)
         Which clusters are in the first half.
     weights : (B, C)
         How often each cluster is drawn in each bootstrap replicate.
     is_share : (J,)
-        Whether a number is a share of trials.
+        Whether each number is a share of trials.
     least : bool
         Whether the lowest is the best.
     """
@@ -102,7 +102,7 @@ def cross_fit(
     sums, best = contest.joined(np.concatenate([np.ones((1, is_first.size)), weights]))
     values = ratio_of_sums(sums.transpose(1, 0, 2))
     choice = np.where(is_first, best[1, 0], best[0, 0])
-    # Of every cluster what the choice of the other half leaves it, (J, 2, C).
+    # Every cluster's sums under the choice of the other half, (J, 2, C).
     joined = scored[choice, :, :, np.arange(choice.size)].transpose(1, 2, 0)
     plain = ratio_estimates(
         numerator=joined[:, 0],
@@ -111,26 +111,34 @@ def cross_fit(
         is_share=is_share,
     )
     fixed = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
-    few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
-    deleted = (
-        contest.joined(1.0 - np.eye(is_first.size))[0] if any(few) else sums[..., :0]
-    )
+    deletions = _deletions(contest, joined)
     estimates = [
         interval_of_choice(
             estimate,
             drawn=values[place],
             fixed=fixed[place],
-            without=(
-                ratio_of_sums(deleted[place])[joined[place, 1] > 0.0]
-                if few[place]
-                else _NONE
-            ),
+            without=deletions[place],
             is_share=is_share[place],
             may_be_negative=bool(joined[place, 0].min() < 0.0),
         )
         for place, estimate in enumerate(plain)
     ]
     return estimates, (int(best[0, 0]), int(best[1, 0]))
+
+
+def _deletions(contest: _Contest, joined: Floats) -> list[Floats]:
+    """Return each number without each cluster in turn; empty where not needed.
+
+    `joined`, (J, 2, C), has the sums of the numbers. Only clusters with trials count.
+    """
+    few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
+    if not any(few):
+        return [_NONE for _ in few]
+    sums, _ = contest.joined(1.0 - np.eye(joined.shape[-1]))
+    return [
+        ratio_of_sums(sums[place])[joined[place, 1] > 0.0] if is_needed else _NONE
+        for place, is_needed in enumerate(few)
+    ]
 
 
 def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> Ints:
@@ -148,7 +156,7 @@ def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> I
 
 
 def is_few(effective: float) -> bool:
-    """Whether so many effective clusters take a jackknife's interval."""
+    """Whether so few effective clusters need a jackknife's interval."""
     return LEAST_CLUSTERS <= effective < FEW_CLUSTERS
 
 
@@ -165,10 +173,11 @@ def interval_of_choice(
 
     `drawn`, (1 + B,), are the number and its replicates, each with a choice of its own;
     `fixed`, (B,), the replicates under the choice of all clusters; `without`, (D,), the
-    number without each cluster that counts. A replicate, which has noise on top of
-    noise, chooses worse than the people themselves: by as much as that moves the mean
-    of all replicates they are moved back. Few clusters take the jackknife's interval
-    (`is_few`); fewer keep what `plain` has, which also tells how many there are.
+    number without each cluster that counts. A replicate has more noise than the people
+    themselves and chooses worse. All replicates are therefore shifted back by the
+    amount by which these choices move their mean. Few clusters have the jackknife's
+    interval (`is_few`); fewer keep the interval of `plain`, which also has the number
+    of clusters.
     """
     replicates = drawn[1:] - (_mean(drawn[1:]) - _mean(fixed))
     ends = plain.ci_low, plain.ci_high
@@ -187,7 +196,7 @@ def interval_of_choice(
 
 
 def ratio_of_sums(sums: Floats) -> Floats:
-    """Return numerators, the first of (2, ...), over denominators; NaN where these are 0."""
+    """Return the ratios of sums, (2, ...): numerators over denominators, NaN over 0."""
     over, under = sums
     return np.asarray(
         np.divide(over, under, out=np.full(over.shape, np.nan), where=under > 0.0)

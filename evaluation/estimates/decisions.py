@@ -1,22 +1,22 @@
-"""What each predictor lets a robot decide: misses against false alarms, the whole curve.
+"""Decisions of a robot by each predictor: the curve of misses over false alarms.
 
 A robot may act on the predicted separation or, where there is a covariance, on the
-probability of a conflict: two scores, two curves. Counts per cluster and bin of the
-score are all that the bootstrap needs, so that its cost does not grow with the scenes.
+probability of a conflict: two scores, two curves. The bootstrap needs only counts per
+cluster and bin of the score, so that its cost does not grow with the scenes.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.keys import Found, Key, Measure, Where
+from evaluation.estimates.keys import EstimatesByKey, Key, Measure, Where
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
-from evaluation.estimates.summary import Scored, weights_of
-from isac_track.intervals import Estimate, estimate_of, percentile_interval
+from evaluation.estimates.summary import Scored, bootstrap_weights
+from isac_track.intervals import Estimate, estimate_from_replicates, percentile_interval
 from isac_track.types import Bools, Floats, Ints
 
 N_BINS = 100  # Quantiles of the score over all scenes, at most.
@@ -40,30 +40,31 @@ DECISION_COLUMNS = [
     "future_high",
 ]
 _SEPARATION = "separation"
+_NO_POINTS: Final = np.full(N_POINTS, np.nan)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Curve:
-    """Rates over K thresholds, strictest first; row 0 is the estimate, the others replicates."""
+    """Rates over K thresholds, strictest first: the estimate, then its replicates."""
 
     missed: Floats  # (1 + B, K) missed-conflict rate, from 1 down to 0
     false_alarm: Floats  # (1 + B, K) false-alarm rate, from 0 up to 1
 
     def areas(self) -> Floats:
-        """Return the area under missed over false-alarm rate, (1 + B,): 0 perfect, 0.5 chance."""
+        """Return the areas under the curves, (1 + B,): 0 is perfect, 0.5 is chance."""
         width = np.diff(self.false_alarm, axis=1)
         return np.asarray(
             (width * 0.5 * (self.missed[:, 1:] + self.missed[:, :-1])).sum(axis=1)
         )
 
     def missed_at(self, false_alarm: Floats) -> Floats:
-        """Return the missed rate at a false-alarm rate of each row, (1 + B,), interpolated.
+        """Return the interpolated missed rate at false-alarm rates, (1 + B,).
 
-        Where a threshold jumps over several scenes the robot may draw lots between its
-        two sides: linear interpolation is what it can reach.
+        Where a threshold jumps over several scenes, the robot may draw lots between the
+        two sides: it can reach the linear interpolation.
         """
         rows = np.arange(self.missed.shape[0])
-        # Of several thresholds with this very rate the most sensitive one.
+        # Take the most sensitive of several thresholds with this very rate.
         right = (self.false_alarm <= false_alarm[:, None]).sum(axis=1)
         right = np.clip(right, 1, self.missed.shape[1] - 1)
         low, high = self.false_alarm[rows, right - 1], self.false_alarm[rows, right]
@@ -73,18 +74,19 @@ class Curve:
         return np.asarray(left + share * (self.missed[rows, right] - left))
 
     def points(self) -> Floats:
-        """Return the estimate at `N_POINTS` equally spaced false-alarm rates, (`N_POINTS`,)."""
+        """Return the missed rate at equally spaced false-alarm rates, (`N_POINTS`,)."""
         shape = (N_POINTS, self.missed.shape[1])
-        estimate = (
-            np.broadcast_to(one[0], shape) for one in (self.missed, self.false_alarm)
+        estimate = Curve(
+            missed=np.broadcast_to(self.missed[0], shape),
+            false_alarm=np.broadcast_to(self.false_alarm[0], shape),
         )
-        return Curve(*estimate).missed_at(np.linspace(0.0, 1.0, N_POINTS))
+        return estimate.missed_at(np.linspace(0.0, 1.0, N_POINTS))
 
 
 def curve(
     *, score: Floats, conflict: Bools, cluster: Ints, weights: Floats
 ) -> Curve | None:
-    """Return the curve of a score with its bootstrap replicates; None without both labels.
+    """Return the curve of a score with its replicates; None without both labels.
 
     A higher `score`, (S,), means that a `conflict`, (S,), is likelier; `cluster`, (S,),
     is the column of a scene's cluster in `weights`, (B, C), from
@@ -99,17 +101,17 @@ def curve(
         distinct = np.unique(
             np.quantile(score, np.linspace(0, 1, N_BINS), method="lower")
         )
-    # Bin 0 holds the highest scores; a scene counts as soon as the threshold reaches
-    # its bin.
+    # Bin 0 holds the highest scores; a scene counts once the threshold reaches its bin.
     bins = distinct.size - np.searchsorted(distinct, score, side="right")
     rows = np.where(conflict, distinct.size, 0) + bins
-    # Sparse: of thousands of people few are in a bin.
+    # Sparse: few of thousands of people are in a bin.
     shape = 2 * distinct.size, weights.shape[1]
     counts = csr_array((np.ones(score.size), (rows, cluster)), shape=shape)
     drawn = np.column_stack([counts.sum(axis=1), np.asarray(counts @ weights.T)])
     drawn = drawn.reshape(2, distinct.size, -1).cumsum(axis=1).transpose(0, 2, 1)
     rates: Floats = np.zeros((*drawn.shape[:2], distinct.size + 1))
-    with np.errstate(invalid="ignore"):  # a replicate without a label has no rate: NaN
+    # A replicate that lacks a label has no rate: NaN.
+    with np.errstate(invalid="ignore"):
         np.divide(drawn, drawn[:, :, -1:], out=rates[:, :, 1:])
     return Curve(missed=1.0 - rates[1], false_alarm=rates[0])
 
@@ -123,83 +125,93 @@ def _curves(
     """
     conflict = columns["conflict"]
     ahead = ~(conflict & columns["inside_now"])
-    every = curve(score=score, conflict=conflict, cluster=cluster, weights=weights)
-    return every, curve(
+    all_conflicts = curve(
+        score=score, conflict=conflict, cluster=cluster, weights=weights
+    )
+    future = curve(
         score=score[ahead],
         conflict=conflict[ahead],
         cluster=cluster[ahead],
         weights=weights,
     )
+    return all_conflicts, future
 
 
 def _missed_at(rates: Curve, false_alarm: Estimate) -> Estimate:
     missed = rates.missed_at(false_alarm.drawn)
-    return estimate_of(missed, n=false_alarm.n, effective=false_alarm.effective)
+    return estimate_from_replicates(
+        missed, n=false_alarm.n, effective=false_alarm.effective
+    )
 
 
 def decisions(
-    scored: Sequence[Scored], manifest: Mapping[str, Any], found: Found, *, dataset: str
+    scored: Sequence[Scored],
+    manifest: Mapping[str, Any],
+    estimates: EstimatesByKey,
+    *,
+    dataset: str,
 ) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
-    """Return the curves of every predictor, a row on each, and misses at raw's false alarms.
+    """Return every predictor's curve, a row on each, and misses at raw's false alarms.
 
-    The row gives the area under the curve and the missed-conflict rate at the
-    false-alarm rate that the reference, the first predictor of the run, has at its
-    operating point under the same mechanism, with the paired difference from what its
-    own curve by separation reaches there. The misses (`EQUAL_ALARMS`, and of conflicts
-    that are still to come `FUTURE_EQUAL_ALARMS`) are by separation, at the false-alarm
-    rate that the predictor itself has at raw. `dataset` is what the rows are named
-    after.
+    The reference is the first predictor of the run. The row gives the area under the
+    curve, and the missed-conflict rate at the reference's false-alarm rate at its
+    operating point under the same mechanism. It also gives the paired difference from
+    the rate that the reference's own curve by separation reaches there. The misses
+    (`EQUAL_ALARMS`, and `FUTURE_EQUAL_ALARMS` for conflicts still to come) are by
+    separation, at the predictor's own false-alarm rate under raw. The rows are named
+    after `dataset`.
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
-    weights = weights_of(manifest)
+    weights = bootstrap_weights(manifest)
     at_reference: dict[Where, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Key, Estimate] = {}
     points, future_points = [np.zeros(0)], [np.zeros(0)]
     rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
     order = sorted(
-        enumerate(scored), key=lambda one: one[1][0]["consumer"] != reference
+        enumerate(scored),
+        key=lambda numbered: numbered[1].entry["consumer"] != reference,
     )
     for place, (entry, cluster, columns) in order:
         where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
         alarms = Measure(consumer, "false_alarm_rate")
-        raw_alarm = found.get(alarms.at("raw", None))
-        scores = {_SEPARATION: -columns["predicted_separation_m"]}
-        if not np.isnan(columns["probability"]).any():
-            scores["probability"] = columns["probability"]
-        for name, score in scores.items():
+        raw_alarm = estimates.get(alarms.at("raw", None))
+        for name, score in _scores(columns).items():
             is_separation = name == _SEPARATION
-            drawn, future = _curves(score, columns, cluster=cluster, weights=weights)
-            if drawn is None:
+            all_conflicts, future = _curves(
+                score, columns, cluster=cluster, weights=weights
+            )
+            if all_conflicts is None:
                 continue
             if is_separation and consumer == reference:
-                at = found[alarms.at(*where)].drawn
-                at_reference[where] = at, drawn.missed_at(at)
+                at = estimates[alarms.at(*where)].drawn
+                at_reference[where] = at, all_conflicts.missed_at(at)
             if is_separation and raw_alarm is not None:
-                pairs = ((EQUAL_ALARMS, drawn), (FUTURE_EQUAL_ALARMS, future))
+                misses = _misses(all_conflicts, future, raw_alarm)
                 at_raw_alarms |= {
-                    Measure(consumer, metric).at(*where): _missed_at(rates, raw_alarm)
-                    for metric, rates in pairs
-                    if rates is not None
+                    Measure(consumer, metric).at(*where): missed
+                    for metric, missed in misses.items()
                 }
-            points.append(drawn.points())
-            future_points.append(
-                future.points() if future else np.full(N_POINTS, np.nan)
-            )
+            points.append(all_conflicts.points())
+            future_points.append(future.points() if future else _NO_POINTS)
             level = np.nan if where[1] is None else where[1]
-            whose = dataset, where[0], level, consumer, name
-            row = dict(zip(_ABOUT, whose, strict=True)) | {"place": place}
-            row |= _with_ends("area", "area", drawn.areas())
+            about = dataset, where[0], level, consumer, name
+            row: dict[str, Any] = dict(zip(_ABOUT, about, strict=True))
+            row |= {"place": place}
+            row |= _with_ends("area", "area", all_conflicts.areas())
             if where in at_reference:
-                false_alarm, reference_missed = at_reference[where]
-                missed = drawn.missed_at(false_alarm)
-                row |= {"reference": reference, "false_alarm_rate": false_alarm[0]}
-                row |= _with_ends("missed_conflict_rate", "missed", missed)
-                row |= _with_ends("difference", "ci", missed - reference_missed)
-                if future:
-                    to_come = future.missed_at(false_alarm)
-                    row |= _with_ends("missed_future_rate", "future", to_come)
+                row |= {"reference": reference}
+                row |= _beside_reference(all_conflicts, future, *at_reference[where])
             rows.append(row)
+    return *_tables(rows, points, future_points), at_raw_alarms
+
+
+def _tables(
+    rows: Sequence[Mapping[str, Any]],
+    points: Sequence[Floats],
+    future_points: Sequence[Floats],
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Return the points of the curves, and the rows in the order of the run."""
     table = pd.DataFrame(rows, columns=[*DECISION_COLUMNS, "place"])
     curves = table.loc[table.index.repeat(N_POINTS), list(_ABOUT)].assign(
         false_alarm_rate=np.tile(np.linspace(0.0, 1.0, N_POINTS), len(rows)),
@@ -207,7 +219,42 @@ def decisions(
         missed_future_rate=np.concatenate(future_points),
     )
     in_order = table.sort_values("place", kind="stable", ignore_index=True)
-    return curves, in_order[DECISION_COLUMNS], at_raw_alarms
+    return curves, in_order[DECISION_COLUMNS]
+
+
+def _misses(
+    all_conflicts: Curve, future: Curve | None, false_alarm: Estimate
+) -> dict[str, Estimate]:
+    """Return the missed rates at a false-alarm rate by metric."""
+    misses = {EQUAL_ALARMS: _missed_at(all_conflicts, false_alarm)}
+    if future is not None:
+        misses[FUTURE_EQUAL_ALARMS] = _missed_at(future, false_alarm)
+    return misses
+
+
+def _scores(columns: Mapping[str, Any]) -> dict[str, Floats]:
+    """Return the scores by which a predictor's robot may decide, (S,) each, by name."""
+    scores = {_SEPARATION: -columns["predicted_separation_m"]}
+    if not np.isnan(columns["probability"]).any():
+        scores["probability"] = columns["probability"]
+    return scores
+
+
+def _beside_reference(
+    all_conflicts: Curve,
+    future: Curve | None,
+    false_alarm: Floats,
+    reference_missed: Floats,
+) -> dict[str, float]:
+    """Return the missed rates at the reference's false-alarm rate, (1 + B,)."""
+    missed = all_conflicts.missed_at(false_alarm)
+    row: dict[str, float] = {"false_alarm_rate": false_alarm[0]}
+    row |= _with_ends("missed_conflict_rate", "missed", missed)
+    row |= _with_ends("difference", "ci", missed - reference_missed)
+    if future:
+        to_come = future.missed_at(false_alarm)
+        row |= _with_ends("missed_future_rate", "future", to_come)
+    return row
 
 
 def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:

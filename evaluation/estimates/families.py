@@ -1,7 +1,7 @@
-"""THE table of mechanism families: of which family a mechanism is, and under which rule it adds.
+"""THE table of mechanism families: the family and the adding rule of each mechanism.
 
-A mechanism of the results is a family with the parameters that are not the default, and
-has a value for each of its levels. Nobody else takes names apart.
+A mechanism of the results is a family with the parameters that are not the default. It
+has a value for each of its levels. No other module takes the names apart.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,10 +16,11 @@ RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
+# Meaning and unit of a level.
 LEVEL_UNITS: Final = {
     FID: "eta in 1/(m^2 s)",
     FIXED: "d_sigma in m",
-}  # What a level is.
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,19 +29,19 @@ class Family:
 
     mechanism: str  # As in the results: `fid:adding=independent`.
     family: str  # The plug-in's name without parameters: `fid`.
-    # The rule that it declares: `linear`, `independent`, or empty without one.
+    # Adding rule that it declares: `linear`, `independent`, or empty without one.
     adding: str
     # Whether it claims to protect: controls, raw and clean do not.
     protects: bool = True
 
     @property
     def rules(self) -> tuple[str, ...]:
-        """Adding rules under which it is judged: its own, or both if it declares none."""
+        """Adding rules for judging it: its own, or both if it declares none."""
         return (self.adding,) if self.adding else ADDING_RULES
 
     @property
     def has_one_rule(self) -> bool:
-        """Whether no parameter sets its rule, so that there is no other to ask for."""
+        """Whether its adding rule is fixed: no parameter can set another."""
         return (
             self.adding == "independent"
             and f"adding={self.adding}" not in self.mechanism
@@ -48,18 +49,22 @@ class Family:
 
     @property
     def is_added(self) -> bool:
-        """Whether it does something to what was sensed: neither raw nor clean."""
+        """Whether it changes the sensed positions: neither raw nor clean."""
         return self.family not in (RAW, CLEAN)
 
     @property
     def parameters(self) -> str:
-        """Its parameters that are not the default, without the adding rule."""
+        """Parameters that are not the default, without the adding rule."""
         given = self.mechanism.removeprefix(self.family).removeprefix(":").split(",")
-        return ",".join(one for one in given if one and not one.startswith("adding="))
+        return ",".join(
+            parameter
+            for parameter in given
+            if parameter and not parameter.startswith("adding=")
+        )
 
     @property
     def name(self) -> str:
-        """Family and parameters: what it is called where the adding rule stands apart."""
+        """Family and parameters: its name where the adding rule stands apart."""
         return f"{self.family}:{self.parameters}" if self.parameters else self.family
 
 
@@ -71,8 +76,7 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
     """
     texts = ["mechanism", "family", "adding"]
     frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
-    # Of a file that was read without care an empty text is missing; a summary does not
-    # say.
+    # An empty text becomes NaN when a file is read; a summary has no `protects`.
     known = frame[texts].astype(object).fillna("").itertuples(index=False, name=None)
     claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
     return {
@@ -82,6 +86,6 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
 
 
 def with_unit(mechanism: str) -> str:
-    """Return the name of a mechanism with what its level is."""
+    """Return the name of a mechanism with the meaning and unit of its level."""
     unit = LEVEL_UNITS.get(mechanism.partition(":")[0], "")
     return f"{mechanism}, {unit}" if unit else mechanism

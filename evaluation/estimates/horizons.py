@@ -1,4 +1,4 @@
-"""How soon conflicts come, `conflict_times.csv`, and which robots lose to standing still."""
+"""Times to a conflict, `conflict_times.csv`, and robots that lose to standing still."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,9 +7,9 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import Found, Measure, horizons_in
+from evaluation.estimates.keys import EstimatesByKey, Measure, horizons_in
 from evaluation.estimates.metrics import MISSED_RATE
-from evaluation.estimates.summary import clusters, weights_of
+from evaluation.estimates.summary import bootstrap_weights, clusters
 from evaluation.plan.constants import horizon_world
 from evaluation.plan.presets import BASELINE
 from evaluation.store.cell_files import read_rows
@@ -21,17 +21,17 @@ from isac_track.intervals import (
     ratio_estimates,
 )
 
-N_TIMES: Final = 25  # Of a distribution, from now to its last conflict.
+N_TIMES: Final = 25  # Points of a distribution, from now to its last conflict.
 TIME_COLUMNS: Final = ["dataset", "by_s", "value", "ci_low", "ci_high", "n"]
 _COLUMNS: Final = ["group", "conflict", "time_to_conflict_s"]
 
 
 def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
-    """Return the share of conflicts in which somebody is inside by a time, at every horizon.
+    """Return the share of conflicts that have begun by each time, at every horizon.
 
-    `TIME_COLUMNS`: `by_s` is the time from now in s, 0 tells who is inside already;
-    `value` is the share. The scenes are one for all predictors and levels: the first
-    ones are read. Raises DataError as `read_rows`.
+    `TIME_COLUMNS`: `by_s` is the time from now in s; at 0 are the conflicts in which a
+    person is inside already; `value` is the share. All predictors and levels have the
+    same scenes: those of the first are read. Raises DataError as `read_rows`.
     """
     frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
     name, robots = manifest["dataset"]["name"], dict[str, Mapping[str, Any]]()
@@ -48,10 +48,13 @@ def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
 def _distribution(
     out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any]
 ) -> pd.DataFrame:
-    table, weights = read_rows(out, entry, columns=_COLUMNS), weights_of(manifest)
+    table, weights = (
+        read_rows(out, entry, columns=_COLUMNS),
+        bootstrap_weights(manifest),
+    )
     conflict, time_s = (table[column].to_numpy() for column in _COLUMNS[1:])
     by_s = np.linspace(0.0, np.nanmax(time_s, initial=0.0), N_TIMES)
-    # The last time is the largest there is: rounding must not leave it out.
+    # The last time is the largest of all: rounding must not leave it out.
     inside = conflict & (time_s <= by_s[:, None] + 1e-9)
     cluster = clusters(table, manifest)
     conflicts, *sums = (
@@ -68,19 +71,20 @@ def _distribution(
         [time, share.value, share.ci_low, share.ci_high, share.n]
         for time, share in zip(by_s, shares, strict=True)
     ]
-    rows[-1][2:4] = [np.nan, np.nan]  # by then all have come, by construction
+    # By the last time all conflicts have begun, by construction.
+    rows[-1][2:4] = [np.nan, np.nan]
     return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
 
 
 def beaten_by_standing_still(
-    own: Found, later: Mapping[float, Found]
+    own: EstimatesByKey, later: Mapping[float, EstimatesByKey]
 ) -> list[dict[str, Any]]:
-    """Return a record for each robot and horizon: where it surely misses more than `BASELINE`.
+    """Return the levels where a robot surely misses more than `BASELINE`, by horizon.
 
-    `own` is of the run's own horizon, `later` of further ones, s. The comparison is
-    paired, same scenes and draws, at the same level; fewer than `FEWEST_EFFECTIVE`
-    effective clusters say nothing. `levels` counts the levels compared, `loses` names
-    those where it loses.
+    There is a record for each robot and horizon. `own` is of the run's own horizon,
+    `later` of further ones, s. The comparison is paired, same scenes and draws, at the
+    same level; fewer than `FEWEST_EFFECTIVE` effective clusters decide nothing.
+    `levels` counts the levels compared, `loses` lists those where the robot loses.
     """
     records = []
     for horizon_s, at_horizon in ((None, own), *later.items()):
@@ -103,13 +107,13 @@ def beaten_by_standing_still(
 
 
 def _compared(missed: Estimate, still: Estimate) -> dict[str, float]:
-    more = difference(missed, still)
+    rise = difference(missed, still)
     is_known = missed.n_effective >= FEWEST_EFFECTIVE
     return {
         "missed": missed.value,
         "standing_still": still.value,
-        "difference": more.value,
-        "ci_low": more.ci_low if is_known else np.nan,
-        "ci_high": more.ci_high if is_known else np.nan,
+        "difference": rise.value,
+        "ci_low": rise.ci_low if is_known else np.nan,
+        "ci_high": rise.ci_high if is_known else np.nan,
         "n": missed.n,
     }

@@ -1,14 +1,14 @@
-"""What a site would get and pay at each level that it could choose: `levels.csv`.
+"""Costs and privacy of each level that a site could choose: `levels.csv`.
 
-A row is a number of a level: what robots miss and how often they raise a false alarm,
-at every horizon of the run, and the same of the cross-fitted best robot, under names of
-its own (`evaluation.estimates.best_robot`); the descriptors as shared and after the
-strongest attack of each group of adversaries; and how often the strongest linker of a
-task finds a person again, also as a share of what it finds under raw. Raw is there,
-too; mechanisms that do not protect are not.
+A row is a number of a level. There are the misses and false alarms of robots at every
+horizon of the run, and those of the cross-fitted best robot under a name of its own
+(`evaluation.estimates.best_robot`). There are the descriptors as shared and after the
+strongest attack of each group of adversaries. And there is rank 1 of the strongest
+linker of each task, also as a share of its rank 1 under raw. The table has raw and the
+mechanisms that protect, no others.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,8 +16,8 @@ import pandas as pd
 
 from evaluation.estimates.best_robot import BestRobots
 from evaluation.estimates.families import RAW, Family
-from evaluation.estimates.keys import AS_SHARED, Found, Key, Source, Where
-from evaluation.estimates.linkability import dataset_of
+from evaluation.estimates.keys import AS_SHARED, EstimatesByKey, Key, Source, Where
+from evaluation.estimates.linkability import row_dataset
 from evaluation.estimates.metrics import (
     COSTS,
     DESCRIPTORS,
@@ -30,9 +30,14 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
     WIDE,
 )
-from evaluation.estimates.strongest import HEADLINE, against_each, by_task, success_of
-from evaluation.estimates.strongest_table import ONE_RELEASE, Strongest
-from isac_track.intervals import Estimate, estimate_of
+from evaluation.estimates.strongest import (
+    HEADLINE,
+    against_each,
+    by_task,
+    success_metric,
+)
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, Strongest
+from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.linkability import GALLERY
 
 COLUMNS: Final = [
@@ -56,137 +61,143 @@ COLUMNS: Final = [
     "second_choice",
 ]
 """The last two: the robot, or the attack, that either half of the people chose."""
-_OF_ROBOTS: Final = (*COSTS, FALSE_ALARMS)
-_OF_LINKERS: Final = (SUCCESS, SUCCESS_OF_100)
+_ROBOT_METRICS: Final = (*COSTS, FALSE_ALARMS)
+_LINKER_METRICS: Final = (SUCCESS, SUCCESS_OF_100)
 _UNKNOWN: Final = Estimate(np.nan)
 
 
 def group_name(among: tuple[str, ...]) -> str:
     """Return the name of a group of adversaries."""
-    return ONE_RELEASE if among == HEADLINE else among[0]
+    return SINGLE_RELEASE if among == HEADLINE else among[0]
 
 
 def linked_share(
     linked: Estimate, chance: float, raw: Estimate, raw_chance: float
 ) -> Estimate:
-    """Return how much of raw's rank 1 above chance is left, paired by person cluster.
+    """Return the share of raw's rank 1 above chance that is left, paired by cluster.
 
-    The estimates have their replicates from the same rows of weights. NaN where raw
-    does not link.
+    The replicates of both estimates must come from the same rows of weights. NaN where
+    raw does not link.
     """
     n_drawn = min(linked.replicates.size, raw.replicates.size)
-    above, of_raw = (
-        linked.drawn[: n_drawn + 1] - chance,
-        raw.drawn[: n_drawn + 1] - raw_chance,
-    )
+    above = linked.drawn[: n_drawn + 1] - chance
+    raw_above = raw.drawn[: n_drawn + 1] - raw_chance
     share = np.full(n_drawn + 1, np.nan)
-    np.divide(above, of_raw, out=share, where=of_raw > 0.0)
+    np.divide(above, raw_above, out=share, where=raw_above > 0.0)
     effective = min(linked.n_effective, raw.n_effective)
     if not np.isfinite(share).all() or not n_drawn:
         return Estimate(float(share[0]), n=min(linked.n, raw.n), effective=effective)
-    return estimate_of(share, n=min(linked.n, raw.n), effective=effective)
+    return estimate_from_replicates(share, n=min(linked.n, raw.n), effective=effective)
 
 
 def levels(
-    found: Found,
+    estimates: EstimatesByKey,
     *,
     attacks: Sequence[Strongest],
-    horizons: Mapping[str, Found],
+    horizons: Mapping[str, EstimatesByKey],
     best: Mapping[str, BestRobots],
     linked: pd.DataFrame,
-    known: Mapping[str, Family],
+    families: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
-    """Return a row for each number of raw and of every level that claims to protect: `COLUMNS`.
+    """Return a row for each number of raw and of every protecting level: `COLUMNS`.
 
-    `found` is every estimate of the run, misses at raw's false alarms among them,
-    `attacks` are the strongest on each mechanism, `horizons` the estimates of robots by
-    further horizon (as in `dataset`, behind the name), `best` the best robots by
-    horizon (empty: the run's own), `linked` is `linkability.csv`.
+    A level protects if its mechanism claims to. `estimates` are all those of the run,
+    misses at raw's false alarms among them; `attacks` are the strongest on each
+    mechanism; `horizons` are the estimates of robots by further horizon (as in
+    `dataset`, behind the name); `best` are the best robots by horizon (empty: the run's
+    own); `linked` is `linkability.csv`.
     """
     chosen = {
         name
-        for name, family in known.items()
+        for name, family in families.items()
         if family.protects or family.family == RAW
     }
-    own = {key: number for key, number in found.items() if key.mechanism in chosen}
-    rows = list(_of_robots(own, "", known, dataset))
-    for world, of_world in horizons.items():
-        some = {
-            key: number for key, number in of_world.items() if key.mechanism in chosen
-        }
-        rows += _of_robots(some, world, known, dataset)
+    own = _select(estimates, chosen)
+    rows = list(_robot_rows(own, "", families, dataset))
+    for world, numbers in horizons.items():
+        at_horizon = _select(numbers, chosen)
+        rows += _robot_rows(at_horizon, world, families, dataset)
     for world, robots in best.items():
-        rows += _of_best_robots(robots, world, known, dataset)
+        rows += _best_robot_rows(robots, world, families, dataset)
     rows += [
-        _row(key, number, known, dataset)
+        _row(key, number, families, dataset)
         for key, number in own.items()
         if key.measure.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
     ]
-    some_attacks = [attack for attack in attacks if attack.mechanism in chosen]
-    rows += _of_reconstructions(some_attacks, own, known, dataset)
-    rows += _of_linkers(some_attacks, own, linked, known, dataset)
+    attacks_on_chosen = [attack for attack in attacks if attack.mechanism in chosen]
+    rows += _reconstruction_rows(attacks_on_chosen, own, families, dataset)
+    rows += _linker_rows(attacks_on_chosen, own, linked, families, dataset)
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _of_reconstructions(
+def _select(
+    estimates: EstimatesByKey, mechanisms: Collection[str]
+) -> dict[Key, Estimate]:
+    return {
+        key: number for key, number in estimates.items() if key.mechanism in mechanisms
+    }
+
+
+def _reconstruction_rows(
     attacks: Sequence[Strongest],
-    found: Found,
-    known: Mapping[str, Family],
+    estimates: EstimatesByKey,
+    families: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
-    """Yield what the strongest reconstructions leave."""
-    farther = by_task(found, metric=WIDE).get("", {})
+    """Yield the descriptors after the strongest reconstructions."""
+    success_at_wide = by_task(estimates, metric=WIDE).get("", {})
     for attack in attacks:
         if attack.source.task:
             continue
-        # Farther off another attack may be the stronger one.
-        at_wide = against_each(farther, among=attack.among).get(
+        # At the wider epsilon another attack may be stronger.
+        at_wide = against_each(success_at_wide, among=attack.among).get(
             attack.mechanism, attack.source
         )
         for where in attack.wheres:
             for metric in (*DESCRIPTORS, MEDIAN, WIDE):
-                key, source = attack.source.measure(metric).at(*where), attack.source
-                estimate = attack.at(where, metric, found)
+                source = attack.source
+                key = source.measure(metric).at(*where)
+                estimate = attack.at(where, metric, estimates)
                 if metric == WIDE and key not in attack.crossed.estimates:
                     source = at_wide
-                    estimate = found.get(source.measure(WIDE).at(*where))
+                    estimate = estimates.get(source.measure(WIDE).at(*where))
                 if estimate is not None:
                     own = source.measure(metric).at(*where)
                     about = {
                         "adversary": group_name(attack.among),
                         **_choices(attack, metric),
                     }
-                    yield _row(own, estimate, known, dataset) | about
+                    yield _row(own, estimate, families, dataset) | about
 
 
-def _of_robots(
-    found: Found, world: str, known: Mapping[str, Family], dataset: str
+def _robot_rows(
+    estimates: EstimatesByKey, world: str, families: Mapping[str, Family], dataset: str
 ) -> Iterator[dict[str, Any]]:
     name = f"{dataset}:{world}" if world else dataset
-    for key, number in found.items():
-        if key.metric in _OF_ROBOTS:
-            yield _row(key, number, known, name)
+    for key, number in estimates.items():
+        if key.metric in _ROBOT_METRICS:
+            yield _row(key, number, families, name)
 
 
-def _of_best_robots(
-    robots: BestRobots, world: str, known: Mapping[str, Family], dataset: str
+def _best_robot_rows(
+    robots: BestRobots, world: str, families: Mapping[str, Family], dataset: str
 ) -> Iterator[dict[str, Any]]:
     name = f"{dataset}:{world}" if world else dataset
     for key, number in robots.estimates.items():
         first, second = robots.choices[key.consumer]
         chosen = {"first_choice": first, "second_choice": second}
-        yield _row(key, number, known, name) | chosen
+        yield _row(key, number, families, name) | chosen
 
 
-def _of_linkers(
+def _linker_rows(
     attacks: Sequence[Strongest],
-    found: Found,
+    estimates: EstimatesByKey,
     linked: pd.DataFrame,
-    known: Mapping[str, Family],
+    families: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
-    """Yield what the strongest linker of each task finds, and its share of what raw leaves."""
+    """Yield rank 1 of each task's strongest linker, chance, and its share of raw's."""
     cards = _cards(linked)
     linkers = [
         attack for attack in attacks if attack.source.task and attack.among == HEADLINE
@@ -194,62 +205,61 @@ def _of_linkers(
     raws = {
         linker.source.task: linker
         for linker in linkers
-        if known[linker.mechanism].family == RAW
+        if families[linker.mechanism].family == RAW
     }
     for linker in linkers:
-        raw = raws.get(linker.source.task)
-        metric = success_of(found, (raw or linker).source)
-        data = dataset_of(linker.source.consumer, dataset=dataset)
+        source, raw = linker.source, raws.get(linker.source.task)
+        metric = success_metric(estimates, (raw or linker).source)
+        data = row_dataset(source.consumer, dataset=dataset)
         for where in linker.wheres:
-            key = linker.source.measure(metric).at(*where)
-            card = cards.get((*where, *linker.source), {})
+            key = source.measure(metric).at(*where)
+            card = cards.get((*where, *source), {})
             about = {name: str(card.get(name) or "") for name in ("outcome", "invalid")}
             about |= {"adversary": group_name(linker.among), **_choices(linker, metric)}
-            rank = linker.at(where, metric, found) or _UNKNOWN
-            chance = _chance(linker.source, metric, where, found)
-            yield _row(key, rank, known, data) | about
-            yield (
-                _row(key._replace(metric="chance"), Estimate(chance), known, data)
-                | about
-            )
+            chance = _chance(source, metric, where, estimates)
+            rank = linker.at(where, metric, estimates) or _UNKNOWN
+            numbers = {metric: rank, "chance": Estimate(chance)}
             if raw is not None:
-                at_raw = raw.at(raw.wheres[0], metric, found) or _UNKNOWN
-                its_chance = _chance(raw.source, metric, raw.wheres[0], found)
-                share = linked_share(rank, chance, at_raw, its_chance)
-                yield (
-                    _row(key._replace(metric=LINKAGE_SHARE), share, known, data) | about
-                )
+                at_raw = raw.at(raw.wheres[0], metric, estimates) or _UNKNOWN
+                raw_chance = _chance(raw.source, metric, raw.wheres[0], estimates)
+                share = linked_share(rank, chance, at_raw, raw_chance)
+                numbers[LINKAGE_SHARE] = share
+            for name, number in numbers.items():
+                row = _row(key._replace(metric=name), number, families, data)
+                yield row | about
 
 
 def _cards(linked: pd.DataFrame) -> dict[tuple[Any, ...], dict[Any, Any]]:
-    """Return the rows of `linkability.csv` of everybody, by level and linker."""
+    """Return the rows of `linkability.csv` of all people, by level and linker."""
+    if linked.empty:
+        return {}
     cards = {}
-    for row in (
-        linked[linked["cohort"] == "all"].to_dict("records") if len(linked) else ()
-    ):
+    for row in linked[linked["cohort"] == "all"].to_dict("records"):
         level = None if np.isnan(row["level"]) else row["level"]
         cards[row["mechanism"], level, row["consumer"], row["knowledge"]] = row
     return cards
 
 
 def _choices(attack: Strongest, metric: str) -> dict[str, str]:
-    """Return which attack either half of the people chose, where the number is cross-fitted."""
-    ranked = metric if metric in (WIDE, *_OF_LINKERS) else EXPOSURE
+    """Return the attack that either half chose, where the number is cross-fitted."""
+    ranked = metric if metric in (WIDE, *_LINKER_METRICS) else EXPOSURE
     labels = [measure.label for measure in attack.crossed.choices.get(ranked, ())]
     first, second = labels or ("", "")
     return {"first_choice": first, "second_choice": second}
 
 
-def _chance(source: Source, metric: str, where: Where, found: Found) -> float:
+def _chance(
+    source: Source, metric: str, where: Where, estimates: EstimatesByKey
+) -> float:
     if metric == SUCCESS_OF_100:
         return 1.0 / GALLERY
-    return found.get(source.measure("chance").at(*where), _UNKNOWN).value
+    return estimates.get(source.measure("chance").at(*where), _UNKNOWN).value
 
 
 def _row(
-    key: Key, number: Estimate, known: Mapping[str, Family], dataset: str
+    key: Key, number: Estimate, families: Mapping[str, Family], dataset: str
 ) -> dict[str, Any]:
-    family = known[key.mechanism]
+    family = families[key.mechanism]
     return {
         "dataset": dataset,
         "mechanism": key.mechanism,

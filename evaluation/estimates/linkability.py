@@ -1,8 +1,9 @@
-"""The scorecards of a run, and what each says: `linkability.csv`.
+"""Scorecards of a run's linkage attacks, and their outcomes: `linkability.csv`.
 
-An outcome is one of three: *links*, *no link detected* (with the rank-1 rate that would
-have been found), *attack too weak* (it fails on clean, too: its silence is no privacy).
-A cell whose shortcut audit beats chance is invalid, and says which shortcut it was.
+An outcome is one of three: *links*, *no link detected* (with the smallest rank-1 rate
+that the test would have detected), *attack too weak* (the attack also fails on clean,
+so that its failure shows no privacy). A cell whose shortcut audit beats chance is
+invalid, and names the shortcut.
 """
 
 import math
@@ -19,17 +20,15 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.keys import Source, Where, rows_of
+from evaluation.estimates.keys import Source, Where, row_dicts
 from evaluation.estimates.strongest import most_knowing
 from evaluation.store.cell_files import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
 # Two-sided, over all audits of a cell (Holm); set before any was run.
 AUDIT_LEVEL: Final = 0.01
-_RANK1, _SIZES = (
-    ("rank1", "ci_low", "ci_high"),
-    ("gallery_min", "gallery_max", "gallery_mean"),
-)
+_RANK1 = ("rank1", "ci_low", "ci_high")
+_SIZES = ("gallery_min", "gallery_max", "gallery_mean")
 COLUMNS = [
     "dataset",
     "mechanism",
@@ -61,16 +60,15 @@ REMARKS = {
     "attack too weak": "attack too weak: it fails on clean too",
     INVALID: "a shortcut leaks: no measure of the attack",
 }
-"""What is to be said of a linkage cell that does not simply link, with what it means."""
-TWO_SESSIONS = (  # Data set of the simulated two-session crowd's tasks.
-    "plaza-two-sessions"
-)
+"""Remarks on a linkage cell that does not simply link, each with its meaning."""
+# Data set of the simulated two-session crowd's tasks.
+TWO_SESSIONS = "plaza-two-sessions"
 Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
 @lru_cache(maxsize=1024)
-def dataset_of(consumer: str, *, dataset: str, world: str = "") -> str:
-    """Return the data set that a row is about: a simulated task has its own, and so has a world."""
+def row_dataset(consumer: str, *, dataset: str, world: str = "") -> str:
+    """Return the data set of a row: simulated tasks and other worlds have their own."""
     task = TASKS.get(consumer.partition("/")[0])
     name = TWO_SESSIONS if task is not None and task.simulated else dataset
     return f"{name}:{world}" if world else name
@@ -83,10 +81,11 @@ def cards(
     drawn: Collection[str] | None = None,
     world: str = "",
 ) -> Cards:
-    """Return the card of every linkage cell with its entry in the manifest, of one of `WORLDS`.
+    """Return the card of every linkage cell of a world, with its entry in the manifest.
 
-    `drawn` are the metrics of attacks that need replicates; without it all have them,
-    and controls. Raises DataError if a cell cannot be read.
+    `world` is one of `WORLDS`. `drawn` are the attacks' metrics that need replicates;
+    without it all metrics of attacks and controls have them. Raises DataError if a cell
+    cannot be read.
     """
     linked = (
         entry for entry in manifest["cells"] if entry["kind"] in ("linkage", "control")
@@ -95,40 +94,39 @@ def cards(
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 
-def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
-    """Return what every linkage cell says, a row for each cohort; the columns are `COLUMNS`.
+def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
+    """Return the outcome of every linkage cell, a row for each cohort: `COLUMNS`.
 
-    `read` is what `cards` returns, `dataset` that of the run.
+    `dataset` is that of the run.
     """
     ceilings = {
         (entry["consumer"], entry["knowledge"]): card.numbers["p_value"]
-        for entry, card in read
+        for entry, card in cards
         if entry["mechanism"] == CLEAN
     }
-    leaks = _leaks(read)
+    leaks = _leaks(cards)
     rows = []
-    for entry, card in read:
+    for entry, card in cards:
         consumer, numbers = entry["consumer"], card.numbers
         p_value = numbers["p_value"]
         if entry["kind"] == "control":
-            found = "beats chance" if p_value <= LEVEL else "at chance"
+            result = "beats chance" if p_value <= LEVEL else "at chance"
         else:
-            found = outcome(
+            result = outcome(
                 p_value=p_value, ceiling_p_value=ceilings[consumer, entry["knowledge"]]
             )
         rank1 = card.estimates["rank1"]
+        ends = rank1.value, rank1.ci_low, rank1.ci_high
         row = {
             **{name: entry[name] for name in ("mechanism", "consumer", "knowledge")},
-            "dataset": dataset_of(consumer, dataset=dataset),
+            "dataset": row_dataset(consumer, dataset=dataset),
             "level": np.nan if entry["level"] is None else entry["level"],
             "invalid": ", ".join(leaks.get((entry["spec"], Source(consumer).task), ())),
         }
         everybody = {
             **numbers,
-            "outcome": found,
-            **dict(
-                zip(_RANK1, (rank1.value, rank1.ci_low, rank1.ci_high), strict=True)
-            ),
+            "outcome": result,
+            **dict(zip(_RANK1, ends, strict=True)),
             "chance": card.estimates["chance"].value,
             **dict(zip(_SIZES, numbers["gallery_sizes"], strict=True)),
             "inverted": numbers["is_inverted"],
@@ -138,47 +136,45 @@ def linkability(read: Cards, *, dataset: str) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _leaks(read: Cards) -> dict[tuple[str, str], list[str]]:
-    """Return which shortcuts beat chance, by mechanism SPEC and task (Holm over the audits)."""
+def _leaks(cards: Cards) -> dict[tuple[str, str], list[str]]:
+    """Return the shortcuts that beat chance, by SPEC and task (after Holm)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
-    for entry, card in read:
+    for entry, card in cards:
         task, _, name = entry["consumer"].partition("/control-")
         if entry["kind"] == "control" and CONTROLS[name].audits(TASKS[task]):
-            # Two-sided: who scores mates low gives them away as well.
+            # Two-sided: scores that are low for mates also give them away.
             tails = card.numbers["p_value"], card.numbers["p_value_low"]
-            audits.setdefault((entry["spec"], task), {})[name] = min(
-                1.0, 2.0 * min(tails)
-            )
-    return {
-        where: sorted(
-            np.array([*p])[holm(np.array([*p.values()])) <= AUDIT_LEVEL].tolist()
-        )
-        for where, p in audits.items()
-    }
+            p_values = audits.setdefault((entry["spec"], task), {})
+            p_values[name] = min(1.0, 2.0 * min(tails))
+    leaks = {}
+    for cell, p_values in audits.items():
+        names = np.array([*p_values])
+        is_leak = holm(np.array([*p_values.values()])) <= AUDIT_LEVEL
+        leaks[cell] = sorted(names[is_leak].tolist())
+    return leaks
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkedTask:
-    """A linkage task: how well each attack links at each level, and its controls."""
+    """A linkage task: the success of each attack at each level, and its controls."""
 
     name: str
     about: str
-    attacks: tuple[
-        Source, ...
-    ]  # Of each the adversary that knows most, short of the oracle.
+    # Each attack with the adversary that knows most, short of the oracle.
+    attacks: tuple[Source, ...]
     cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
     """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
     controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.
 
     @property
     def cells(self) -> dict[Where, dict[Source, Mapping[str, Any]]]:
-        """The result: everybody, at each level."""
+        """Rows of the cohort of all people, at each level."""
         return self.cohorts["all"]
 
 
 def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
-    """Return the tasks in which somebody links, in the order of the run, levels rising."""
-    # Of texts read from a file, those that are empty are missing.
+    """Return the tasks with an attack, in the order of the run, levels rising."""
+    # Empty texts are missing where the table was read from a file.
     texts = ["knowledge", "outcome", "invalid"]
     tidy = linkability.assign(**linkability[texts].astype(object).fillna(""))
     # Mechanisms in the order of the run, not of their levels.
@@ -187,16 +183,16 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
     }
     tidy = tidy.sort_values("level", kind="stable", na_position="first")
     tasks = {name: Source(name).task for name in linkability["consumer"].unique()}
-    task_of = tidy["consumer"].map(tasks)
-    found = []
+    task_column = tidy["consumer"].map(tasks)
+    tasks_linked = []
     for task in dict.fromkeys(tasks.values()):
-        of = tidy[task_of == task]
+        rows = tidy[task_column == task]
         cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
-        linked = of[of["knowledge"] != ""]
+        linked = rows[rows["knowledge"] != ""]
         linked = linked.sort_values(
             "mechanism", kind="stable", key=lambda name: name.map(order)
         )
-        for row in rows_of(linked):
+        for row in row_dicts(linked):
             where = (
                 row["mechanism"],
                 None if math.isnan(row["level"]) else float(row["level"]),
@@ -205,22 +201,23 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
             cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
         if "all" not in cohorts:
             continue
+        sources = (source for level in cohorts["all"].values() for source in level)
         linkers: dict[str, list[Source]] = {}
-        for source in most_knowing(
-            one for level in cohorts["all"].values() for one in level
-        ):
-            # The reconstructions that a linker runs behind, next to it.
+        for source in most_knowing(sources):
+            # A linker may run behind several reconstructions: keep these together.
             linkers.setdefault(source.consumer.partition("@")[0], []).append(source)
         about = TASKS[task].about if task in TASKS else ""
-        controls = tuple(rows_of(of[of["knowledge"] == ""]))
-        found.append(
-            LinkedTask(task, about, tuple(chain(*linkers.values())), cohorts, controls)
-        )
-    return found
+        controls = tuple(row_dicts(rows[rows["knowledge"] == ""]))
+        attacks = tuple(chain(*linkers.values()))
+        tasks_linked.append(LinkedTask(task, about, attacks, cohorts, controls))
+    return tasks_linked
 
 
 def remarks(row: Mapping[str, Any]) -> list[str]:
-    """Return what is to be said of a linkage cell that does not simply link."""
-    return [row["outcome"]] * (row["outcome"] in REMARKS) + [INVALID] * bool(
-        row["invalid"]
-    )
+    """Return the remarks on a linkage cell that does not simply link."""
+    names = []
+    if row["outcome"] in REMARKS:
+        names.append(row["outcome"])
+    if row["invalid"]:
+        names.append(INVALID)
+    return names

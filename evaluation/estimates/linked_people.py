@@ -1,8 +1,8 @@
-"""Who is linked at every level of a task, and what their own windows give away.
+"""People linked at every level of a task, with the descriptors of their own windows.
 
-The descriptors are those of the windows that are linked, not of the tracks in scenes.
-Summed by cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half
-of the people are weights of these.
+The descriptors are those of the linked windows, not of the tracks in scenes. Summed by
+cluster, everything is a ratio of sums: a bootstrap, a jackknife or one half of the
+people are weights of the clusters.
 """
 
 from collections.abc import Mapping, Sequence
@@ -37,18 +37,20 @@ from isac_track.linkability import GALLERY
 from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
 from isac_track.types import Floats, Ints
 
+# Covariates of a window in either release.
 COVARIATES: Final = (
     "n_samples",
     "duration_s",
     "speed_mps",
     "sigma_m",
-)  # Of either release.
-_WHOSE: Final = ("search", "source")
-_COLUMN_OF: Final = {name: METRICS[name].column for name in DESCRIPTORS} | dict(
-    zip(ON_TRIAL, ON_TRIAL, strict=True)
 )
-_OF_PROBES: Final = (
-    *_WHOSE,
+_TRACK_NAMES: Final = ("search", "source")
+_DESCRIPTOR_COLUMNS: Final = {
+    **{name: METRICS[name].column for name in DESCRIPTORS},
+    **{name: name for name in ON_TRIAL},
+}
+_PROBE_COLUMNS: Final = (
+    *_TRACK_NAMES,
     "group",
     "above",
     "tied",
@@ -58,12 +60,17 @@ _OF_PROBES: Final = (
 )
 Choices: TypeAlias = "Mapping[str, Sequence[Measure]]"
 _NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
-_OF_WINDOWS: Final = ("side", *_WHOSE, *COVARIATES, *_COLUMN_OF.values())
+_WINDOW_COLUMNS: Final = (
+    "side",
+    *_TRACK_NAMES,
+    *COVARIATES,
+    *_DESCRIPTOR_COLUMNS.values(),
+)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkedProbes:
-    """Who is linked at one mechanism level, and what their own windows say: N mated probes."""
+    """N mated probes at a mechanism level, with their hits and own descriptors."""
 
     mechanism: str
     level: float | None
@@ -72,30 +79,31 @@ class LinkedProbes:
     # (N,) the same among `GALLERY` without companions; NaN with fewer
     hit_among: Floats
     chance: Floats  # (N,) of `hit`
-    cluster: Ints  # (N,) numbered alike at all levels of a task
-    clusters: tuple[str, ...]  # Their names.
+    cluster: Ints  # (N,) with the same numbers at all levels of a task
+    clusters: tuple[str, ...]  # Names of the clusters.
     descriptors: Mapping[str, Floats]
-    """By descriptor, those on trial among them, (N, 2): in the probe and in the gallery release"""
+    """(N, 2) by descriptor, on-trial included: in the probe and gallery release"""
     covariates: Floats  # (N, K) `COVARIATES` of either release
     strangers: Ints
-    """(3, N) of `linker`: candidates without companions: above the mate, as high (mate included),
-    in all"""
+    """(3, N) candidates of `linker` without companions: above the mate, as high as the
+    mate (mate included), in all"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LinkedLevel:
-    """One mechanism level of a task; clusters are numbered alike at all levels of the task."""
+    """Sums by cluster at one mechanism level; a task's levels share cluster numbers."""
 
     mechanism: str
     level: float | None
-    # Whose success it is: of all linkers the strongest against this mechanism.
+    # The strongest linker against this mechanism.
     linker: Source
-    # (C,) sum over mated probes of rank-1 at a gallery of 100, or of their own
+    # (C,) sum over mated probes of rank 1 in a gallery of 100, or in their own
     success: Floats
-    chance: Floats  # (C,) the same of a guess
+    chance: Floats  # (C,) the same sum for a guess
     probes: Floats  # (C,) mated probes
     descriptors: Mapping[str, Floats]
-    """By name (2, C): sums over the cluster's linked windows that have a value, and their number"""
+    """(2, C) by name: sums over the cluster's linked windows with a value, and the
+    number of these windows"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -103,9 +111,8 @@ class LinkedTask:
     """All levels of a task, raw among them."""
 
     task: str
-    gallery: (
-        int | None
-    )  # At which rank-1 is read: 100, or None where it is everybody's own.
+    # Gallery of the rank-1 rates: 100, or None where each probe has its own.
+    gallery: int | None
     clusters: tuple[str, ...]  # (C,) names, sorted
     levels: tuple[LinkedLevel, ...]
 
@@ -118,49 +125,53 @@ def read_probes(
     strongest: Mapping[str, Source],
     choices: Mapping[tuple[str, str], Choices] = _NO_CHOICES,
 ) -> dict[str, list[LinkedProbes]]:
-    """Return who is linked at every level, by task, in the order of the run.
+    """Return the linked probes of every level, by task, in the order of the run.
 
-    `strongest` is by task its strongest linker. Raw, fixed noise and FID are linked by
-    it, every other mechanism by who is strongest there. `choices` are by task and
-    mechanism, or "" for raw, fixed noise and FID, whom either half of the people chose
-    (`CrossFitted.choices`): the other half is linked by that. Without them all are
-    linked by the strongest, probe by probe. Raises DataError if a cell cannot be read.
+    `strongest` gives the strongest linker of each task. It links raw, fixed noise and
+    FID; every other mechanism is linked by the strongest linker against it. `choices`
+    gives the linkers that either half of the people chose (`CrossFitted.choices`), by
+    task and mechanism, or "" for raw, fixed noise and FID: each half is linked by the
+    other half's choice. Without choices all are linked by the strongest, probe by
+    probe. Raises DataError if a cell cannot be read.
     """
-    place = itemgetter("mechanism", "level", "consumer", "knowledge")
+    identity = itemgetter("mechanism", "level", "consumer", "knowledge")
     cells = {
-        place(entry): entry for entry in manifest["cells"] if not entry.get("world")
+        identity(entry): entry for entry in manifest["cells"] if not entry.get("world")
     }
-    levels = by_task(sweeps.found, metric=SUCCESS)
-    swept = [
-        RAW,
-        *(sweeps.named(one, adding=of) for of in ADDING_RULES for one in (FIXED, FID)),
-    ]
-    found: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
-    for task, probes in found.items():
+    levels = by_task(sweeps.estimates, metric=SUCCESS)
+    papers = {RAW} | {
+        sweeps.named(family, adding=adding)
+        for adding in ADDING_RULES
+        for family in (FIXED, FID)
+    }
+    probes: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
+    for task, probes_of_task in probes.items():
         usual = strongest[task]
-        who = against_each(levels[task]) | dict.fromkeys(swept, usual)
+        linkers = against_each(levels[task])
         for where in levels[task]:
-            if where[0] in swept or sweeps.known[where[0]].is_added:
-                linked = cells.get((*where, *who.get(where[0], usual)))
-                windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
-                if linked and windows:
-                    chosen = choices.get(
-                        (task, "" if where[0] in swept else where[0]), {}
-                    )
-                    pairs = {
-                        metric: [
-                            (cells.get((*where, *one.source)), one.metric)
-                            for one in both
-                        ]
-                        for metric, both in chosen.items()
-                    }
-                    probes.append(_probes(out, linked, windows, pairs))
-    return found
+            mechanism, _ = where
+            is_paper = mechanism in papers
+            if not (is_paper or sweeps.families[mechanism].is_added):
+                continue
+            linker = usual if is_paper else linkers.get(mechanism, usual)
+            linked = cells.get((*where, *linker))
+            windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
+            if linked and windows:
+                choice = choices.get((task, "" if is_paper else mechanism), {})
+                pairs = {
+                    metric: [
+                        (cells.get((*where, *measure.source)), measure.metric)
+                        for measure in halves
+                    ]
+                    for metric, halves in choice.items()
+                }
+                probes_of_task.append(_probes(out, linked, windows, pairs))
+    return probes
 
 
 def _mated(out: Path, linked: Mapping[str, Any]) -> pa.Table:
-    """Return the rows of the probes of a cell that have a mate."""
-    probes = read_rows(out, linked, columns=_OF_PROBES, beside=_OF_WINDOWS)
+    """Return the rows of a cell's probes that have a mate."""
+    probes = read_rows(out, linked, columns=_PROBE_COLUMNS, beside=_WINDOW_COLUMNS)
     return probes.filter(pc.greater_equal(probes["above"], 0))
 
 
@@ -190,7 +201,7 @@ def _crossed_hits(
     pair: Sequence[tuple[Mapping[str, Any] | None, str]],
     group: Sequence[str],
 ) -> Floats | None:
-    """Return how often mates are named, each half of the people linked by the other's choice."""
+    """Return the share of hits, (N,), each half linked by the other's choice."""
     (first, by_first), (second, by_second) = pair
     if first is None or second is None:
         return None
@@ -207,17 +218,16 @@ def _probes(
     pairs: Mapping[str, Sequence[tuple[Mapping[str, Any] | None, str]]],
 ) -> LinkedProbes:
     probes = _mated(out, linked)
-    tracks = read_rows(out, windows, columns=_OF_WINDOWS, beside=_OF_PROBES)
-    names, sides = _names(tracks), []
+    tracks = read_rows(out, windows, columns=_WINDOW_COLUMNS, beside=_PROBE_COLUMNS)
+    names, rows_by_side = _names(tracks), []
     for side in SIDES:
-        mine = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
-        sides.append(
-            mine[pc.index_in(_names(probes), value_set=names.take(mine)).to_numpy()]
-        )
+        in_side = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
+        place = pc.index_in(_names(probes), value_set=names.take(in_side)).to_numpy()
+        rows_by_side.append(in_side[place])
 
-    def both(column: str) -> Floats:
+    def in_both(column: str) -> Floats:
         values = tracks[column].to_numpy().astype(np.float64)
-        return np.column_stack([values[side] for side in sides])
+        return np.column_stack([values[rows] for rows in rows_by_side])
 
     group = probes["group"].to_numpy().astype(str)
     clusters, cluster = np.unique(group, return_inverse=True)
@@ -235,47 +245,54 @@ def _probes(
         chance=probes["chance"].to_numpy(),
         cluster=cluster,
         clusters=tuple(clusters.tolist()),
-        descriptors={name: both(column) for name, column in _COLUMN_OF.items()},
-        covariates=np.column_stack([both(column) for column in COVARIATES]),
+        descriptors={
+            name: in_both(column) for name, column in _DESCRIPTOR_COLUMNS.items()
+        },
+        covariates=np.column_stack([in_both(column) for column in COVARIATES]),
     )
 
 
 def _names(rows: pa.Table) -> pa.ChunkedArray:
-    """Return what a track is called in its search and among all."""
-    search, source = (rows[name].cast(pa.string()) for name in _WHOSE)
+    """Return an identifier of each row: the search and source of its track."""
+    search, source = (rows[name].cast(pa.string()) for name in _TRACK_NAMES)
     return pc.binary_join_element_wise(search, source, "\n")
 
 
 def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask, ...]:
-    """Return the tasks of a run summed by cluster; `probes` is what `read_probes` returns."""
-    found = []
+    """Return the tasks of a run summed by cluster, from the result of `read_probes`."""
+    tasks = []
     for task, levels in probes.items():
-        gallery = (
-            GALLERY if all(np.isfinite(one.hit_among).all() for one in levels) else None
-        )
-        summed = tuple(_summed(one, gallery) for one in levels)
-        if levels:
-            found.append(LinkedTask(task, gallery, levels[0].clusters, summed))
-    return tuple(found)
+        if not levels:
+            continue
+        has_gallery = all(np.isfinite(linked.hit_among).all() for linked in levels)
+        gallery = GALLERY if has_gallery else None
+        summed = tuple(_summed(linked, gallery) for linked in levels)
+        tasks.append(LinkedTask(task, gallery, levels[0].clusters, summed))
+    return tuple(tasks)
 
 
-def _summed(one: LinkedProbes, gallery: int | None) -> LinkedLevel:
+def _summed(linked: LinkedProbes, gallery: int | None) -> LinkedLevel:
 
     def sums(values: Floats) -> Floats:
         return cluster_sums(
-            values=values, cluster=one.cluster, n_clusters=len(one.clusters)
+            values=values, cluster=linked.cluster, n_clusters=len(linked.clusters)
         )
 
-    descriptors = {
-        name: np.stack(
-            [sums(np.nan_to_num(of).sum(axis=1)), sums((~np.isnan(of)).sum(axis=1))]
-        )
-        for name, of in one.descriptors.items()
-    }
-    success = sums(one.hit_among if gallery else one.hit)
-    chance = sums(np.full(one.hit.size, 1.0 / gallery) if gallery else one.chance)
-    about, n_probes = (
-        (one.mechanism, one.level, one.linker),
-        sums(np.ones(one.hit.size)),
+    n_probes = linked.hit.size
+    return LinkedLevel(
+        mechanism=linked.mechanism,
+        level=linked.level,
+        linker=linked.linker,
+        success=sums(linked.hit_among if gallery else linked.hit),
+        chance=sums(np.full(n_probes, 1.0 / gallery) if gallery else linked.chance),
+        probes=sums(np.ones(n_probes)),
+        descriptors={
+            name: np.stack(
+                [
+                    sums(np.nan_to_num(values).sum(axis=1)),
+                    sums((~np.isnan(values)).sum(axis=1)),
+                ]
+            )
+            for name, values in linked.descriptors.items()
+        },
     )
-    return LinkedLevel(*about, success, chance, n_probes, descriptors)

@@ -9,32 +9,32 @@ from typing import Final, Literal
 Measured = Literal[
     "predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"
 ]
-"""Of what a metric is: a predictor's utility; a privacy descriptor of positions, as shared and
-after a reconstruction; what else a reconstruction is measured by; how far off positions
-are beyond epsilon; what a linker achieves; what no attack does better in a world of the
-fitted motion."""
+"""Kinds of metric, in this order: a predictor's utility; a privacy descriptor of
+positions, as shared and after a reconstruction; a further measure of a reconstruction;
+the distance of positions beyond epsilon; a linker's success; a bound on all attacks in
+a world of the fitted motion."""
 
 
 @dataclass(frozen=True, slots=True)
 class Metric:
-    """A number of a run: what it is, and how it is shown."""
+    """A number of a run: its meaning, and its form on screen and page."""
 
     name: str  # As in `summary.csv`.
     head: str  # Over a column: the field's own name, short.
     measured: Measured
-    summary_unit: str = "fraction"  # As in `summary.csv`: a value is in this unit.
+    summary_unit: str = "fraction"  # Unit of its values in `summary.csv`.
     noun: str = ""  # In a sentence; empty: as over a column.
     digits: int = 1  # Shown after the point, in the unit shown.
-    # Of a cell's tracks: the metric is the mean of it, over those that have one.
+    # Column of a cell's tracks: the metric is its mean over the tracks with a value.
     column: str = ""
-    # What the sum of `column` is divided by, instead of the number of tracks.
+    # Column whose sum divides the sum of `column`, instead of the number of tracks.
     over: str = ""
-    is_root: bool = False  # Whether the square root of that ratio is the metric.
-    # Tested with the few that tell the story where runs are compared.
+    is_root: bool = False  # Whether the metric is the square root of that ratio.
+    # Whether it is among the few metrics tested first where runs are compared.
     is_headline: bool = False
-    # Whether its replicates are, so that its intervals are basic ones.
+    # Whether its replicates are biased, so that its intervals are basic ones.
     is_biased: bool = False
-    is_difference: bool = False  # Of two metrics: it may be negative.
+    is_difference: bool = False  # Whether it is a difference, which may be negative.
 
     @property
     def is_share(self) -> bool:
@@ -48,7 +48,7 @@ class Metric:
 
     @property
     def scale(self) -> float:
-        """What a value is multiplied with to be shown."""
+        """Factor from a value to the number shown."""
         return 100.0 if self.summary_unit == "fraction" else 1.0
 
     @property
@@ -58,7 +58,7 @@ class Metric:
 
     @property
     def text(self) -> str:
-        """In a sentence."""
+        """Name in a sentence."""
         return self.noun or self.head
 
 
@@ -141,53 +141,50 @@ _ROWS: Final = (
     Metric("residual_risk", "residual risk", "linkage"),
     Metric("chance", "chance", "linkage"),
 )
-METRICS: Final = {
-    metric.name: metric for metric in _ROWS
-}  # In the order in which they are shown.
+# In the order in which they are shown.
+METRICS: Final = {metric.name: metric for metric in _ROWS}
 
 
-def measured(*where: Measured) -> tuple[str, ...]:
-    """Return the names of the metrics that are measured there, in the order shown."""
-    return tuple(metric.name for metric in _ROWS if metric.measured in where)
+def measured(*kinds: Measured) -> tuple[str, ...]:
+    """Return the names of the metrics of some kinds, in the order shown."""
+    return tuple(metric.name for metric in _ROWS if metric.measured in kinds)
 
 
 UTILITY: Final = measured("predictor")
-DESCRIPTORS: Final = measured("descriptor")  # Of privacy: PLR, AEL and MEL.
-RECONSTRUCTION: Final = measured(
-    "descriptor", "reconstruction"
-)  # Of what an attack rebuilds.
+DESCRIPTORS: Final = measured("descriptor")  # Privacy descriptors: PLR, AEL and MEL.
+# Metrics of the positions that an attack rebuilds.
+RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
 DISTANCE: Final = measured("distance")  # Whether errors lie just outside epsilon.
 WIDE, MEDIAN = DISTANCE
 GAP: Final = "plr_gap"  # In model worlds alone.
-RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # The same of rank 1.
+RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # Optimum and gap of rank 1.
 CEILING: Final = "plr_ceiling"
-BOUNDS: Final = (
-    "plr_optimum",
-    CEILING,
-)  # Of PLR after any attack, the exact one first.
-MISSED_RATE: Final = "missed_conflict_rate"  # What noise costs a robot.
+# Bounds of PLR after any attack, the exact bound first.
+BOUNDS: Final = ("plr_optimum", CEILING)
+MISSED_RATE: Final = "missed_conflict_rate"  # Cost of noise to a robot.
 MISSED_FUTURE: Final = "missed_future_rate"
-"""The same of conflicts that are still to come: nobody is inside the safety radius at step 0."""
+"""Missed rate of conflicts to come: nobody is inside the safety radius at step 0."""
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
-"""Missed conflicts at the false-alarm rate that the predictor has at raw; not in the summary."""
+"""Missed conflicts at the predictor's false alarms under raw; not in the summary."""
 FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
 """Missed conflicts that are still to come, at that same rate; not in the summary."""
+# Costs of noise.
 COSTS: Final = (
     MISSED_RATE,
     MISSED_FUTURE,
     EQUAL_ALARMS,
     FUTURE_EQUAL_ALARMS,
-)  # Of noise.
+)
 FALSE_ALARMS: Final = "false_alarm_rate"
-ERROR: Final = "distance_mae"  # How far off the separation is that a robot foresees.
-OF_ROBOT: Final = "plr_robot"  # What a robot itself knows of where somebody was.
-ROBOTS_OWN: Final = (ERROR, OF_ROBOT)  # What is told of a robot at a price.
+ERROR: Final = "distance_mae"  # Error of the separation that a robot predicts.
+ROBOT_PLR: Final = "plr_robot"  # PLR of the positions that a robot itself estimates.
+ROBOTS_OWN: Final = (ERROR, ROBOT_PLR)  # Robots' own metrics in `frontier.csv`.
 WORST_TENTH: Final = "plr_worst_tenth"  # PLR of the most exposed tenth of the people.
-EXPOSURE: Final = "plr"  # The descriptor that reconstructions are ranked by.
-SUCCESS: Final = "rank1"  # What linkers are ranked by.
-ASSIGNED: Final = "rank1_assigned"  # The same where all probes are matched at once.
-# The same in a gallery of 100: what compares over runs.
+EXPOSURE: Final = "plr"  # The descriptor by which reconstructions are ranked.
+SUCCESS: Final = "rank1"  # The metric by which linkers are ranked.
+ASSIGNED: Final = "rank1_assigned"  # Rank 1 where all probes are matched at once.
+# Rank 1 in a gallery of 100, which compares over runs.
 SUCCESS_OF_100: Final = "rank1_g100"
 LINKAGE_SHARE: Final = "linkage_share"
-"""Rank 1 less chance as a share of what it is under raw, paired; in `levels.csv` alone."""
-ACHIEVED: Final = (SUCCESS, "auc")  # What is compared of a linker at equal cost.
+"""Rank 1 less chance, as a share of the same under raw, paired; `levels.csv` only."""
+ACHIEVED: Final = (SUCCESS, "auc")  # Linkers' metrics compared at equal cost.

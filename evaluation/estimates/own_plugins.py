@@ -1,11 +1,11 @@
-"""A user's own plug-ins beside the built-in ones: the section `plugins` of `verdict.json`.
+"""A user's own plug-ins beside built-in ones: the section `plugins` of `verdict.json`.
 
-An attack, a linker or a predictor is held against the strongest built-in of its kind in
-the same run: same people, same draws, so that the difference is paired by cluster. Both
-are means over the levels at which the strongest attack of a run is chosen. Where an
-attack has several rows, and among the built-in attacks, the strongest is chosen on one
-half of the people and scored on the other. A mechanism has a row of numbers for each of
-its levels.
+An attack, a linker or a predictor is compared with the strongest built-in of its kind
+in the same run: same people, same draws, so that the difference is paired by cluster.
+Both numbers are means over the levels at which the strongest attack of a run is chosen.
+Where an attack has several rows, and among the built-in attacks, the strongest is
+chosen on one half of the people and scored on the other. A mechanism has a row of
+numbers for each of its levels.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -15,20 +15,27 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import AS_SHARED, Found, Key, Measure, Source, Where
+from evaluation.estimates.keys import (
+    AS_SHARED,
+    EstimatesByKey,
+    Key,
+    Measure,
+    Source,
+    Where,
+)
 from evaluation.estimates.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
 from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,
     by_task,
+    choose_strongest,
     cross_fitted,
     ranking_levels,
-    strongest_of,
 )
 from evaluation.estimates.strongest_table import Strongest
 from evaluation.plan.constants import IDENTITY, ORACLE
-from evaluation.store.cell_files import Summed
-from isac_track.intervals import Estimate, estimate_of
+from evaluation.store.cell_files import ClusterSums
+from isac_track.intervals import Estimate, estimate_from_replicates
 
 ATTACK: Final = "attack"
 LINKER: Final = "linker"
@@ -39,12 +46,14 @@ _ALARMS: Final = "false_alarm_rate"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Estimates:
-    """Estimates of a run that plug-ins are compared by, all with the same bootstrap weights."""
+    """Estimates of a run for comparing plug-ins, with the same bootstrap weights."""
 
-    own: Found  # Of scenes at the run's own horizon, and of what is linked.
-    later: Mapping[float, Found]  # Of predictors at further horizons, s, ascending.
-    sums: Mapping[Key, Summed]  # Of attacks, by cluster.
-    known: Mapping[str, Family]  # Mechanisms of the run.
+    own: EstimatesByKey  # Of scenes at the run's own horizon, and of linkage.
+    later: Mapping[
+        float, EstimatesByKey
+    ]  # Of predictors at further horizons, s, ascending.
+    sums: Mapping[Key, ClusterSums]  # Of attacks, by cluster.
+    families: Mapping[str, Family]  # Mechanisms of the run.
     attacks: Sequence[Strongest]  # The strongest attack against each mechanism.
     leading: str  # Linkage task that linkers are compared in; empty if none leads.
 
@@ -52,29 +61,30 @@ class Estimates:
 def plugin_records(
     own: Mapping[str, Sequence[str]], run: Estimates
 ) -> list[dict[str, Any]]:
-    """Return a record for each plug-in of a user's own, and for each level of such a mechanism.
+    """Return a record for each plug-in of a user, and for each level of a mechanism.
 
-    `own` are their SPECs by axis (`mechanisms`, `predictors`, `attacks`), as the
-    manifest has them in `own_plugins`. A number is a record of `value`, `ci_low` and
-    `ci_high`, None where it is not known. `rival` is empty in a run without a built-in
-    plug-in of that kind.
+    `own` are the plug-ins' SPECs by axis (`mechanisms`, `predictors`, `attacks`), as
+    the manifest has them in `own_plugins`. A number is a record of `value`, `ci_low`
+    and `ci_high`, None where it is not known. `rival` is empty in a run without a
+    built-in plug-in of that kind.
     """
-    strangers = frozenset(own.get("attacks", ()))
-    robots = frozenset(own.get("predictors", ()))
+    attacks = frozenset(own.get("attacks", ()))
+    predictors = frozenset(own.get("predictors", ()))
     records = [
-        _attack_record(spec, strangers=strangers, run=run) for spec in sorted(strangers)
+        _attack_record(spec, own_attacks=attacks, run=run) for spec in sorted(attacks)
     ]
     records += [
-        _predictor_record(spec, strangers=robots, run=run) for spec in sorted(robots)
+        _predictor_record(spec, own_predictors=predictors, run=run)
+        for spec in sorted(predictors)
     ]
     compared = [record for record in records if record is not None]
     return [*compared, *_mechanism_records(own.get("mechanisms", ()), run=run)]
 
 
 def _attack_record(
-    spec: str, *, strangers: Collection[str], run: Estimates
+    spec: str, *, own_attacks: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
-    """Return how an attack or a linker compares; None if the run has no number of it."""
+    """Return the comparison of an attack or a linker; None if the run has no number."""
     attacks = {key.measure.source for key in run.sums if key.knowledge}
     attacks |= {
         key.measure.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)
@@ -84,32 +94,29 @@ def _attack_record(
         return None
     task = run.leading if run.leading in tasks else min(tasks)
     in_task = [source for source in attacks if source.task == task and source.knowledge]
-    mine = _strongest(
+    tested = _strongest(
         [source for source in in_task if source.attack.consumer == spec], run=run
     )
     built_in = [
         source
         for source in in_task
-        if source.attack.consumer not in {*strangers, IDENTITY}
+        if source.attack.consumer not in {*own_attacks, IDENTITY}
         and source.knowledge in HEADLINE
     ]
     rival = _strongest(built_in, run=run)
-    if mine is None:
+    if tested is None:
         return None
     metric = SUCCESS if task else EXPOSURE
-    pairs = [
-        (own, theirs)
-        for where in ranking_levels([*mine.wheres], run.known)
-        if (own := mine.at(where, metric, run.own)) is not None
-        and (
-            (theirs := rival.at(where, metric, run.own) if rival else None)
-            or rival is None
-        )
-    ]
+    pairs: list[tuple[Estimate | None, Estimate | None]] = []
+    for where in ranking_levels([*tested.wheres], run.families):
+        own = tested.at(where, metric, run.own)
+        other = rival.at(where, metric, run.own) if rival else None
+        if own is not None and (other is not None or rival is None):
+            pairs.append((own, other))
     return {
         "kind": LINKER if task else ATTACK,
         "plugin": spec,
-        "knowledge": mine.source.knowledge,
+        "knowledge": tested.source.knowledge,
         "metric": metric,
         "task": task,
         "horizon_s": None,
@@ -120,7 +127,7 @@ def _attack_record(
 
 
 def _strongest(sources: Collection[Source], *, run: Estimates) -> Strongest | None:
-    """Return the strongest of some attacks on one task, cross-fitted; None if there is none."""
+    """Return the strongest of a task's attacks, cross-fitted; None without any."""
     if not sources:
         return None
     task = next(iter(sources)).task
@@ -129,38 +136,41 @@ def _strongest(sources: Collection[Source], *, run: Estimates) -> Strongest | No
         key: known for key, known in run.own.items() if key.measure.source in sources
     }
     levels = by_task(estimates, metric=metric).get(task, {})
-    ranking = [levels[where] for where in ranking_levels([*levels], run.known)]
+    ranking = [levels[where] for where in ranking_levels([*levels], run.families)]
     for among in (*GROUPS, (ORACLE,)):
-        if source := strongest_of(ranking, among=among):
+        if source := choose_strongest(ranking, among=among):
             sums = {
                 key: summed
                 for key, summed in run.sums.items()
                 if key.measure.source in sources
             }
-            crossed = cross_fitted(sums, run.known, source, by=metric)
+            crossed = cross_fitted(sums, run.families, source, by=metric)
             return Strongest("", among, source, tuple(levels), crossed)
     return None
 
 
 def _predictor_record(
-    spec: str, *, strangers: Collection[str], run: Estimates
+    spec: str, *, own_predictors: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
-    """Return how a predictor compares at the first horizon that it is read at; None without one."""
+    """Return the comparison of a predictor at its first horizon; None without one."""
     for horizon_s, estimates in (*run.later.items(), (None, run.own)):
         robots = {key.consumer for key in estimates if key.metric == MISSED_FUTURE}
         if spec not in robots:
             continue
         measure = Measure(spec, MISSED_FUTURE)
         wheres = [key.where for key in estimates if key.measure == measure]
-        levels = ranking_levels(wheres, run.known)
-        missed = {
+        levels = ranking_levels(wheres, run.families)
+        missed: dict[str, list[Estimate | None]] = {
             robot: _at_levels(estimates, Measure(robot, MISSED_FUTURE), levels)
-            for robot in (spec, *sorted(robots - {*strangers}))
+            for robot in (spec, *sorted(robots - {*own_predictors}))
         }
-        means = {robot: mean for robot, some in missed.items() if (mean := _mean(some))}
-        rivals = {robot: mean.value for robot, mean in means.items() if robot != spec}
+        rivals = {
+            robot: mean.value
+            for robot, at_levels in missed.items()
+            if robot != spec and (mean := _mean(at_levels))
+        }
         rival = min(rivals, key=rivals.__getitem__, default="")
-        theirs = missed[rival] if rival else [None] * len(levels)
+        rival_missed = missed[rival] if rival else [None] * len(levels)
         alarms = {
             name: _interval(
                 _mean(_at_levels(estimates, Measure(robot, _ALARMS), levels))
@@ -176,14 +186,14 @@ def _predictor_record(
             "horizon_s": horizon_s,
             "rival": rival,
             "rival_knowledge": "",
-            **_compared([*zip(missed[spec], theirs, strict=True)]),
+            **_compared([*zip(missed[spec], rival_missed, strict=True)]),
             **alarms,
         }
     return None
 
 
 def _at_levels(
-    estimates: Found, measure: Measure, levels: Sequence[Where]
+    estimates: EstimatesByKey, measure: Measure, levels: Sequence[Where]
 ) -> list[Estimate | None]:
     return [estimates.get(measure.at(*where)) for where in levels]
 
@@ -191,7 +201,7 @@ def _at_levels(
 def _mechanism_records(
     specs: Sequence[str], *, run: Estimates
 ) -> Iterator[dict[str, Any]]:
-    """Yield what a robot misses and what leaks at each level of mechanisms of a user's own."""
+    """Yield a robot's misses and the leaks at each level of a user's own mechanisms."""
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))
     mechanisms = {*specs}
     levels = dict.fromkeys(key.where for key in run.own if key.mechanism in mechanisms)
@@ -238,29 +248,27 @@ def _leads(attack: Strongest, *, task: str) -> bool:
 def _compared(
     pairs: Sequence[tuple[Estimate | None, Estimate | None]],
 ) -> dict[str, Any]:
-    """Return the means over levels of a plug-in, of its rival, and of their paired difference."""
-    mine, rival = (
-        _mean([own for own, _ in pairs]),
-        _mean([theirs for _, theirs in pairs]),
-    )
+    """Return the means over levels of a plug-in, its rival, and their difference."""
+    tested = _mean([own for own, _ in pairs])
+    rival = _mean([other for _, other in pairs])
     gap = None
-    if mine is not None and rival is not None:
-        n_drawn = min(mine.drawn.size, rival.drawn.size)
-        n = min(mine.n, rival.n)
-        effective = min(mine.n_effective, rival.n_effective)
-        drawn = mine.drawn[:n_drawn] - rival.drawn[:n_drawn]
-        gap = estimate_of(drawn, n=n, effective=effective)
+    if tested is not None and rival is not None:
+        n_drawn = min(tested.drawn.size, rival.drawn.size)
+        n = min(tested.n, rival.n)
+        effective = min(tested.n_effective, rival.n_effective)
+        drawn = tested.drawn[:n_drawn] - rival.drawn[:n_drawn]
+        gap = estimate_from_replicates(drawn, n=n, effective=effective)
     return {
         "levels": len(pairs),
-        "n": mine.n if mine else 0,
-        "own": _interval(mine),
+        "n": tested.n if tested else 0,
+        "own": _interval(tested),
         "other": _interval(rival),
         "difference": _interval(gap),
     }
 
 
 def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
-    """Return the mean of estimates over levels, replicate by replicate; None if one is missing."""
+    """Return the mean over levels, by replicate; None if a level is missing."""
     known = [
         estimate
         for estimate in estimates
@@ -271,16 +279,16 @@ def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
     n_drawn = min(estimate.drawn.size for estimate in known)
     drawn = np.mean([estimate.drawn[:n_drawn] for estimate in known], axis=0)
     effective = min(estimate.n_effective for estimate in known)
-    return estimate_of(
+    return estimate_from_replicates(
         drawn, n=min(estimate.n for estimate in known), effective=effective
     )
 
 
 def _interval(estimate: Estimate | None) -> dict[str, float | None]:
     """Return value and interval, None where they are not known: JSON has no NaN."""
-    ends = ("value", "ci_low", "ci_high")
-    values = [getattr(estimate, end, np.nan) for end in ends]
+    columns = ("value", "ci_low", "ci_high")
+    values = [getattr(estimate, end, np.nan) for end in columns]
     return {
         end: float(value) if np.isfinite(value) else None
-        for end, value in zip(ends, values, strict=True)
+        for end, value in zip(columns, values, strict=True)
     }

@@ -11,7 +11,7 @@ from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.estimates.keys import Measure
 from evaluation.estimates.matching import FUTURE, MIN_DEFINED, MISSED, Sweeps
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
-from evaluation.plan.constants import horizon_of
+from evaluation.plan.constants import world_horizon_s
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 
@@ -33,14 +33,15 @@ PUBLISHED: tuple[tuple[str, float | None, str, float], ...] = tuple(
     )
     for metric, value in numbers.items()
 )
-"""Mechanism, level, metric and value, from the section Simulation Results (500 scenes)."""
+"""Mechanism, level, metric and value, from section Simulation Results (500 scenes)."""
 FITTED = (("raw", None, "plr"), ("raw", None, "mel"), ("fid", 1000.0, "plr"))
-"""Those that the free constants are fitted to, under linear adding. The others were not fitted, but
-seen: error law, adding rule and other readings were chosen because they fit them."""
-# Scenes behind a missed-conflict rate of the paper: every other one of its 500.
+"""Numbers to which the free constants are fitted, under linear adding. The others were
+not fitted, but seen: the error law, the adding rule and other readings were chosen
+because they fit them."""
+# Scenes behind a missed-conflict rate of the paper: half of its 500.
 CONFLICTS = 250
-ETAS = (1.0, 1000.0)  # Ends of its sweep.
-# Its missed-conflict rate under FID, 'approximately'; at which eta is not said.
+ETAS = (1.0, 1000.0)  # Ends of the paper's sweep.
+# The paper's missed-conflict rate under FID, 'approximately', at an eta not given.
 ACTIVATED = 0.27
 
 PAPER_COLUMNS = [
@@ -69,7 +70,10 @@ CLOSE_TO_RAW = 0.04  # Margin: the tolerance on a missed-conflict rate, set befo
 
 
 def tolerance(mechanism: str, metric: str, published: float) -> float:
-    """Return the goal for the difference from the paper at 5,000 scenes, in the metric's unit."""
+    """Return the goal for the difference from the paper, in the metric's unit.
+
+    It holds for 5,000 scenes.
+    """
     if metric == "missed_conflict_rate":
         return 0.04
     if metric == "plr":
@@ -80,24 +84,25 @@ def tolerance(mechanism: str, metric: str, published: float) -> float:
 
 
 def monte_carlo_error(metric: str, published: float) -> float:
-    """Return the standard error that a missed rate of the paper has by itself; else NaN."""
+    """Return the standard error of a missed rate of the paper; else NaN."""
     if metric != MISSED_RATE:
         return np.nan
     return float(np.sqrt(published * (1.0 - published) / CONFLICTS))
 
 
 def differs(row: Mapping[Any, Any]) -> bool:
-    """Tell whether ours differs from the paper's at 5 %, by the errors of both.
+    """Tell whether our number differs from the paper's at 5 %, by the errors of both.
 
-    Of a row of `paper_table`, by itself: nothing is corrected for the other rows.
+    `row` is a row of `paper_table`, tested by itself: nothing is corrected for the
+    other rows.
     """
-    known = np.nan_to_num(monte_carlo_error(row["metric"], row["paper"]))
+    papers = np.nan_to_num(monte_carlo_error(row["metric"], row["paper"]))
     own = (row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL_975)
-    return bool(abs(row["ours"] - row["paper"]) > _NORMAL_975 * np.hypot(own, known))
+    return bool(abs(row["ours"] - row["paper"]) > _NORMAL_975 * np.hypot(own, papers))
 
 
 def is_fitted(row: Mapping[Any, Any]) -> bool:
-    """Tell whether a row of `paper_table` is one that the constants are fitted to."""
+    """Tell whether the constants are fitted to a row of `paper_table`."""
     level = None if np.isnan(row["level"]) else row["level"]
     return (row["mechanism"], level, row["metric"]) in FITTED
 
@@ -105,15 +110,15 @@ def is_fitted(row: Mapping[Any, Any]) -> bool:
 def paper_table(sweeps: Sweeps, *, dataset: str) -> pd.DataFrame:
     """Return the paper's numbers beside ours, for both adding rules.
 
-    `within`, whether the paper's value lies in our interval, is empty on other data
-    than its own.
+    `within` tells whether the paper's value lies in our interval; it is empty on data
+    that the paper did not use.
     """
     rows = []
     for adding in ADDING_RULES:
         for family, level, metric, published in PUBLISHED:
             name = RAW if family == RAW else sweeps.named(family, adding=adding)
-            ours = sweeps.found.get(_measure(metric).at(name, level))
-            # What is raw is under no rule.
+            ours = sweeps.estimates.get(_measure(metric).at(name, level))
+            # Raw has no adding rule: it has one row.
             if ours is None or (family == RAW and adding != ADDING_RULES[0]):
                 continue
             within = (
@@ -134,30 +139,33 @@ def claims(
     The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20
     clusters decide nothing (not testable):
 
-    - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of fixed error;
-      holds if its interval lies below 4 points, does not if it lies above.
-    - *monotone in eta*, 1 to 1000: holds if the ends differ in the claimed direction and no step
-      between neighbours goes the other way beyond its interval; does not if one or the ends do.
-    - *FID is better at every matched rate*: FID minus fixed at the equal rises over raw that 97.5 %
-      of the replicates reach; holds if every pointwise interval lies below zero, does not hold if
-      one lies above. The same is said of conflicts that are still to come, at the run's
-      own horizon and at further ones, where false alarms are held at raw's rate; the
-      paper has neither.
-    - *FID raises the rate to approximately 27 %*, at an eta that is not given: the nearest of ours;
-      does not hold if from 1 to 1000 all intervals lie on one side; of the paper's recording only.
-    - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording only.
+    - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of
+      fixed error; holds if its interval lies below 4 points, does not if it lies above.
+    - *monotone in eta*, 1 to 1000: holds if the ends differ in the claimed direction
+      and no step between neighbours goes the other way beyond its interval; does not
+      hold if a step or the ends do.
+    - *FID is better at every matched rate*: FID minus fixed at the equal rises over raw
+      that 97.5 % of the replicates reach; holds if every pointwise interval lies below
+      zero, does not hold if one lies above. The same is asked for conflicts that are
+      still to come, at the run's own horizon and at further ones, where false alarms
+      are held at raw's rate; the paper has neither.
+    - *FID raises the rate to approximately 27 %*, at an eta that is not given: the
+      nearest of ours; does not hold if from 1 to 1000 all intervals lie on one side; of
+      the paper's recording only.
+    - *history*: 366 points within 4, at 0.083 to 0.084 s; of the paper's recording
+      only.
     """
-    # What attacks get is no part of the claims, and may be known of fewer people.
+    # Attacks are no part of the claims, and may be known for fewer people.
     plain = (
-        key for key in sweeps.found if not key.knowledge and "/" not in key.consumer
+        key for key in sweeps.estimates if not key.knowledge and "/" not in key.consumer
     )
-    n_clusters = min((sweeps.found[key].n for key in plain), default=0)
+    n_clusters = min((sweeps.estimates[key].n for key in plain), default=0)
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
         fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
         better = chain.from_iterable(
-            _better_at_every_rate(rows, n=n_clusters, rate=rate)
-            for rate, rows in _by_rate(matched, adding=adding, fid=fid)
+            _better_at_every_rate(at_rate, n=n_clusters, rate=rate)
+            for rate, at_rate in _by_rate(matched, adding=adding, fid=fid)
         )
         raised = _activated(sweeps, fid) if dataset == DATASET else ()
         parts = (
@@ -177,12 +185,12 @@ def claims(
         )
         evidence = f"{points:.1f} points at {interval_s:.4f} s"
         rows.append(("", *claim, points, np.nan, np.nan, "points", evidence))
-    found = pd.DataFrame(rows, columns=CLAIM_COLUMNS)
-    few = (found["answer"] == "not testable") & found["effect"].notna()
-    found.loc[few, "evidence"] = (
-        f"fewer than {FEWEST_EFFECTIVE} people; " + found["evidence"]
+    table = pd.DataFrame(rows, columns=CLAIM_COLUMNS)
+    few = (table["answer"] == "not testable") & table["effect"].notna()
+    table.loc[few, "evidence"] = (
+        f"fewer than {FEWEST_EFFECTIVE} people; " + table["evidence"]
     )
-    return found
+    return table
 
 
 def _measure(metric: str) -> Measure:
@@ -193,7 +201,7 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
     missed = _measure(MISSED_RATE)
     for level in (0.1, 0.2):
         raw, ours = (
-            sweeps.found.get(missed.at(*where))
+            sweeps.estimates.get(missed.at(*where))
             for where in ((RAW, None), (fixed, level))
         )
         if raw is None or ours is None:
@@ -214,24 +222,29 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
 def _swept(sweeps: Sweeps, fid: str, metric: str) -> dict[float, Estimate]:
     """Return a metric over the paper's range of eta, by level."""
     keys = (_measure(metric).at(fid, level) for level in sweeps.levels(fid))
-    found = {key.level or 0.0: sweeps.found[key] for key in keys if key in sweeps.found}
-    return {level: one for level, one in found.items() if ETAS[0] <= level <= ETAS[1]}
+    return {
+        key.level or 0.0: sweeps.estimates[key]
+        for key in keys
+        if key in sweeps.estimates and ETAS[0] <= (key.level or 0.0) <= ETAS[1]
+    }
 
 
 def _activated(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
-    found = _swept(sweeps, fid, MISSED_RATE)
-    if not found:
+    by_eta = _swept(sweeps, fid, MISSED_RATE)
+    if not by_eta:
         return
-    is_above = all(one.ci_low > ACTIVATED for one in found.values())
-    is_apart = is_above or all(one.ci_high < ACTIVATED for one in found.values())
-    nearest, one = min(found.items(), key=lambda item: abs(item[1].value - ACTIVATED))
+    is_above = all(rate.ci_low > ACTIVATED for rate in by_eta.values())
+    is_apart = is_above or all(rate.ci_high < ACTIVATED for rate in by_eta.values())
+    nearest, rate = min(by_eta.items(), key=lambda item: abs(item[1].value - ACTIVATED))
     shown = [
-        f"{100.0 * found[level].value:.1f} % at eta = {level:g}" for level in found
+        f"{100.0 * by_eta[level].value:.1f} % at eta = {level:g}" for level in by_eta
     ]
     yield (
         f"FID raises the missed-conflict rate to approximately {100.0 * ACTIVATED:g} %",
-        _answer(holds=not is_apart, fails=is_apart, n=one.n),
-        *(end - ACTIVATED for end in (one.value, one.ci_low, one.ci_high)),
+        _answer(holds=not is_apart, fails=is_apart, n=rate.n),
+        rate.value - ACTIVATED,
+        rate.ci_low - ACTIVATED,
+        rate.ci_high - ACTIVATED,
         METRICS[MISSED_RATE].summary_unit,
         f"ours less that, nearest at eta = {nearest:g}; {shown[0]}, {shown[-1]}",
     )
@@ -239,21 +252,19 @@ def _activated(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
 
 def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
     for metric, sign in ((MISSED_RATE, -1.0), ("plr", 1.0), ("mel", 1.0)):
-        found = _swept(sweeps, fid, metric)
-        points = [*found.values()]
-        if not {*ETAS} <= found.keys():
+        by_eta = _swept(sweeps, fid, metric)
+        points = [*by_eta.values()]
+        if not {*ETAS} <= by_eta.keys():
             continue
-        # Turned so that what is claimed is a rise.
+        # Turned so that the claimed change is a rise.
         change, *steps = (
-            difference(*((b, a) if sign > 0 else (a, b)))
-            for a, b in ((points[0], points[-1]), *pairwise(points))
+            difference(after, before) if sign > 0 else difference(before, after)
+            for before, after in ((points[0], points[-1]), *pairwise(points))
         )
         against = sum(step.value < 0 for step in steps)
         wrong = sum(step.ci_high < 0 for step in steps)
-        is_sure, is_wrong = (
-            change.ci_low > 0 and not wrong,
-            change.ci_high < 0 or wrong > 0,
-        )
+        is_sure = change.ci_low > 0 and not wrong
+        is_wrong = change.ci_high < 0 or wrong > 0
         low, high = sorted((sign * change.ci_low, sign * change.ci_high))
         word = "falls" if sign < 0 else "rises"
         evidence = (
@@ -274,52 +285,42 @@ def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[tuple[object, ...]]:
 def _by_rate(
     matched: pd.DataFrame, *, adding: str, fid: str
 ) -> Iterator[tuple[str, pd.DataFrame]]:
-    """Yield by which rate FID is matched with fixed noise, as shared, and the rows of that."""
-    about = {
+    """Yield each rate for matching FID with fixed noise as shared, and its rows."""
+    wanted = {
         "adding": adding,
         "mechanism": fid,
         "consumer": SHARED,
         "predictor": PREDICTOR,
     }
-    rows = matched[(matched[[*about]] == [*about.values()]).all(axis=1)]
+    rows = matched[(matched[[*wanted]] == [*wanted.values()]).all(axis=1)]
     yield METRICS[MISSED_RATE].text, rows[rows["criterion"] == MISSED]
     to_come = rows[rows["criterion"] == FUTURE]
-    for dataset, of_horizon in to_come.groupby("dataset", sort=False):
-        horizon_s = horizon_of(str(dataset).rpartition(":")[2])
+    for dataset, at_horizon in to_come.groupby("dataset", sort=False):
+        horizon_s = world_horizon_s(str(dataset).rpartition(":")[2])
         ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
-        yield f"{METRICS[MISSED_FUTURE].text}{ahead}", of_horizon
+        yield f"{METRICS[MISSED_FUTURE].text}{ahead}", at_horizon
 
 
 def _better_at_every_rate(
     matched: pd.DataFrame, *, n: int, rate: str
 ) -> Iterator[tuple[object, ...]]:
-    for name, every in matched.groupby("metric", sort=False):
+    for name, rows in matched.groupby("metric", sort=False):
         metric = METRICS[str(name)]
         claim = f"at every matched {rate}: FID has lower {metric.text}"
-        reached = every[every["defined"] >= MIN_DEFINED]
-        left_out = len(every) - len(reached)
+        reached = rows[rows["defined"] >= MIN_DEFINED]
+        left_out = len(rows) - len(reached)
         if reached.empty:
-            why = f"none of {left_out} rates is reached by enough replicates"
-            yield (
-                claim,
-                "not testable",
-                np.nan,
-                np.nan,
-                np.nan,
-                metric.summary_unit,
-                why,
-            )
+            evidence = f"none of {left_out} rates is reached by enough replicates"
+            unknown = np.nan, np.nan, np.nan
+            yield claim, "not testable", *unknown, metric.summary_unit, evidence
             continue
-        better, worse = (
-            int((reached["ci_high"] < 0).sum()),
-            int((reached["ci_low"] > 0).sum()),
-        )
-        # The rate shown is the one that speaks most against the claim.
-        worst = reached.iloc[
-            int(reached["ci_low" if worse else "ci_high"].to_numpy().argmax())
-        ]
+        better = int((reached["ci_high"] < 0).sum())
+        worse = int((reached["ci_low"] > 0).sum())
+        # Show the rate that speaks most against the claim.
+        end = "ci_low" if worse else "ci_high"
+        worst = reached.iloc[int(reached[end].to_numpy().argmax())]
         effect, low, high = (
-            float(worst[one]) for one in ("difference", "ci_low", "ci_high")
+            float(worst[column]) for column in ("difference", "ci_low", "ci_high")
         )
         answer = _answer(holds=better == len(reached), fails=worse > 0, n=n)
         evidence = (

@@ -1,9 +1,9 @@
-"""One answer of several runs: the five questions, each a number with its interval, and pooled.
+"""Pooled answers of several runs: five questions, each a number with its interval.
 
 Runs of one recording and law under several seeds attack the same people: their numbers
-are averaged first. The interval of the mean does not shrink as if the people were
-others, and widens by how much the seeds differ. Recordings are pooled only if `FEWEST`
-or more of them are real.
+are averaged first. The interval of the mean does not shrink as it would with further
+people, and widens with the differences between seeds. Recordings are pooled only if
+`FEWEST` or more of them are real.
 """
 
 import math
@@ -19,7 +19,13 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, FID, RAW, families_in
-from evaluation.estimates.keys import AS_SHARED, Found, Source, Where, horizons_in
+from evaluation.estimates.keys import (
+    AS_SHARED,
+    EstimatesByKey,
+    Source,
+    Where,
+    horizons_in,
+)
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import (
@@ -36,9 +42,9 @@ from evaluation.plan.constants import horizon_world
 from isac_track.config import StageSettings
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
-FEWEST: Final = 5  # Real recordings: of fewer, nobody knows how much they differ.
+FEWEST: Final = 5  # Real recordings: fewer do not show how much recordings differ.
 POOLED, FURTHER = "pooled", "further"
-"""In the column of recordings: all real ones, and where a further one is expected."""
+"""Names in the column of recordings: all real ones, and the prediction for another."""
 LINKED_IN: Final = "rerelease"
 _ENDS: Final = ("value", "ci_low", "ci_high")
 COLUMNS = [
@@ -53,13 +59,14 @@ COLUMNS = [
     "settings",
     "distance_m",
 ]
-"""The last two: settings that are not the usual ones, and the people's median distance to the
-station, m, by which recordings and geometries compare."""
+"""The last two: settings that are not the default, and the people's median distance to
+the station, m, by which recordings and geometries compare."""
 _LAW: Final = "sensing.law"  # It has a column of its own.
-# At which robots are asked about conflicts that are still to come.
+# Horizon at which robots are judged by the conflicts that are still to come.
 HORIZON_S: Final = 3.0
 OWN_GALLERY: Final = "_own_gallery"
-"""Ends a question about people too few for a gallery of 100: the measure of no other recording."""
+"""End of a question about too few people for a gallery of 100: it compares with no
+other recording."""
 QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
     "robot_loses": (
         "What the robot loses: missed conflicts with FID noise, eta 1, less raw"
@@ -93,9 +100,9 @@ QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
 }
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
 _NORMAL: Final = float(ndtri(_TAIL))
-_STRICT: Final = 1.0  # Threshold of FID at which is asked.
+_STRICT: Final = 1.0  # Threshold of FID in the questions.
 _CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"}
-_OF_VERDICT: Final[dict[str, dict[str, Any]]] = {
+_VERDICT_ITEMS: Final[dict[str, dict[str, Any]]] = {
     "descriptors_tell": {
         "section": "validity",
         "descriptor": EXPOSURE,
@@ -111,101 +118,115 @@ _OF_VERDICT: Final[dict[str, dict[str, Any]]] = {
 }
 
 
-def answers_of(
+def run_answers(
     out: Path, manifest: Mapping[str, Any], verdict: Mapping[str, Any], *, law: str
 ) -> list[dict[str, Any]]:
-    """Return what a finished run says to each question under each adding rule; as `COLUMNS`.
+    """Return a finished run's answers to the questions by adding rule; as `COLUMNS`.
 
-    Differences are paired: both numbers are of the same people, drawn alike. What the
-    run does not tell has no row. Raises DataError if a cell cannot be read.
+    Differences are paired: both numbers are of the same people in the same draws. A
+    question without an answer has no row. Raises DataError if a cell cannot be read.
     """
-    known = families_in(manifest["cells"])
-    read = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
-    sweeps = Sweeps({**estimates(out, manifest)[0], **linkage_estimates(read)}, known)
-    best = strongest(sweeps.found, known)
-    recording, seed = manifest["dataset"]["name"], str(manifest["identity"]["seed"])
+    families = families_in(manifest["cells"])
+    scorecards = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
+    scenes, _, _ = estimates(out, manifest)
+    sweeps = Sweeps({**scenes, **linkage_estimates(scorecards)}, families)
+    best = strongest(sweeps.estimates, families)
     ahead = _ahead(out, manifest)
-    settings = settings_text(manifest["settings"]["stages"])
-    distance_m = manifest.get("geometry", {}).get("distance_m", math.nan)
+    items = verdict.get("items", [])
+    about = {
+        "recording": manifest["dataset"]["name"],
+        "law": law,
+        "seed": str(manifest["identity"]["seed"]),
+        "tau2": math.nan,
+        "settings": settings_text(manifest["settings"]["stages"]),
+        "distance_m": manifest.get("geometry", {}).get("distance_m", math.nan),
+    }
     rows = []
     for adding in ADDING_RULES:
         strict = sweeps.named(FID, adding=adding), _STRICT
-        told = _at(sweeps.found, strict, best) | _lost_ahead(ahead, strict)
-        for question, wanted in _OF_VERDICT.items():
-            for item in verdict.get("items", []):
-                # What else is held against fixed noise says which mechanism; FID's
-                # items do not.
-                is_other = item.get("mechanism", "")
-                if (
-                    not is_other
-                    and {**wanted, "adding": adding}.items() <= item.items()
-                ):
-                    ends = (item[name] for name in ("effect", *_ENDS[1:]))
-                    value, low, high = (
-                        math.nan if one is None else float(one) for one in ends
-                    )
-                    own = OWN_GALLERY if item.get("metric") == SUCCESS else ""
-                    told[question + own] = Estimate(
-                        value, low, high, n=int(item["n"] or 0)
-                    )
+        answers = {
+            **_at(sweeps.estimates, strict, best),
+            **_lost_ahead(ahead, strict),
+            **_from_verdict(items, adding=adding),
+        }
         for question in QUESTIONS:
-            one = told.get(question)
-            if one is not None and math.isfinite(one.value):
-                # As everywhere: of fewer there is no interval.
-                has_ends = one.n >= LEAST_CLUSTERS
-                low, high = (
-                    (one.ci_low, one.ci_high) if has_ends else (math.nan, math.nan)
-                )
-                about = question, recording, adding, law, seed
-                row = (
-                    *about,
-                    one.value,
-                    low,
-                    high,
-                    one.n,
-                    math.nan,
-                    settings,
-                    distance_m,
-                )
-                rows.append(dict(zip(COLUMNS, row, strict=True)))
+            answer = answers.get(question)
+            if answer is None or not math.isfinite(answer.value):
+                continue
+            # As everywhere, fewer clusters have no interval.
+            has_ends = answer.n >= LEAST_CLUSTERS
+            row = {
+                **about,
+                "question": question,
+                "adding": adding,
+                "value": answer.value,
+                "ci_low": answer.ci_low if has_ends else math.nan,
+                "ci_high": answer.ci_high if has_ends else math.nan,
+                "n": answer.n,
+            }
+            rows.append({name: row[name] for name in COLUMNS})
     return rows
 
 
-def _at(found: Found, where: Where, best: Mapping[str, Source]) -> dict[str, Estimate]:
+def _from_verdict(
+    items: Sequence[Mapping[str, Any]], *, adding: str
+) -> dict[str, Estimate]:
+    """Return the answers that are items of the verdict, under an adding rule."""
+    answers = {}
+    for question, wanted in _VERDICT_ITEMS.items():
+        for item in items:
+            # Only the items of FID name no mechanism.
+            is_fid = not item.get("mechanism", "")
+            if is_fid and {**wanted, "adding": adding}.items() <= item.items():
+                value, low, high = (
+                    math.nan if item[name] is None else float(item[name])
+                    for name in ("effect", "ci_low", "ci_high")
+                )
+                own = OWN_GALLERY if item.get("metric") == SUCCESS else ""
+                n = int(item["n"] or 0)
+                answers[question + own] = Estimate(value, low, high, n=n)
+    return answers
+
+
+def _at(
+    numbers: EstimatesByKey, where: Where, best: Mapping[str, Source]
+) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     pairs = {}
-    if missed := next(
-        (key.measure for key in found if key.metric == MISSED_RATE), None
-    ):
+    missed = next((key.measure for key in numbers if key.metric == MISSED_RATE), None)
+    if missed:
         pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
         attacked, shared = (
-            one.measure(EXPOSURE).at(*where) for one in (best[""], AS_SHARED)
+            source.measure(EXPOSURE).at(*where) for source in (best[""], AS_SHARED)
         )
         pairs["left_after_attack"] = attacked, shared
-    known = {name: pair for name, pair in pairs.items() if {*pair} <= found.keys()}
-    told = {name: difference(found[a], found[b]) for name, (a, b) in known.items()}
+    answers = {
+        name: difference(numbers[a], numbers[b])
+        for name, (a, b) in pairs.items()
+        if {a, b} <= numbers.keys()
+    }
     if LINKED_IN in best:
         linker, names = best[LINKED_IN], (SUCCESS_OF_100, SUCCESS, "chance")
-        of_100, own, chance = (
-            found.get(linker.measure(name).at(*where)) for name in names
+        among_100, own, chance = (
+            numbers.get(linker.measure(name).at(*where)) for name in names
         )
-        if of_100 and math.isfinite(of_100.value):
-            told["people_linked"] = _less(of_100, 0.01)
+        if among_100 and math.isfinite(among_100.value):
+            answers["people_linked"] = _less(among_100, 0.01)
         elif own and chance and math.isfinite(own.value):
-            told[f"people_linked{OWN_GALLERY}"] = _less(own, chance.value)
-    return told
+            answers[f"people_linked{OWN_GALLERY}"] = _less(own, chance.value)
+    return answers
 
 
-def _ahead(out: Path, manifest: Mapping[str, Any]) -> Found:
-    """Return the estimates of robots judged at `HORIZON_S`; empty if the run does not judge so."""
+def _ahead(out: Path, manifest: Mapping[str, Any]) -> EstimatesByKey:
+    """Return the estimates of robots at `HORIZON_S`; empty without that horizon."""
     if HORIZON_S not in horizons_in(manifest["cells"]):
         return {}
     return estimates(out, manifest, world=horizon_world(HORIZON_S))[0]
 
 
-def _lost_ahead(ahead: Found, where: Where) -> dict[str, Estimate]:
-    """Return what the first robot loses of the conflicts that are still to come."""
+def _lost_ahead(ahead: EstimatesByKey, where: Where) -> dict[str, Estimate]:
+    """Return how many more future conflicts the first robot misses than under raw."""
     missed = next((key.measure for key in ahead if key.metric == MISSED_FUTURE), None)
     if missed is None or not {missed.at(*where), missed.at(RAW, None)} <= ahead.keys():
         return {}
@@ -214,7 +235,7 @@ def _lost_ahead(ahead: Found, where: Where) -> dict[str, Estimate]:
 
 
 def settings_text(stages: Mapping[str, Any]) -> str:
-    """Return the settings that are not the usual ones, as they are typed; the error law aside."""
+    """Return the settings that are not the default, as typed, without the error law."""
     usual = StageSettings().flat()
     changed = {
         name: value for name, value in stages.items() if usual.get(name) != value
@@ -224,9 +245,10 @@ def settings_text(stages: Mapping[str, Any]) -> str:
     )
 
 
-def _less(one: Estimate, known: float) -> Estimate:
+def _less(estimate: Estimate, known: float) -> Estimate:
     """Return an estimate less a number that has no error."""
-    return Estimate(one.value - known, one.ci_low - known, one.ci_high - known, n=one.n)
+    value, low, high = estimate.value, estimate.ci_low, estimate.ci_high
+    return Estimate(value - known, low - known, high - known, n=estimate.n)
 
 
 class Pooled(NamedTuple):
@@ -241,21 +263,19 @@ class Pooled(NamedTuple):
 
 
 def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
-    """Return the random-effects mean of some recordings with their standard errors, (K,) each.
+    """Return the random-effects mean of K recordings with standard errors, (K,) each.
 
     The variance between them is after Paule and Mandel (1982), the interval after
     Hartung and Knapp (2001), and never narrower than that of a fixed effect. Raises
     ValueError for fewer than three, or an error that is not positive.
     """
-    # Heavy, and few studies pool.
-    from statsmodels.stats.meta_analysis import (  # noqa: PLC0415 - as said
+    # Import here: the module is heavy, and few studies pool.
+    from statsmodels.stats.meta_analysis import (  # noqa: PLC0415 - heavy
         combine_effects,
     )
 
-    effects, variances = (
-        np.array(values, dtype=float),
-        np.array(errors, dtype=float) ** 2,
-    )
+    effects = np.array(values, dtype=float)
+    variances = np.array(errors, dtype=float) ** 2
     k = effects.size
     if k < 3 or not (variances > 0.0).all():  # noqa: PLR2004 - a prediction has k - 2 degrees
         raise ValueError(
@@ -277,85 +297,91 @@ def pool(values: Sequence[float], errors: Sequence[float]) -> Pooled:
 
 @dataclass(frozen=True, slots=True)
 class Answered:
-    """A question under one adding rule and law: every recording, and what they say together."""
+    """A question under an adding rule and law: all recordings, and a pooled answer."""
 
     question: str
     adding: str
     law: str
     rows: Sequence[Mapping[str, Any]]  # Averages over seeds, simulated recordings last.
-    real: int  # So many of them are of real people.
+    real: int  # Number of rows of real people.
     pooled: Pooled | None
 
     @property
     def sentence(self) -> str:
         """Signs, least and largest of the real recordings."""
-        of = list(self.rows)[: self.real]
-        if not of:
+        real = list(self.rows)[: self.real]
+        if not real:
             return "No real recording has enough people for this."
         if self.question.endswith(OWN_GALLERY):
             return "Neither compared nor pooled: the galleries differ in size."
-        values = [row["value"] for row in of]
+        values = [row["value"] for row in real]
         has_sign = self.question != "descriptors_tell"  # A spread is 0 where PLR tells.
         is_sure = has_sign and all(
-            row["ci_low"] > 0 or row["ci_high"] < 0 for row in of
+            row["ci_low"] > 0 or row["ci_high"] < 0 for row in real
         )
-        if len(of) == 1:
+        if len(real) == 1:
             sure = "; significant at 5 %" if is_sure else ""
             return (
-                f"One real recording, {of[0]['recording']}: {100 * values[0]:+.1f}"
+                f"One real recording, {real[0]['recording']}: {100 * values[0]:+.1f}"
                 f" points{sure}."
             )
         same = max(
             sum(value > 0 for value in values), sum(value < 0 for value in values)
         )
-        told = f"Same sign in {same} of {len(of)} real recordings"
+        text = f"Same sign in {same} of {len(real)} real recordings"
         if not has_sign:
-            told = "0 where PLR tells, and never below"
-        elif is_sure and same == len(of):
-            told += "; each is significant at 5 %"
-        least, most = (pick(of, key=itemgetter("value")) for pick in (min, max))
-        told += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
-        told += f", largest {100 * most['value']:+.1f} ({most['recording']})"
+            text = "0 where PLR tells, and never below"
+        elif is_sure and same == len(real):
+            text += "; each is significant at 5 %"
+        least, most = (pick(real, key=itemgetter("value")) for pick in (min, max))
+        text += f"; least {100 * least['value']:+.1f} points ({least['recording']})"
+        text += f", largest {100 * most['value']:+.1f} ({most['recording']})"
         if self.pooled:
-            text = (
-                "; pooled {:+.1f} [{:.1f}, {:.1f}], of a further recording [{:.1f},"
-                " {:.1f}]"
+            value, *ends = (100 * number for number in self.pooled[:5])
+            low, high, further_low, further_high = ends
+            text += (
+                f"; pooled {value:+.1f} [{low:.1f}, {high:.1f}], of a further recording"
+                f" [{further_low:.1f}, {further_high:.1f}]"
             )
-            told += text.format(*(100 * one for one in self.pooled[:5]))
-        return f"{told}."
+        return f"{text}."
 
 
 def answered(
     rows: Sequence[Mapping[str, Any]], *, simulated: frozenset[str]
 ) -> list[Answered]:
-    """Return each question, adding rule and law: seeds averaged, real recordings pooled.
+    """Return the answers: seeds averaged, then real recordings pooled.
 
     The interval of a mean over seeds is `seeds.by_intervals`, with the variance between
-    them.
-
-    `rows` are those of `answers_of`, of all runs; `simulated` recordings are never
-    pooled.
+    them. `rows` are those of `run_answers`, of all runs; `simulated` recordings are
+    never pooled.
     """
-    found, order = [], [*QUESTIONS]
-    by = itemgetter("question", "law", "adding")
-    every = sorted(rows, key=lambda row: (order.index(row["question"]), *by(row)))
-    for (question, law, adding), of in groupby(every, key=by):
+    order = [*QUESTIONS]
+    identity = itemgetter("question", "law", "adding")
+    in_order = sorted(
+        rows, key=lambda row: (order.index(row["question"]), *identity(row))
+    )
+    answers = []
+    for (question, law, adding), group in groupby(in_order, key=identity):
         seeds: dict[str, list[Mapping[str, Any]]] = {}
-        for row in of:
+        for row in group:
             seeds.setdefault(row["recording"], []).append(row)
-        in_order = sorted(seeds, key=simulated.__contains__)
-        averages = [_mean_of_seeds(seeds[name]) for name in in_order]
+        recordings = sorted(seeds, key=simulated.__contains__)
+        averages = [_mean_of_seeds(seeds[name]) for name in recordings]
         real = [row for row in averages if row["recording"] not in simulated]
         errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
-        is_alike = len(real) >= FEWEST and not question.endswith(OWN_GALLERY)
-        able = is_alike and all(one > 0.0 for one in errors)
-        pooled = pool([row["value"] for row in real], errors) if able else None
-        found.append(Answered(question, adding, law, averages, len(real), pooled))
-    return found
+        pooled = None
+        if (
+            len(real) >= FEWEST
+            and not question.endswith(OWN_GALLERY)
+            and all(error > 0.0 for error in errors)
+        ):
+            pooled = pool([row["value"] for row in real], errors)
+        answers.append(Answered(question, adding, law, averages, len(real), pooled))
+    return answers
 
 
 def _mean_of_seeds(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Return the row of a recording: the mean over its seeds, with the interval of that."""
+    """Return the row of a recording: the mean over its seeds, with its interval."""
     runs = [
         Estimate(row["value"], row["ci_low"], row["ci_high"], row["n"]) for row in rows
     ]
@@ -364,15 +390,17 @@ def _mean_of_seeds(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {**rows[0], "seed": "mean", **numbers}
 
 
-def to_frame(rows: Sequence[Mapping[str, Any]], of: Sequence[Answered]) -> pd.DataFrame:
-    """Return `study.csv`: every run, averages over seeds, and what is pooled; as `COLUMNS`."""
-    every = list(rows)
-    for one in of:
-        every += one.rows
-        if one.pooled is not None:
-            value, *ends, tau2 = one.pooled
+def to_frame(
+    rows: Sequence[Mapping[str, Any]], answers: Sequence[Answered]
+) -> pd.DataFrame:
+    """Return `study.csv`: every run, averages over seeds, and pooled: `COLUMNS`."""
+    table = list(rows)
+    for answer in answers:
+        table += answer.rows
+        if answer.pooled is not None:
+            value, *ends, tau2 = answer.pooled
             for name, (low, high) in ((POOLED, ends[:2]), (FURTHER, ends[2:])):
                 numbers = {"value": value, "ci_low": low, "ci_high": high, "tau2": tau2}
-                about = {"recording": name, "n": one.real, "distance_m": math.nan}
-                every.append({**one.rows[0], **about, **numbers})
-    return pd.DataFrame(every, columns=COLUMNS)
+                about = {"recording": name, "n": answer.real, "distance_m": math.nan}
+                table.append({**answer.rows[0], **about, **numbers})
+    return pd.DataFrame(table, columns=COLUMNS)

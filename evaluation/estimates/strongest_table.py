@@ -1,6 +1,6 @@
-"""The strongest attack against each mechanism, by task and group of adversaries: `strongest.csv`.
+"""The strongest attack on each mechanism, by task and adversaries: `strongest.csv`.
 
-Each is chosen against the mechanism alone, over all of its levels, and cross-fitted:
+Each is chosen against that mechanism only, over all of its levels, and cross-fitted:
 its numbers are not raised by the choice.
 """
 
@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Found, Key, Source, Where
-from evaluation.estimates.linkability import dataset_of
+from evaluation.estimates.keys import EstimatesByKey, Key, Source, Where
+from evaluation.estimates.linkability import row_dataset
 from evaluation.estimates.metrics import (
     ASSIGNED,
     DESCRIPTORS,
@@ -29,11 +29,11 @@ from evaluation.estimates.strongest import (
     by_task,
     cross_fitted,
 )
-from evaluation.store.cell_files import Summed
+from evaluation.store.cell_files import ClusterSums
 from isac_track.intervals import Estimate
 
 # Group of the headline's adversaries: blind and informed.
-ONE_RELEASE: Final = "one release"
+SINGLE_RELEASE: Final = "one release"
 COLUMNS: Final = [
     "dataset",
     "mechanism",
@@ -50,7 +50,7 @@ COLUMNS: Final = [
     "first_choice",
     "second_choice",
 ]
-_OF_LINKERS: Final = (SUCCESS, SUCCESS_OF_100)
+_LINKER_METRICS: Final = (SUCCESS, SUCCESS_OF_100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -59,44 +59,48 @@ class Strongest:
 
     mechanism: str
     among: tuple[str, ...]  # One of `GROUPS`.
-    source: Source  # Whom all people together choose.
+    source: Source  # The attack that all people together choose.
     wheres: tuple[Where, ...]  # The mechanism's levels.
     crossed: CrossFitted  # Without estimates where sums over people are not known.
 
-    def at(self, where: Where, metric: str, found: Found) -> Estimate | None:
-        """Return a number at a level, cross-fitted where it can be; None where it is not known."""
+    def at(
+        self, where: Where, metric: str, estimates: EstimatesByKey
+    ) -> Estimate | None:
+        """Return a number at a level, cross-fitted if possible; None if unknown."""
         key = self.source.measure(metric).at(*where)
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
-        rules = [key, key._replace(metric=ASSIGNED)] if metric == SUCCESS else [key]
+        keys = [key, key._replace(metric=ASSIGNED)] if metric == SUCCESS else [key]
         known = [
-            found[rule]
-            for rule in rules
-            if rule in found and np.isfinite(found[rule].value)
+            estimates[key]
+            for key in keys
+            if key in estimates and np.isfinite(estimates[key].value)
         ]
         return max(known, key=lambda estimate: estimate.value, default=None)
 
 
 def strongest_on_each(
-    found: Found, sums: Mapping[Key, Summed], known: Mapping[str, Family]
+    estimates: EstimatesByKey,
+    sums: Mapping[Key, ClusterSums],
+    families: Mapping[str, Family],
 ) -> tuple[Strongest, ...]:
     """Return the strongest attacks against every mechanism of a run.
 
-    `found` is every estimate of the run, `sums` those of attacks by cluster, `known`
+    `estimates` are all those of the run, `sums` those of attacks by cluster, `families`
     the mechanisms.
     """
-    own: dict[tuple[str, str], dict[Key, Summed]] = {}
+    own_sums: dict[tuple[str, str], dict[Key, ClusterSums]] = {}
     for key, summed in sums.items():
-        own.setdefault((key.mechanism, key.measure.source.task), {})[key] = summed
+        group = key.mechanism, key.measure.source.task
+        own_sums.setdefault(group, {})[key] = summed
     strongest = []
-    for by in (EXPOSURE, SUCCESS):
-        for task, levels in by_task(found, metric=by).items():
+    for ranked_by in (EXPOSURE, SUCCESS):
+        for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
                 for mechanism, source in against_each(levels, among=among).items():
                     wheres = tuple(where for where in levels if where[0] == mechanism)
-                    crossed = cross_fitted(
-                        own.get((mechanism, task), {}), known, source, by=by
-                    )
+                    known = own_sums.get((mechanism, task), {})
+                    crossed = cross_fitted(known, families, source, by=ranked_by)
                     strongest.append(
                         Strongest(mechanism, among, source, wheres, crossed)
                     )
@@ -104,29 +108,31 @@ def strongest_on_each(
 
 
 def strongest_table(
-    strongest: Sequence[Strongest], found: Found, *, dataset: str
+    strongest: Sequence[Strongest], estimates: EstimatesByKey, *, dataset: str
 ) -> pd.DataFrame:
     """Return a row for each number of the strongest attacks: `COLUMNS`."""
-    rows = [row for attack in strongest for row in _rows(attack, found, dataset)]
+    rows = [row for attack in strongest for row in _rows(attack, estimates, dataset)]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _rows(attack: Strongest, found: Found, dataset: str) -> Iterable[dict[str, Any]]:
+def _rows(
+    attack: Strongest, estimates: EstimatesByKey, dataset: str
+) -> Iterable[dict[str, Any]]:
     source, task = attack.source, attack.source.task
     for where in attack.wheres:
-        for metric in _OF_LINKERS if task else DESCRIPTORS:
-            estimate = attack.at(where, metric, found)
+        for metric in _LINKER_METRICS if task else DESCRIPTORS:
+            estimate = attack.at(where, metric, estimates)
             if estimate is None or not np.isfinite(estimate.value):
                 continue
             ranked = EXPOSURE if not task else metric
             first, second = attack.crossed.choices.get(ranked) or (source, source)
             yield {
-                "dataset": dataset_of(source.consumer, dataset=dataset),
+                "dataset": row_dataset(source.consumer, dataset=dataset),
                 "mechanism": where[0],
                 "level": np.nan if where[1] is None else where[1],
                 "task": task,
                 "adversary": (
-                    ONE_RELEASE if attack.among == HEADLINE else attack.among[0]
+                    SINGLE_RELEASE if attack.among == HEADLINE else attack.among[0]
                 ),
                 "consumer": source.consumer,
                 "knowledge": source.knowledge,

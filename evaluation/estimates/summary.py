@@ -4,20 +4,20 @@ The unit is the source track, or the group that walks together: every interval d
 whole clusters, the same ones for every mechanism, so that differences are paired.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Found, Key
-from evaluation.estimates.linkability import Cards, dataset_of
+from evaluation.estimates.keys import EstimatesByKey, Key
+from evaluation.estimates.linkability import Cards, row_dataset
 from evaluation.estimates.metrics import (
     BOUNDS,
     DESCRIPTORS,
@@ -25,13 +25,13 @@ from evaluation.estimates.metrics import (
     EXPOSURE,
     GAP,
     METRICS,
-    OF_ROBOT,
     RECONSTRUCTION,
+    ROBOT_PLR,
     WORST_TENTH,
 )
 from evaluation.estimates.worst_off import person_means, worst_tenth
 from evaluation.plan.constants import MODEL
-from evaluation.store.cell_files import Summed, read_rows
+from evaluation.store.cell_files import ClusterSums, read_rows
 from isac_track.intervals import (
     Estimate,
     cluster_sums,
@@ -59,12 +59,12 @@ COLUMNS = [
 _POSITIONS = [
     METRICS[name] for name in (*RECONSTRUCTION, *DISTANCE) if METRICS[name].column
 ]
-_SHARED = ["group", "scene", *(one.column for one in _POSITIONS if not one.over)]
+_SHARED = ["group", "scene", *(row.column for row in _POSITIONS if not row.over)]
 _BOUNDS = [METRICS[name] for name in BOUNDS]
-_COLUMNS_OF = {
+_CELL_COLUMNS = {
     "shared": _SHARED,
-    "attack": [*_SHARED, *(one.over for one in _POSITIONS if one.over)],
-    "bound": ["group", *(one.column for one in _BOUNDS)],
+    "attack": [*_SHARED, *(row.over for row in _POSITIONS if row.over)],
+    "bound": ["group", *(row.column for row in _BOUNDS)],
     "predictor": [
         "group",
         "conflict",
@@ -73,7 +73,7 @@ _COLUMNS_OF = {
         "separation_m",
         "predicted_separation_m",
         "probability",
-        OF_ROBOT,
+        ROBOT_PLR,
     ],
 }
 _DECIDED = (
@@ -83,82 +83,98 @@ _DECIDED = (
     "predicted_separation_m",
     "probability",
 )
-Scored: TypeAlias = "tuple[Mapping[str, Any], Ints, Mapping[str, Any]]"
-"""What a predictor said of every scene of one mechanism level: the cell's entry in the manifest,
-the scenes' clusters, (S,), and its columns `_DECIDED`."""
+
+
+class Scored(NamedTuple):
+    """A predictor's answers for every scene of one mechanism level."""
+
+    entry: Mapping[str, Any]  # Of the cell in the manifest.
+    cluster: Ints  # (S,) of the scenes
+    columns: Mapping[str, Any]  # (S,) each: `_DECIDED`
 
 
 def estimates(
     out: Path, manifest: Mapping[str, Any], *, world: str = ""
-) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, Summed]]:
-    """Return every metric of the scenes with its interval and replicates, and the scores.
+) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, ClusterSums]]:
+    """Return estimates of every scene metric, predictors' scores, and attacks' sums.
 
-    The last are the descriptors after each attack, summed by cluster. All in the run's
-    own world, or in another one. Raises DataError if a cell cannot be read.
+    The estimates have intervals and replicates. The sums are those of the descriptors
+    after each attack, by cluster. All are of the run's own world, or of another one.
+    Raises DataError if a cell cannot be read.
     """
-    weights = weights_of(manifest)
+    weights = bootstrap_weights(manifest)
     n, names = weights.shape[1], tuple(manifest["groups"])
-    found: dict[Key, Estimate] = {}
+    numbers: dict[Key, Estimate] = {}
     scored: list[Scored] = []
-    attacked: dict[Key, Summed] = {}
-    able = (entry for entry in manifest["cells"] if entry["kind"] in _COLUMNS_OF)
-    entries = [entry for entry in able if entry.get("world", "") == world]
+    attacked: dict[Key, ClusterSums] = {}
+    entries = [
+        entry
+        for entry in manifest["cells"]
+        if entry["kind"] in _CELL_COLUMNS and entry.get("world", "") == world
+    ]
     gap = [GAP] if MODEL in world else []
-    every = {name for columns in (*_COLUMNS_OF.values(), gap) for name in columns}
-    for _, of in groupby(entries, key=itemgetter("files")):
+    every_column = {
+        name for columns in (*_CELL_COLUMNS.values(), gap) for name in columns
+    }
+    for _, entries_of_file in groupby(entries, key=itemgetter("files")):
         keys, sums = [], []
-        for entry in of:
-            columns = [
-                *_COLUMNS_OF[entry["kind"]],
-                *(gap if entry["kind"] == "attack" else []),
-            ]
-            table = read_rows(out, entry, columns=columns, beside=every)
+        for entry in entries_of_file:
+            kind = entry["kind"]
+            columns = [*_CELL_COLUMNS[kind], *(gap if kind == "attack" else [])]
+            table = read_rows(out, entry, columns=columns, beside=every_column)
             cluster = clusters(table, manifest)
-            if entry["kind"] == "predictor":
-                told = {name: table[name].to_numpy() for name in _DECIDED}
-                scored.append((entry, cluster, told))
-            elif entry["kind"] != "bound":
-                found[key_of(entry, WORST_TENTH)] = _worst_tenth(
-                    table, cluster, weights
-                )
-            for metric, ratio in ratios(entry["kind"], table).items():
-                keys.append(key_of(entry, metric))
+            if kind == "predictor":
+                decided = {name: table[name].to_numpy() for name in _DECIDED}
+                scored.append(Scored(entry, cluster, decided))
+            elif kind != "bound":
+                worst = _worst_tenth(table, cluster, weights)
+                numbers[cell_key(entry, WORST_TENTH)] = worst
+            for metric, parts in ratios(kind, table).items():
+                keys.append(cell_key(entry, metric))
                 sums.append(
                     [
-                        cluster_sums(values=x, cluster=cluster, n_clusters=n)
-                        for x in ratio
+                        cluster_sums(values=values, cluster=cluster, n_clusters=n)
+                        for values in parts
                     ]
                 )
-        of_clusters = np.array(sums)
-        used = np.flatnonzero(
-            of_clusters.any(axis=(0, 1))
-        )  # of thousands, hundreds are in scenes
-        of_clusters = of_clusters[:, :, used]
-        over, under, drawn = of_clusters[:, 0], of_clusters[:, 1], weights[:, used]
-        shares = [METRICS[key.metric].is_share for key in keys]
-        told_of = ratio_estimates(
-            numerator=over, denominator=under, weights=drawn, is_share=shares
-        )
-        for key, one in zip(keys, told_of, strict=True):
-            found[key] = one
-            if METRICS[key.metric].is_root:
-                value, low, high = np.sqrt(
-                    [one.value, one.ci_low, one.ci_high]
-                ).tolist()
-                roots = np.sqrt(one.replicates)
-                found[key] = Estimate(
-                    value, low, high, one.n, roots, effective=one.effective
-                )
+        totals = np.array(sums)
+        # Of thousands of clusters, hundreds are in scenes.
+        used = np.flatnonzero(totals.any(axis=(0, 1)))
+        totals = totals[:, :, used]
+        numbers.update(_estimate_ratios(keys, totals, weights[:, used]))
         attacked |= {
-            key: Summed(one, weights, used, names=names)
-            for key, one in zip(keys, of_clusters, strict=True)
+            key: ClusterSums(summed, weights, used, names=names)
+            for key, summed in zip(keys, totals, strict=True)
             if key.knowledge and key.metric in {*DESCRIPTORS, *DISTANCE}
         }
-    return found, tuple(scored), attacked
+    return numbers, tuple(scored), attacked
+
+
+def _estimate_ratios(
+    keys: Sequence[Key], totals: Floats, weights: Floats
+) -> dict[Key, Estimate]:
+    """Return the estimates of K ratios from their sums by cluster, (K, 2, C)."""
+    estimated = ratio_estimates(
+        numerator=totals[:, 0],
+        denominator=totals[:, 1],
+        weights=weights,
+        is_share=[METRICS[key.metric].is_share for key in keys],
+    )
+    return {
+        key: _root(estimate) if METRICS[key.metric].is_root else estimate
+        for key, estimate in zip(keys, estimated, strict=True)
+    }
+
+
+def _root(square: Estimate) -> Estimate:
+    """Return the square root of an estimate, of its interval and its replicates."""
+    value, low, high = np.sqrt([square.value, square.ci_low, square.ci_high]).tolist()
+    roots = np.sqrt(square.replicates)
+    return Estimate(value, low, high, square.n, roots, effective=square.effective)
 
 
 def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
-    """Return PLR of the worst-off tenth of the people, of the rows of one consumer at one level."""
+    """Return PLR of the worst-off tenth of the people for a consumer at a level."""
     values, scene = (
         table[name].to_numpy() for name in (METRICS[EXPOSURE].column, "scene")
     )
@@ -169,8 +185,8 @@ def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
     return worst_tenth(means, weights=weights)
 
 
-def key_of(entry: Mapping[str, Any], metric: str) -> Key:
-    """Return what a metric of a cell of the manifest is about."""
+def cell_key(entry: Mapping[str, Any], metric: str) -> Key:
+    """Return the key of a metric of a cell of the manifest."""
     return Key(
         entry["mechanism"],
         entry["level"],
@@ -180,30 +196,31 @@ def key_of(entry: Mapping[str, Any], metric: str) -> Key:
     )
 
 
-def linkage_estimates(read: Cards) -> dict[Key, Estimate]:
-    """Return every metric of the linkage cells; `read` is what `linkability.cards` returns."""
+def linkage_estimates(cards: Cards) -> dict[Key, Estimate]:
+    """Return every metric of the linkage cells, from their cards."""
     return {
-        key_of(entry, of): one
-        for entry, card in read
-        for of, one in card.estimates.items()
+        cell_key(entry, metric): estimate
+        for entry, card in cards
+        for metric, estimate in card.estimates.items()
     }
 
 
-def linkage_sums(read: Cards) -> dict[Key, Summed]:
-    """Return the rank metrics of the attacks, summed by cluster."""
+def linkage_sums(cards: Cards) -> dict[Key, ClusterSums]:
+    """Return the rank metrics of linkage attacks, summed by cluster."""
     return {
-        key_of(entry, metric): one
-        for entry, card in read
-        for metric, one in card.sums.items()
+        cell_key(entry, metric): summed
+        for entry, card in cards
+        for metric, summed in card.sums.items()
     }
 
 
-def weights_of(manifest: Mapping[str, Any]) -> Floats:
+def bootstrap_weights(manifest: Mapping[str, Any]) -> Floats:
     """Return the bootstrap weights of a run, (B, C): the same for everything in it."""
     return _weights(len(manifest["groups"]), manifest["identity"]["seed"])
 
 
-@lru_cache(maxsize=1)  # of thousands of people they take 60 MB
+# Holds the weights of the last run: with thousands of people they take 60 MB.
+@lru_cache(maxsize=1)
 def _weights(n_clusters: int, seed: int) -> Floats:
     return read_only(
         cluster_weights(n_clusters=n_clusters, n_replicates=N_REPLICATES, seed=seed)
@@ -213,84 +230,87 @@ def _weights(n_clusters: int, seed: int) -> Floats:
 def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
     """Return the cluster of each row, (R,): its row in the run's list of groups."""
     column = table["group"].combine_chunks()
-    row_of = {group: row for row, group in enumerate(manifest["groups"])}
+    row_by_group = {group: row for row, group in enumerate(manifest["groups"])}
     to_row = np.array(
-        [row_of[name] for name in column.dictionary.to_pylist()], dtype=np.int64
+        [row_by_group[name] for name in column.dictionary.to_pylist()], dtype=np.int64
     )
-    found: Ints = to_row[column.indices.to_numpy()]
-    return found
+    cluster: Ints = to_row[column.indices.to_numpy()]
+    return cluster
 
 
 def to_frame(
-    found: Found,
+    estimates: EstimatesByKey,
     *,
-    worlds: Mapping[str, Found],
-    known: Mapping[str, Family],
+    worlds: Mapping[str, EstimatesByKey],
+    families: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
     """Return the tidy summary, `COLUMNS`; the first six of them are unique together.
 
-    `worlds` is what was found in others, whose data sets say so; `known` are the run's
-    mechanisms.
+    `worlds` are the estimates in other worlds, which the data set's name shows;
+    `families` are the run's mechanisms.
     """
-    every = {dataset: found} | {
+    estimates_by_dataset = {dataset: estimates} | {
         f"{dataset}:{world}": other for world, other in worlds.items()
     }
     rows = [
         (
-            dataset_of(key.consumer, dataset=name),
+            row_dataset(key.consumer, dataset=name),
             key.mechanism,
             np.nan if key.level is None else key.level,
             key.consumer,
             key.knowledge,
             key.metric,
-            one.value,
-            one.ci_low,
-            one.ci_high,
-            one.n,
+            estimate.value,
+            estimate.ci_low,
+            estimate.ci_high,
+            estimate.n,
             METRICS[key.metric].summary_unit,
-            known[key.mechanism].family,
-            known[key.mechanism].adding,
+            families[key.mechanism].family,
+            families[key.mechanism].adding,
         )
-        for name, of in every.items()
-        for key, one in of.items()
+        for name, world_estimates in estimates_by_dataset.items()
+        for key, estimate in world_estimates.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def columns_of(kind: str) -> list[str]:
-    """Return the columns of a cell of scenes that its metrics are made of."""
-    return _COLUMNS_OF[kind]
+def cell_columns(kind: str) -> list[str]:
+    """Return the columns of a scene cell from which its metrics are computed."""
+    return _CELL_COLUMNS[kind]
 
 
 def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
-    """Return numerator and denominator of each metric, (R,), of the R rows of a cell of this kind.
+    """Return numerator and denominator of each metric, (R,), for the R rows of a cell.
 
-    Of an attack also the ratio to the linear benchmark: sums over the same tracks.
+    An attack also has the ratio to the linear benchmark: sums over the same tracks.
     """
     if kind == "predictor":
-        _, *names = _COLUMNS_OF[kind]
-        conflict, inside, predicted, truth, ours, _, own = (
+        _, *names = _CELL_COLUMNS[kind]
+        conflict, inside, predicted, truth, ours, _, robot_plr = (
             table[name].to_numpy() for name in names
         )
-        known, future = ~np.isnan(own), conflict & ~inside
+        known, future = ~np.isnan(robot_plr), conflict & ~inside
         return {
             "missed_conflict_rate": ((conflict & ~predicted) * 1.0, conflict * 1.0),
             "missed_future_rate": ((future & ~predicted) * 1.0, future * 1.0),
             "false_alarm_rate": ((~conflict & predicted) * 1.0, ~conflict * 1.0),
             "distance_mae": (np.abs(ours - truth), np.ones_like(ours)),
-            **({OF_ROBOT: (np.nan_to_num(own), known * 1.0)} if known.any() else {}),
+            **(
+                {ROBOT_PLR: (np.nan_to_num(robot_plr), known * 1.0)}
+                if known.any()
+                else {}
+            ),
         }
-    found = {}
+    ratio_by_metric = {}
     for metric in _BOUNDS if kind == "bound" else [*_POSITIONS, METRICS[GAP]]:
         if (metric.over or metric.column) not in table.column_names:
             continue
         values = table[metric.column].to_numpy()
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
-        # A one-sample track that leaks has no exposure length (NaN): it does not count
-        # there.
+        # A one-sample track that leaks has no exposure length (NaN): skip it there.
         known = ~np.isnan(over if metric.over else values)
         if known.any() or metric.name not in {*BOUNDS, GAP}:
             values = np.where(known & ~np.isnan(values), values, 0.0)
-            found[metric.name] = values, np.where(known, over, 0.0)
-    return found
+            ratio_by_metric[metric.name] = values, np.where(known, over, 0.0)
+    return ratio_by_metric

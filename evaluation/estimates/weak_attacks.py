@@ -1,11 +1,11 @@
-"""The weak-attack detector: attacks whose numbers say less than they seem to.
+"""The weak-attack detector: attacks too weak for their numbers to mean privacy.
 
-A weak attack makes a mechanism look private: `_ABOUT` tells the three signs of one.
-Simpler is what comes earlier in `SIMPLER`; an attack that is not in that list is held
-against all of it, and `averaging` over re-releases, which does not smooth, against the
-control alone. Noise is the RMSE as shared. What no attack could help is left out, and
-fewer than 20 clusters decide nothing. The control is never flagged; it reproduces what
-is shared, which is not held against attacks itself.
+A weak attack makes a mechanism look private; `_ABOUT` describes the three signs of a
+weak attack. An attack is simpler than another if it comes earlier in `SIMPLER`. An
+attack that is not in that list is compared with all of it; `averaging` over
+re-releases, which does not smooth, is compared with the control only. Noise is the RMSE
+as shared. Comparisons that no attack could win are left out, and fewer than 20 clusters
+decide nothing. The control, which reproduces the shared positions, is never flagged.
 """
 
 import json
@@ -18,7 +18,13 @@ import pandas as pd
 
 from evaluation.estimates.bounds import Gap
 from evaluation.estimates.families import CLEAN, RAW
-from evaluation.estimates.keys import AS_SHARED, Found, Source, Where, where_text
+from evaluation.estimates.keys import (
+    AS_SHARED,
+    EstimatesByKey,
+    Source,
+    Where,
+    where_text,
+)
 from evaluation.estimates.metrics import EXPOSURE, SUCCESS
 from evaluation.plan.constants import BOUND
 from evaluation.plan.presets import IDENTITY
@@ -26,7 +32,7 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
 Levels = Mapping[Where, Mapping[Source, Estimate]]
-SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # From the simplest on.
+SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # The simplest first.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [
     "kind",
@@ -44,7 +50,7 @@ COLUMNS = [
     "sentence",
 ]
 
-_ALONE = {"averaging": (IDENTITY,)}
+_COMPARED_WITH = {"averaging": (IDENTITY,)}
 _LEAST_RISE = 1.1
 _ROUNDING = 1e-9
 _RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
@@ -69,33 +75,33 @@ _FAR: Final = 0.05
 
 
 class _Pair(NamedTuple):
-    """Two estimates to compare: an attack's, and what should not be above it."""
+    """Two estimates to compare: an attack's, and one that should not be above it."""
 
     kind: str
     where: Where
     attack: Source
-    by: Source  # What beats it; of no name if nothing does.
+    by: Source  # The rival that beats it; without a name if there is none.
     minus: Estimate
     plus: Estimate
-    said: str
+    text: str
 
 
 def flags(
-    found: Found, *, slow: Collection[str] = frozenset()
+    estimates: EstimatesByKey, *, slow: Collection[str] = frozenset()
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
-    """Return the flags of a run, a row each (`COLUMNS`), and how much was looked at.
+    """Return the flags of a run, a row each (`COLUMNS`), and the extent of the search.
 
-    The latter is `comparisons`, intervals by kind, and `left_out`, comparisons by why
-    they were. `slow` are the attacks that saw one release of each source track only: no
-    other saw the same.
+    The latter is `comparisons`, the number of intervals by kind, and `left_out`, the
+    number of comparisons left out by reason. `slow` are the attacks that saw only one
+    release of each source track: no other attack saw the same.
     """
     levels: dict[Where, dict[Source, Estimate]] = {}
-    for key, one in found.items():
+    for key, estimate in estimates.items():
         if key.metric == EXPOSURE and key.knowledge:
-            levels.setdefault(key.where, {})[key.measure.source] = one
+            levels.setdefault(key.where, {})[key.measure.source] = estimate
     left_out: Counter[str] = Counter()
-    pairs = [*_beaten_pairs(levels, found, slow, left_out)]
-    pairs += _falling_pairs(levels, found, left_out)
+    pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
+    pairs += _falling_pairs(levels, estimates, left_out)
     enough = [
         pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE
     ]
@@ -103,51 +109,55 @@ def flags(
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
     rows = []
-    for kind, where, attack, by, minus, plus, said in enough:
-        gap = difference(plus, minus)
+    for pair in enough:
+        kind, attack, by = pair.kind, pair.attack, pair.by
+        gap = difference(pair.plus, pair.minus)
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
         interval = gap.value, gap.ci_low, gap.ci_high
+        mechanism, level = pair.where
         about = (
             kind,
-            where[0],
-            np.nan if where[1] is None else where[1],
+            mechanism,
+            np.nan if level is None else level,
             *attack,
             *by,
             EXPOSURE,
         )
-        sentence = f"{attack.label} {said}, {_points(*interval, sign='+')} points"
+        sentence = f"{attack.label} {pair.text}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
-    looked = Counter(pair.kind for pair in enough)
-    about_it = {
-        "comparisons": {kind: looked[kind] for kind in _ABOUT},
+    counted = Counter(pair.kind for pair in enough)
+    extent = {
+        "comparisons": {kind: counted[kind] for kind in _ABOUT},
         "left_out": dict(left_out),
     }
-    return pd.DataFrame(rows, columns=COLUMNS), about_it
+    return pd.DataFrame(rows, columns=COLUMNS), extent
 
 
-def far_from_optimum(known: Sequence[Gap]) -> pd.DataFrame:
-    """Return the flags of levels at which even the closest attack is far below the optimum."""
-    exact = [one for one in known if one.is_exact]
-    far = [one for one in exact if one.gap.ci_low > _FAR]
+def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
+    """Return the flags of levels where the closest attack is far from the optimum."""
+    exact = [gap for gap in gaps if gap.is_exact]
     rows = []
-    for one in far:
-        interval = one.gap.value, one.gap.ci_low, one.gap.ci_high
-        said = (
-            f"is the closest to the optimum at {where_text(*one.where)} in the model"
-            " world"
+    for gap in exact:
+        if not gap.gap.ci_low > _FAR:
+            continue
+        interval = gap.gap.value, gap.gap.ci_low, gap.gap.ci_high
+        mechanism, level = gap.where
+        sentence = (
+            f"{gap.attack.label} is the closest to the optimum at"
+            f" {where_text(mechanism, level)} in the model world, and"
+            f" {_points(*interval)} points below"
         )
-        sentence = f"{one.attack.label} {said}, and {_points(*interval)} points below"
-        about = FAR, one.where[0], np.nan if one.where[1] is None else one.where[1]
-        metric = SUCCESS if one.attack.task else EXPOSURE
+        about = FAR, mechanism, np.nan if level is None else level
+        metric = SUCCESS if gap.attack.task else EXPOSURE
         rows.append(
-            (*about, *one.attack, BOUND, "", metric, *interval, len(exact), sentence)
+            (*about, *gap.attack, BOUND, "", metric, *interval, len(exact), sentence)
         )
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
-    """Return the attacks of a run that saw one release of each source track only."""
+    """Return the attacks of a run that saw only one release of each source track."""
     return {
         entry["consumer"]
         for entry in manifest.get("cells", ())
@@ -161,7 +171,11 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
     content = {
         "about": "Attacks that may be too weak for their numbers to mean privacy.",
         "kinds": _ABOUT,
-        "simpler": {"order": SIMPLER, "others": "held against all of these", **_ALONE},
+        "simpler": {
+            "order": SIMPLER,
+            "others": "held against all of these",
+            **_COMPARED_WITH,
+        },
         "intervals": (
             "95 %, of the paired difference over bootstrap draws of whole clusters; not"
             " adjusted for the number of comparisons: of two equally good attacks one"
@@ -175,45 +189,49 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
 
 
 def lines(rows: pd.DataFrame) -> list[str]:
-    """Return the flags in short: a line for each kind, attack, adversary and what beat it."""
-    found = []
-    for (kind, *_), part in rows.groupby(
-        ["kind", "attack", "knowledge", "by"], sort=False
-    ):
-        worst = part.sort_values("difference").iloc[-1]
-        interval = worst["difference"], worst["ci_low"], worst["ci_high"]
-        where = f"{len(part)} of {worst['compared']}"
-        if kind == BEATEN:
-            n_levels = len(part[["mechanism", "level"]].drop_duplicates())
-            said = (
-                f"is beaten by {worst['by']}"
-                f" ({', '.join(part['by_knowledge'].unique())}) at "
-            )
-            said += (
-                f"{n_levels} of {part['compared'].max()} levels, by up to"
-                f" {_points(*interval)}"
-            )
-        elif kind == FAR:
-            said = (
-                f"is closest to the optimum at {where} levels of model worlds, and"
-                " below it by "
-            )
-            said += f"up to {_points(*interval)}"
-        else:
-            said = f"does not fall with the noise in {where} mechanisms "
-            said += (
-                f"({', '.join(part['mechanism'])}), by {_points(*interval, sign='+')}"
-            )
-        who = f"{worst['attack']} ({worst['knowledge']})"
-        found.append(f"flag: {who} {said} points: flags.json")
-    return found
+    """Return the flags in short: a line for each kind, attack, adversary and rival."""
+    return [
+        _line(str(kind), group)
+        for (kind, *_), group in rows.groupby(
+            ["kind", "attack", "knowledge", "by"], sort=False
+        )
+    ]
+
+
+def _line(kind: str, rows: pd.DataFrame) -> str:
+    """Return the line of flags that share kind, attack, adversary and rival."""
+    worst = rows.sort_values("difference").iloc[-1]
+    interval = worst["difference"], worst["ci_low"], worst["ci_high"]
+    share = f"{len(rows)} of {worst['compared']}"
+    if kind == BEATEN:
+        n_levels = len(rows[["mechanism", "level"]].drop_duplicates())
+        text = (
+            f"is beaten by {worst['by']} ({', '.join(rows['by_knowledge'].unique())})"
+            f" at {n_levels} of {rows['compared'].max()} levels, by up to"
+            f" {_points(*interval)}"
+        )
+    elif kind == FAR:
+        text = (
+            f"is closest to the optimum at {share} levels of model worlds, and below it"
+            f" by up to {_points(*interval)}"
+        )
+    else:
+        text = (
+            f"does not fall with the noise in {share} mechanisms"
+            f" ({', '.join(rows['mechanism'])}), by {_points(*interval, sign='+')}"
+        )
+    attack = f"{worst['attack']} ({worst['knowledge']})"
+    return f"flag: {attack} {text} points: flags.json"
 
 
 def _beaten_pairs(
-    levels: Levels, found: Found, slow: Collection[str], left_out: Counter[str]
+    levels: Levels,
+    estimates: EstimatesByKey,
+    slow: Collection[str],
+    left_out: Counter[str],
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = found.get(AS_SHARED.measure(EXPOSURE).at(*where))
+        shared = estimates.get(AS_SHARED.measure(EXPOSURE).at(*where))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
             minus, plus = plr[attack], plr[by]
@@ -222,33 +240,35 @@ def _beaten_pairs(
             elif nothing_to_gain:
                 left_out["all that is shared leaks already"] += 1
             else:
-                said = f"is beaten by {by.label} at {where_text(*where)}: PLR "
-                said += f"{100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
-                yield _Pair(BEATEN, where, attack, by, minus, plus, said)
+                text = (
+                    f"is beaten by {by.label} at {where_text(*where)}: PLR"
+                    f" {100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
+                )
+                yield _Pair(BEATEN, where, attack, by, minus, plus, text)
 
 
 def _falling_pairs(
-    levels: Levels, found: Found, left_out: Counter[str]
+    levels: Levels, estimates: EstimatesByKey, left_out: Counter[str]
 ) -> Iterator[_Pair]:
     rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
-    for mechanism in dict.fromkeys(
-        name for name, _ in levels if name not in (RAW, CLEAN)
-    ):
-        # By the noise that there is, whichever way the level counts.
+    mechanisms = (name for name, _ in levels if name not in (RAW, CLEAN))
+    for mechanism in dict.fromkeys(mechanisms):
+        # In the order of the actual noise, whichever way the level counts.
         noise = {
-            where: found[rmse.at(*where)].value
+            where: estimates[rmse.at(*where)].value
             for where in levels
-            if where[0] in (mechanism, RAW) and rmse.at(*where) in found
+            if where[0] in (mechanism, RAW) and rmse.at(*where) in estimates
         }
         in_order = sorted(noise, key=noise.__getitem__)
         if len(in_order) < 2 or in_order[-1][0] != mechanism:  # noqa: PLR2004 - a fall has two ends
             continue
         least, most = in_order[0], in_order[-1]
-        both = (attack for attack in levels[most] if attack in levels[least])
         attacks = [
-            attack for attack in both if attack.consumer.partition(":")[0] != IDENTITY
+            attack
+            for attack in levels[most]
+            if attack in levels[least] and attack.consumer.partition(":")[0] != IDENTITY
         ]
-        quiet, noisy = (found.get(exposed.at(*where)) for where in (least, most))
+        quiet, noisy = (estimates.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
             left_out["the noise hardly rises"] += len(attacks)
         elif (
@@ -260,32 +280,31 @@ def _falling_pairs(
         else:
             for attack in attacks:
                 minus, plus = levels[least][attack], levels[most][attack]
-                said = (
-                    f"does not fall with the noise: PLR {100 * minus.value:.1f} % at "
-                )
-                said += (
-                    f"{where_text(*least)}, {100 * plus.value:.1f} % at"
+                text = (
+                    f"does not fall with the noise: PLR {100 * minus.value:.1f} % at"
+                    f" {where_text(*least)}, {100 * plus.value:.1f} % at"
                     f" {where_text(*most)}"
                 )
-                yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, said)
+                yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, text)
 
 
 def _should_win(attack: Source, by: Source) -> bool:
-    """Whether the first attack has no excuse to do worse than the second."""
-    base, by_base = (one.consumer.partition(":")[0] for one in (attack, by))
+    """Whether the first attack should do no worse than the second."""
+    base, by_base = (source.consumer.partition(":")[0] for source in (attack, by))
     if base == IDENTITY:
         return False
     if attack.consumer == by.consumer:
         return _RANK[by.knowledge] < _RANK[attack.knowledge]
-    order = (
-        SIMPLER[: SIMPLER.index(base)] if base in SIMPLER else _ALONE.get(base, SIMPLER)
-    )
-    return by_base in order and _RANK[by.knowledge] <= _RANK[attack.knowledge]
+    if base in SIMPLER:
+        simpler = SIMPLER[: SIMPLER.index(base)]
+    else:
+        simpler = _COMPARED_WITH.get(base, SIMPLER)
+    return by_base in simpler and _RANK[by.knowledge] <= _RANK[attack.knowledge]
 
 
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:
     """Return a difference of two shares in points, with its interval."""
-    # Small ones with enough digits to see that the interval lies on one side of zero.
+    # Show enough digits to see that a small interval lies on one side of zero.
     digits = 1 if min(abs(low), abs(high)) >= 0.001 else 2  # noqa: PLR2004 - a tenth of a point
-    shown = [f"{100 * one:{sign}.{digits}f}" for one in (value, low, high)]
+    shown = [f"{100 * number:{sign}.{digits}f}" for number in (value, low, high)]
     return f"{shown[0]} [{shown[1]}, {shown[2]}]"

@@ -1,9 +1,8 @@
-"""The most exposed tenth of the people: a metric's mean over them, without the bias of a choice.
+"""Mean of a metric over the most exposed tenth of the people, without a choice's bias.
 
 The largest of noisy values are too large. So the tenth is chosen on every other release
-of each person, and its mean is taken on the releases between them; then the reverse,
-and both are averaged (cross-fitting; Chernozhukov et al., Econometrics Journal 21,
-2018).
+of each person, and its mean is taken on the other releases; then the reverse, and both
+means are averaged (cross-fitting; Chernozhukov et al., Econometrics Journal 21, 2018).
 """
 
 from dataclasses import dataclass
@@ -14,15 +13,15 @@ import numpy as np
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, jackknife_interval
 from isac_track.types import Floats, Ints
 
-SHARE: Final = 0.1  # Of the people, who count.
-# Of a person: of fewer, half of them say little of whom to choose.
+SHARE: Final = 0.1  # Of the people, the most exposed ones.
+# Fewest releases of a person: half of fewer would be a poor basis for the choice.
 LEAST_RELEASES: Final = 8
-LEAST_PEOPLE: Final = FEWEST_EFFECTIVE  # Of fewer, a tenth is not even two.
+LEAST_PEOPLE: Final = FEWEST_EFFECTIVE  # A tenth of fewer is not even two people.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PersonMeans:
-    """Mean of a metric over the first, third, ... and over the second, fourth, ... releases."""
+    """Mean of a metric over the odd (first, third, ...) and the even releases."""
 
     person: Ints  # (P,) clusters with at least `LEAST_RELEASES`
     odd: Floats  # (P,)
@@ -32,12 +31,12 @@ class PersonMeans:
 def person_means(
     *, values: Floats, scene: Ints, cluster: Ints, n_clusters: int
 ) -> PersonMeans:
-    """Return the means over either half of the releases of each person who has enough.
+    """Return means over either half of the releases of each person with enough of them.
 
-    A release of a person (a cluster: a source track, or a group that walks together) is
-    a scene in which it is shown; releases are numbered in the order of the scenes.
-    `values`, (R,), are of the tracks shown, `scene` and `cluster`, (R,), say where and
-    of whom.
+    A person is a cluster: a source track, or a group that walks together. A release of
+    a person is a scene that shows it; releases are numbered in the order of the scenes.
+    `values`, (R,), are of the tracks shown; `scene` and `cluster`, (R,), are the scene
+    and the person of each.
     """
     n_scenes = int(scene.max(initial=0)) + 1
     releases, release = np.unique(cluster * n_scenes + scene, return_inverse=True)
@@ -57,10 +56,10 @@ def person_means(
 def worst_tenth(means: PersonMeans, *, weights: Floats) -> Estimate:
     """Return the mean of a share, 0..1, over the most exposed tenth of the people.
 
-    Its interval is the delete-one-person jackknife's, which repeats the choice, with as
-    many degrees of freedom as people carry its variance, less one: most people are not
-    in the tenth. Of fewer than `LEAST_PEOPLE` the value is refused (NaN). `weights`,
-    (B, C), are how often each cluster is drawn in a replicate.
+    The interval is the delete-one-person jackknife's, which repeats the choice. Its
+    degrees of freedom are the people that carry its variance, less one: most people are
+    not in the tenth. With fewer than `LEAST_PEOPLE` the value is refused (NaN).
+    `weights`, (B, C), are how often each cluster is drawn in a replicate.
     """
     n = means.person.size
     if n < LEAST_PEOPLE:
@@ -74,20 +73,20 @@ def worst_tenth(means: PersonMeans, *, weights: Floats) -> Estimate:
 
 
 def cross_fitted_tail(means: PersonMeans, weights: Floats) -> Floats:
-    """Return the mean of the tenth, chosen on either half and taken on the other, averaged, (R,).
+    """Return the tenth's mean, (R,), chosen on one half and taken on the other.
 
-    `weights`, (R, P), give a result each.
+    Each row of `weights`, (R, P), gives a result.
     """
     first = tail_mean(means.even, chosen_by=means.odd, weights=weights)
     return 0.5 * (first + tail_mean(means.odd, chosen_by=means.even, weights=weights))
 
 
 def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
-    """Return the mean of `values`, (P,), over the people with the largest `chosen_by`, (P,).
+    """Return the mean of `values`, (P,), over people with the largest `chosen_by`.
 
-    They are so many that their weights make `SHARE` of all: the last of them counts in
-    part, and equals share what is left of the places. `weights`, (R, P), give a result
-    each, (R,).
+    The weights of these people make `SHARE` of all. The last person counts in part, and
+    equals share the remaining places. Each row of `weights`, (R, P), gives a result,
+    (R,).
     """
     places = SHARE * weights.sum(axis=1, keepdims=True)
     order = np.argsort(-chosen_by, kind="stable")
@@ -103,7 +102,7 @@ def tail_mean(values: Floats, *, chosen_by: Floats, weights: Floats) -> Floats:
 
 
 def _n_needed(chosen_by: Floats, order: Ints, weights: Floats, places: Floats) -> int:
-    """Return how many of the first in an order fill all places, equals of the last among them.
+    """Return how many people fill all places, equals of the last included.
 
     Of a thousand people a sixth is enough, which saves most of the time.
     """
@@ -117,9 +116,9 @@ def _n_needed(chosen_by: Floats, order: Ints, weights: Floats, places: Floats) -
 def _carriers(jackknifed: Floats) -> float:
     """Return how many people carry the variance of a jackknife: (sum d^2)^2 / sum d^4.
 
-    They are at least one more than those in the tenth: with so many the interval covers
-    (tested), and few that seem to carry all of it do not make it as wide as all that
-    can be.
+    At least one more than the people in the tenth are counted: with so many the
+    interval covers (tested), and a few people that seem to carry all of the variance do
+    not make it as wide as the whole range.
     """
     squares = (jackknifed[1:] - jackknifed[0]) ** 2
     fourth = float(squares @ squares)

@@ -1,1 +1,1 @@
-"""What a run crosses: presets, settings, axes and the plan; nothing is computed here."""
+"""The plan of a run: presets, settings, axes; no module here computes anything."""

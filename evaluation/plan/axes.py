@@ -31,7 +31,7 @@ from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
 from isac_track.kalman.slow_errors import added_error
 from isac_track.plugins import Plugin
-from isac_track.protocols import USUAL, grants, kind_of
+from isac_track.protocols import USUAL, attack_kind, grants
 from isac_track.types import Knowledge
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
@@ -42,47 +42,51 @@ WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 
 @dataclass(frozen=True, slots=True)
 class Consumer:
-    """Who reads a release: a predictor, an adversary, or nobody (the descriptors as shared)."""
+    """A reader of a release: a predictor, an adversary, or the plain descriptors."""
 
     kind: Literal[
         "shared", "predictor", "attack", "bound", "linkage", "control", "windows"
     ]
     plugin: Plugin | None = None
-    # Adversary that the row is named after: blind, informed or oracle.
+    # The adversary in the name of the row: blind, informed or oracle.
     knowledge: str = ""
     granted: frozenset[Knowledge] = frozenset()
-    # Of a linkage attack, a control, or the descriptors of what is linked.
+    # Of a linkage attack, a control, or the descriptors of windows.
     task: str = ""
     behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
-    world: str = ""  # Of `WORLDS`; empty: that of the run.
+    world: str = ""  # One of `WORLDS`; empty: that of the run.
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Whose code it is: its plug-in, and what that stands behind."""
-        return tuple(one for one in (self.plugin, self.behind) if one is not None)
+        """Its plug-in, and the reconstruction in front of that."""
+        return tuple(
+            plugin for plugin in (self.plugin, self.behind) if plugin is not None
+        )
 
     @property
     def spec(self) -> str:
         """As in the column `consumer`."""
-        own = "@".join(one.spec for one in self.plugins)
-        of_kind = {
+        own = "@".join(plugin.spec for plugin in self.plugins)
+        special_names = {
             "control": f"control-{self.control}",
             "windows": WINDOWS,
             "bound": BOUND,
         }
-        name = of_kind.get(self.kind, own or (BOUND if self.kind == "linkage" else ""))
+        name = special_names.get(
+            self.kind, own or (BOUND if self.kind == "linkage" else "")
+        )
         return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
     def requires(self) -> frozenset[Knowledge]:
-        """What none of its plug-ins can run without."""
-        return frozenset().union(*(one.instance.requires for one in self.plugins))
+        """Knowledge that any of its plug-ins cannot run without."""
+        return frozenset().union(*(plugin.instance.requires for plugin in self.plugins))
 
     @property
     def uses(self) -> frozenset[Knowledge]:
-        """What any of its plug-ins takes if granted."""
-        return frozenset().union(*(one.instance.uses for one in self.plugins))
+        """Knowledge that any of its plug-ins takes if granted."""
+        return frozenset().union(*(plugin.instance.uses for plugin in self.plugins))
 
     @property
     def is_slow(self) -> bool:
@@ -98,50 +102,47 @@ class Consumer:
 
     @property
     def label(self) -> str:
-        """For people: with the adversary, and the world if it is not the run's."""
+        """Name for people: with the adversary, and the world if it is not the run's."""
         return consumer_label(self.spec, self.knowledge, self.world)
 
 
 def consumer_label(consumer: str, knowledge: str, world: str) -> str:
-    """Return what a consumer is called in the files of a run."""
+    """Return the name of a consumer in the files of a run."""
     name = f"{consumer} ({knowledge})" if knowledge else consumer
     return f"{name}, {world}" if world else name
 
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """What the run crosses: every mechanism level with every consumer."""
+    """The axes of a run, which crosses every mechanism level with every consumer."""
 
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    links: tuple[
-        tuple[Task, Consumer], ...
-    ] = ()  # Who links where; who it is, `readers` says.
-    # Without any error: every linkage attack must succeed.
+    # Linkers by task; `readers` adds the adversaries.
+    links: tuple[tuple[Task, Consumer], ...] = ()
+    # A mechanism without any error: every linkage attack must succeed.
     ceiling: Plugin | None = None
-    skipped: Mapping[str, str] = field(
-        default_factory=dict
-    )  # Tasks of too few people, and why.
-    utility: frozenset[str] = (
-        frozenset()
-    )  # SPECs of predictors that are read in all scenes.
+    # Tasks of too few people, with the reasons.
+    skipped: Mapping[str, str] = field(default_factory=dict)
+    # SPECs of predictors that are read in all scenes.
+    utility: frozenset[str] = frozenset()
     worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
-    """Mechanisms of the scenes that are attacked in another of `WORLDS`, too."""
+    """Mechanisms whose scenes are attacked in others of `WORLDS`, too."""
     slow_in_worlds: bool = False
     linked_in: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
-    """Of the worlds those where people are linked, and behind which mechanisms."""
+    """The worlds where people are linked, and the mechanisms there."""
     horizons_s: tuple[float, ...] = ()
-    """Further horizons: in a world of its own each, where only predictors read, in all scenes."""
-    adversaries: tuple[str, ...] = ()  # Asked for beside the usual ones.
-    trial: bool = False
-    """Whether only the attacks of these adversaries read: on a few levels, after all others."""
+    """Further horizons, a world each, where predictors alone read, in all scenes."""
+    adversaries: tuple[str, ...] = ()  # Beside the usual ones.
+    only_stronger: bool = False
+    """Whether only `adversaries` read: on a few levels, after all others."""
     against_slow: frozenset[str] = frozenset()
     """SPECs of attacks that run only against mechanisms whose error changes slowly."""
     skips_oracle: bool = False
     """Whether the oracle attacks only where no lesser adversary can."""
 
-    def _adversaries_of(
+    def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
     ) -> list[tuple[str, frozenset[Knowledge]]]:
         """Return the adversaries that an attack runs for, with what each is granted.
@@ -158,16 +159,16 @@ class Axes:
 
     @property
     def consumers(self) -> tuple[Consumer, ...]:
-        """All consumers of a block of scenes: the descriptors first, attacks by adversary."""
+        """Consumers of a block of scenes: descriptors first, attacks by adversary."""
         attacks = tuple(
             Consumer("attack", plugin, knowledge=adversary, granted=granted)
             for plugin in self.attacks
-            for adversary, granted in self._adversaries_of(
+            for adversary, granted in self._attacking(
                 grants(plugin.instance, asked=self.adversaries)
             )
-            if not self.trial or adversary in self.adversaries
+            if not self.only_stronger or adversary in self.adversaries
         )
-        if self.trial:
+        if self.only_stronger:
             return attacks
         return (
             Consumer("shared"),
@@ -177,25 +178,28 @@ class Axes:
         )
 
     def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
-        """Return whether a consumer reads what a mechanism shares."""
-        needs_slow = {
-            "attack": consumer.spec in self.against_slow,
-            "bound": all(one.spec in self.against_slow for one in self.attacks),
-        }
+        """Whether a consumer reads the releases of a mechanism."""
+        needs_slow = False
+        if consumer.kind == "attack":
+            needs_slow = consumer.spec in self.against_slow
+        elif consumer.kind == "bound":
+            needs_slow = all(
+                attack.spec in self.against_slow for attack in self.attacks
+            )
         std_m, tau_s = added_error(mechanism.instance)
-        return not needs_slow.get(consumer.kind, False) or (std_m > 0.0 and tau_s > 0.0)
+        return not needs_slow or (std_m > 0.0 and tau_s > 0.0)
 
     def consumers_in(self, world: str) -> tuple[Consumer, ...]:
-        """Return the same in another world: of walks of a model nobody foresees conflicts."""
+        """Return the consumers in another world: no robot predicts a model's walks."""
         return tuple(
-            replace(one, world=world)
-            for one in self.consumers
-            if (self.slow_in_worlds or not one.is_slow)
-            and (world == OTHER_LAW_WORLD or one.kind in {"attack", "bound"})
+            replace(consumer, world=world)
+            for consumer in self.consumers
+            if (self.slow_in_worlds or not consumer.is_slow)
+            and (world == OTHER_LAW_WORLD or consumer.kind in {"attack", "bound"})
         )
 
     def robots_at(self, horizon_s: float) -> tuple[Consumer, ...]:
-        """Return the predictors at a further horizon: those that are read in all scenes."""
+        """Return the predictors at a further horizon: those read in all scenes."""
         return tuple(
             replace(consumer, world=horizon_world(horizon_s))
             for consumer in self.consumers
@@ -203,10 +207,10 @@ class Axes:
         )
 
     def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:
-        """Return who links in another world, and the optimum: who is told motion and errors."""
-        linkers = [one for one in self.readers(task) if one.kind == "linkage"]
+        """Return the linkers in another world, and the optimum that knows the model."""
+        linkers = [reader for reader in self.readers(task) if reader.kind == "linkage"]
         linkers.append(Consumer("linkage", task=task.name))
-        return tuple(replace(one, world=world) for one in linkers)
+        return tuple(replace(reader, world=world) for reader in linkers)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -221,24 +225,24 @@ class Axes:
 
     @property
     def tasks(self) -> tuple[Task, ...]:
-        """Tasks in which somebody links."""
+        """Tasks that have a linker."""
         return tuple(dict.fromkeys(task for task, _ in self.links))
 
     def readers(self, task: Task) -> tuple[Consumer, ...]:
-        """Return all consumers of a task: its windows, the controls, the attacks by adversary."""
+        """Return all consumers of a task: windows, controls, attacks by adversary."""
         return (
-            windows_of(task.name),
+            windows_consumer(task.name),
             *(
                 Consumer("control", task=task.name, control=name)
                 for name, control in CONTROLS.items()
                 if control.applies(task)
             ),
             *(
-                replace(one, knowledge=adversary, granted=granted, task=task.name)
-                for where, one in self.links
-                if where is task
-                for adversary, granted in self._adversaries_of(
-                    _granted(one, task, self.adversaries)
+                replace(link, knowledge=adversary, granted=granted, task=task.name)
+                for link_task, link in self.links
+                if link_task is task
+                for adversary, granted in self._attacking(
+                    _granted(link, task, self.adversaries)
                 )
             ),
         )
@@ -251,10 +255,9 @@ def _granted(
 
 
 @cache
-def windows_of(task: str) -> Consumer:
-    """Return who reads what the windows of a task give away by themselves, smoothed or not."""
-    # The smoother is one of ours that knows nothing: the same whatever else is in the
-    # run.
+def windows_consumer(task: str) -> Consumer:
+    """Return the consumer of a task's windows: their descriptors, smoothed or not."""
+    # The built-in smoother, with no knowledge: the same whatever else is in the run.
     return Consumer(
         "windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0]
     )
@@ -271,90 +274,133 @@ def axes(settings: Settings) -> Axes:
     names = {
         axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()
     }
-    own_mechanisms, own_attacks = (
-        chosen["mechanisms"].replaces,
-        chosen["attacks"].replaces,
-    )
-    if not own_mechanisms:
+    if not chosen["mechanisms"].replaces:
         names["mechanisms"] += preset.protections
-    # An attack that is named runs against every mechanism.
-    named_attacks = chosen["attacks"].named
-    against_slow = (
-        ()
-        if own_attacks
-        else tuple(spec for spec in preset.against_slow if spec not in named_attacks)
-    )
-    names["attacks"] += against_slow
-    asked = [name for name in settings.adversaries if name not in USUAL]
-    if asked and not own_attacks:
-        names["attacks"] += (BREAKER,)
-        against_slow = tuple(one for one in against_slow if one != BREAKER)
-    attacks, links = _attacks(names["attacks"])
+    further_attacks, against_slow = _further_attacks(settings, preset)
+    attacks, links = _parse_attacks((*names["attacks"], *further_attacks))
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
-    pairs = _linked(settings, links=links, tasks=tasks)
+    pairs = _assign_links(settings, links=links, tasks=tasks)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
         )
-    _check_laws(mechanisms, law=settings.stages.sensing.law)
-    ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
-    asked_robots = plugins.parse_all("predictors", chosen["predictors"].named)
-    utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
-    utility |= {plugin.spec for plugin in asked_robots}
-    # Who names mechanisms, or a law, has asked for these alone.
     law = settings.stages.sensing.law
-    other = {
-        OTHER_LAW_WORLD: preset.other_law,
-        **dict.fromkeys(WORLDS[1:], preset.model),
-    }
-    worlds = {
-        world: tuple(one for one in mechanisms if one.spec in specs)
-        for world, specs in other.items()
-        if not own_mechanisms
-        and (attacks or pairs or world == OTHER_LAW_WORLD)
-        and (law != OTHER_LAW or world == MODEL)
-    }
-    found = Axes(
+    _check_laws(mechanisms, law=law)
+    ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
+    named_predictors = plugins.parse_all("predictors", chosen["predictors"].named)
+    utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
+    utility |= {plugin.spec for plugin in named_predictors}
+    worlds: dict[str, tuple[Plugin, ...]] = {}
+    # A user who names mechanisms has asked for these alone.
+    if not chosen["mechanisms"].replaces:
+        worlds = _worlds(
+            mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
+        )
+    crossed = Axes(
         mechanisms,
         predictors,
         attacks,
         pairs,
         ceiling,
         utility=frozenset(utility),
-        adversaries=_adversaries(settings, preset),
+        adversaries=_stronger_adversaries(settings, preset),
         skips_oracle=preset.skips_oracle and ORACLE not in settings.adversaries,
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
         against_slow=frozenset(
-            one.spec for one in plugins.parse_all("attacks", against_slow)
+            plugin.spec for plugin in plugins.parse_all("attacks", against_slow)
         ),
-        # One walk, and Gaussian errors: else the best that can be done is not known.
-        linked_in={
-            world: tuple(one for one in some if one.spec in preset.model_linked)
-            for world, some in worlds.items()
-            if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
-        },
+        linked_in=_linked_in(worlds, preset, law=law),
     )
-    rows = (found.consumers, *map(found.readers, found.tasks))
-    for name in sorted({*asked} - {one.knowledge for some in rows for one in some}):
+    _check_adversaries_used(crossed, settings)
+    return crossed
+
+
+def _further_attacks(
+    settings: Settings, preset: Preset
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the SPECs of attacks beside the named ones and the preset's own.
+
+    The second tuple has those that run only against a slow error. A user who names the
+    attacks of a run gets no others.
+    """
+    choice = settings.choice("attacks")
+    if choice.replaces:
+        return (), ()
+    # An attack that is named runs against every mechanism.
+    against_slow = tuple(
+        spec for spec in preset.against_slow if spec not in choice.named
+    )
+    if not _asked_stronger(settings):
+        return against_slow, against_slow
+    return (
+        (*against_slow, BREAKER),
+        tuple(spec for spec in against_slow if spec != BREAKER),
+    )
+
+
+def _asked_stronger(settings: Settings) -> list[str]:
+    """Return the adversaries that a user names beside the usual ones."""
+    return [name for name in settings.adversaries if name not in USUAL]
+
+
+def _worlds(
+    mechanisms: Iterable[Plugin], preset: Preset, *, law: str, has_attacks: bool
+) -> dict[str, tuple[Plugin, ...]]:
+    """Return the mechanisms that are computed in other worlds, by world.
+
+    A run under `OTHER_LAW` has no other law.
+    """
+    specs_by_world = {
+        OTHER_LAW_WORLD: preset.other_law,
+        **dict.fromkeys(WORLDS[1:], preset.model),
+    }
+    return {
+        world: tuple(plugin for plugin in mechanisms if plugin.spec in specs)
+        for world, specs in specs_by_world.items()
+        if (has_attacks or world == OTHER_LAW_WORLD)
+        and (law != OTHER_LAW or world == MODEL)
+    }
+
+
+def _linked_in(
+    worlds: Mapping[str, tuple[Plugin, ...]], preset: Preset, *, law: str
+) -> dict[str, tuple[Plugin, ...]]:
+    """Return the mechanisms that are linked in other worlds, by world.
+
+    Only walks of a model with Gaussian errors: else the optimum is not known.
+    """
+    return {
+        world: tuple(plugin for plugin in levels if plugin.spec in preset.model_linked)
+        for world, levels in worlds.items()
+        if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
+    }
+
+
+def _check_adversaries_used(crossed: Axes, settings: Settings) -> None:
+    """Raise SettingsError for an adversary whose knowledge no attack uses."""
+    consumers = [*crossed.consumers]
+    for task in crossed.tasks:
+        consumers += crossed.readers(task)
+    attacking = {consumer.knowledge for consumer in consumers}
+    for name in sorted({*_asked_stronger(settings)} - attacking):
         raise SettingsError(
             f"adversary {name}: no attack of the run uses its knowledge; name one that"
             f" does, such as --attack {BREAKER}"
         )
-    return found
 
 
-def _adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
-    """Return who attacks beside the usual adversaries: as asked, and the preset's own."""
+def _stronger_adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
+    """Return the adversaries beside the usual ones: as asked, and the preset's own."""
     own = () if settings.choice("attacks").replaces else preset.adversaries
     return tuple(dict.fromkeys((*settings.adversaries, *own)))
 
 
 def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
-    """Raise SettingsError for linear adding under another error law than that of the raw error."""
+    """Raise SettingsError for linear adding under another law than the raw error's."""
     for plugin in mechanisms:
         own = getattr(plugin.instance, "law", None)
         if plugin.adding == "linear" and isinstance(own, str) and own != law:
@@ -365,7 +411,7 @@ def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
 
 
 def most_workers(crossed: Axes, settings: Settings) -> int:
-    """Return how many workers a run has work for: no more pieces are cut, finished or not."""
+    """Return the number of workers that a run has work for, finished or not."""
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
     worlds = [crossed.mechanisms, *crossed.worlds.values()]
     n_levels = sum(len(levels) for levels in worlds)
@@ -375,51 +421,53 @@ def most_workers(crossed: Axes, settings: Settings) -> int:
     return max(n_blocks * n_levels + len(crossed.tasks) * n_linked, 1)
 
 
-def jobs_of(crossed: Axes, settings: Settings) -> int:
-    """Return how many workers to use: as asked, or as many as the work is worth and cores are."""
+def choose_jobs(crossed: Axes, settings: Settings) -> int:
+    """Return the number of workers: as asked, or a core each if it is worth it."""
     if settings.jobs is not None:
         return min(settings.jobs, max(most_workers(crossed, settings), 2))
     n_levels = len(crossed.mechanisms)
-    n_links = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
+    n_linkers = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
     if (
         settings.n_utility_scenes * n_levels < WORTH_WORKERS
-        and n_levels * n_links < WORTH_WORKERS_LINKED
+        and n_levels * n_linkers < WORTH_WORKERS_LINKED
     ):
         return 1
     return usual_jobs()
 
 
 def usual_jobs() -> int:
-    """Return how many workers a run with enough work starts: a core each, up to a limit."""
-    cores = (
-        len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count()
-    )
+    """Return the workers of a run with enough work: a core each, up to a limit."""
+    cores = os.cpu_count()
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
     return min(cores or 1, MOST_DEFAULT_JOBS)
 
 
-def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
-    """Return reconstruction attacks and linkage attacks, each once, in the order given."""
+def _parse_attacks(
+    specs: Iterable[Any],
+) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
+    """Return reconstruction attacks and linkage attacks, each once, as ordered."""
     attacks: dict[str, Plugin] = {}
     links: dict[str, Consumer] = {}
     for spec in specs:
-        # Who links behind a reconstruction is two plug-ins, and named by SPECs.
-        name, at, behind_spec = (
-            spec.partition("@") if isinstance(spec, str) else (spec, "", "")
-        )
-        if at and not (name.strip() and behind_spec.strip()):
+        # A linker behind a reconstruction is two plug-ins, named by SPECs.
+        name, separator, behind_spec = spec, "", ""
+        if isinstance(spec, str):
+            name, separator, behind_spec = spec.partition("@")
+        if separator and not (name.strip() and behind_spec.strip()):
             raise SettingsError(
                 f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts"
             )
-        for plugin in plugins.plugins_of("attacks", name):
-            links_people = kind_of(plugin.instance) == "linkage"
-            if not at and not links_people:
+        for plugin in plugins.resolve_plugins("attacks", name):
+            links_people = attack_kind(plugin.instance) == "linkage"
+            if not separator and not links_people:
                 attacks[plugin.spec] = plugin
                 continue
-            for behind in plugins.parse("attacks", behind_spec) if at else (None,):
+            for behind in (
+                plugins.parse("attacks", behind_spec) if separator else (None,)
+            ):
                 if behind and (
-                    not links_people or kind_of(behind.instance) == "linkage"
+                    not links_people or attack_kind(behind.instance) == "linkage"
                 ):
                     raise SettingsError(
                         f"{spec!r}: write a linkage attack left of @ and a"
@@ -430,41 +478,48 @@ def _attacks(specs: Iterable[Any]) -> tuple[tuple[Plugin, ...], tuple[Consumer, 
     return tuple(attacks.values()), tuple(links.values())
 
 
-def _linked(
+def _assign_links(
     settings: Settings, *, links: tuple[Consumer, ...], tasks: tuple[Task, ...]
 ) -> tuple[tuple[Task, Consumer], ...]:
-    """Return who links in which task, or where an attack can run at all if none suits it.
+    """Return the linkers of each task; a linker that suits no task runs where it can.
 
-    Who needs the true frame links where it shows, the others where it does not, and who
-    needs ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), where there is
-    one.
+    A linker that needs the true frame suits tasks that show it, and the others suit the
+    other tasks. A linker that needs ``one_stretch`` of a walk, or a gap to bridge
+    (``across_gap``), suits the tasks that have it.
     """
     chosen: dict[str, list[Task]] = {}
-    _, named_links = _attacks(settings.choice("attacks").named)
+    _, named_links = _parse_attacks(settings.choice("attacks").named)
     must_run = {link.spec for link in named_links}
     for link in links:
-        can = [task for task in tasks if _granted(link, task, settings.adversaries)]
+        possible = [
+            task for task in tasks if _granted(link, task, settings.adversaries)
+        ]
         linker = link.plugins[0].instance
         suited = [
             task
-            for task in can
+            for task in possible
             if task.shows_scene == (Knowledge.SCENE in linker.requires)
         ]
         if getattr(linker, "one_stretch", False):
             suited = [task for task in suited if task.is_one_stretch]
         if getattr(linker, "across_gap", False):
             suited = [task for task in suited if task.is_open]
-        chosen[link.spec] = suited or can
-        if link.spec in must_run and not can:
-            needs = ", ".join(sorted(one.name for one in link.requires)) or "a task"
-            where = ", ".join(task.name for task in tasks) or "none"
+        chosen[link.spec] = suited or possible
+        if link.spec in must_run and not possible:
+            required = (
+                ", ".join(sorted(knowledge.name for knowledge in link.requires))
+                or "a task"
+            )
+            task_names = ", ".join(task.name for task in tasks) or "none"
             raise SettingsError(
-                f"attack {link.spec!r} has no task to run in (tasks: {where}); it"
-                f" requires {needs}"
+                f"attack {link.spec!r} has no task to run in (tasks: {task_names}); it"
+                f" requires {required}"
             )
     must_link = settings.choice("tasks").named
     for task in tasks:
-        if task.name in must_link and not any(task in some for some in chosen.values()):
+        if task.name in must_link and not any(
+            task in link_tasks for link_tasks in chosen.values()
+        ):
             raise SettingsError(
                 f"task {task.name} has no attack that can run in it; name one with"
                 " --attack"

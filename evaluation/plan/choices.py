@@ -1,4 +1,4 @@
-"""Values named on an axis of a run: they replace the preset's, or with a + add to them."""
+"""Values that a user names on an axis: they replace the preset's, or add with a +."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -11,24 +11,24 @@ PLUS: Final = "+"
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """Values that a user names on an axis: SPECs, objects of plug-ins, or names of tasks."""
+    """Values that a user names on an axis: SPECs, plug-in objects, names of tasks."""
 
     named: tuple[Any, ...] = ()
-    replaces: bool = False  # Whether they stand instead of the preset's values.
+    replaces: bool = False  # Whether they replace the preset's values.
 
     def values(self, usual: tuple[str, ...]) -> tuple[Any, ...]:
-        """Return the values of the axis, where `usual` are those of the preset."""
+        """Return the values of the axis; `usual` are those of the preset."""
         return self.named if self.replaces else (*usual, *self.named)
 
 
-def choice_of(given: Iterable[Any] | None, *, axis: str) -> Choice:
-    """Return the choice that a list on an axis stands for; None leaves the preset's values.
+def parse_choice(given: Iterable[Any] | None, *, axis: str) -> Choice:
+    """Return the choice that a list on an axis expresses; None keeps the preset's.
 
     A text `+NAME` adds NAME. An object has no text to begin with a +: after `"+"` as
-    the first entry all others are added. SettingsError if values that add stand beside
-    values that replace, or if a + has nothing to add.
+    the first entry all others are added. Raises SettingsError if a list both adds and
+    replaces, or if a + has nothing to add.
 
-    >>> choice_of(["+my_attack"], axis="attacks")
+    >>> parse_choice(["+my_attack"], axis="attacks")
     Choice(named=('my_attack',), replaces=False)
     """
     if given is None:

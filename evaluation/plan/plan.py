@@ -1,60 +1,55 @@
-"""What a run will do, checked before anything is computed or written: data, axes and cells."""
+"""The plan of a run, checked before it computes or writes: data, axes and cells."""
 
 import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from attacks.tasks.build import sessions_of
+from attacks.tasks.build import make_sessions
 from attacks.tasks.sessions import Sessions
+from attacks.tasks.task_list import Task
 from evaluation.plan import fingerprint
-from evaluation.plan.axes import Axes, Consumer, axes, jobs_of
+from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.presets import BREAKER, PRESETS
 from evaluation.plan.settings import Settings, check_threads
 from isac_track import datasets, plugins
 from isac_track.config import PatrolSettings
 from isac_track.datasets import Dataset, crowd
-from isac_track.errors import DataError, PluginError, SettingsError, told
+from isac_track.errors import DataError, PluginError, SettingsError, error_text
 from isac_track.place import placed
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
 from isac_track.types import Tracks
 
-_ASKED = (
-    "columns",
-    "on_duplicate",
-    "crs",
-    "drop_frozen",
-)  # Of the identity where they are given.
+# Options of a file that belong to the identity where they are given.
+_ASKED = ("columns", "on_duplicate", "crs", "drop_frozen")
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids", *_ASKED)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
-    """A unit of work: one level, one block, one stage. It leaves a file of all its consumers."""
+    """A unit of work: one level, one block, one stage; a file of all its consumers."""
 
     stage: str
-    block: int  # Of scenes; 0 for what is linked.
+    block: int  # Of scenes; 0 for a linkage task.
     mechanism: Plugin
-    key: str  # All that its rows depend on but who the consumers are.
+    key: str  # A digest of all that its rows depend on, except the consumers.
     code: Mapping[str, str]  # Digest by module, of the code that computes it.
     consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
     def world(self) -> str:
-        """Of which world it is; empty: that of the run. It is the same for all consumers."""
+        """Its world, which all consumers share; empty: that of the run."""
         return next(iter(self.consumers.values())).world
 
     @property
     def file(self) -> str:
         """Name of the file that all of its consumers are written to at once."""
-        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", f"{self.mechanism.spec}_{self.stage}")[
-            :80
-        ]
+        name = f"{self.mechanism.spec}_{self.stage}"
+        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", name)[:80]
         digest = fingerprint.digest([self.key, *self.consumers])
         return f"{slug}_{self.block:05d}_{digest}.parquet"
 
@@ -73,9 +68,9 @@ class Plan:
     jobs: int  # Worker processes.
     out: Path
     units: tuple[Unit, ...]
-    code_of: Mapping[str, str]  # Digest by module, of the code of every plug-in.
-    sessions: tuple[Sessions, ...]  # What is linked, by task.
-    model_sessions: tuple[Sessions, ...] = ()  # The same of walks of a model.
+    code_digests: Mapping[str, str]  # Digest by module, of the code of every plug-in.
+    sessions: tuple[Sessions, ...]  # Of each linkage task.
+    model_sessions: tuple[Sessions, ...] = ()  # The same for walks of a model.
 
     @property
     def n_cells(self) -> int:
@@ -87,49 +82,37 @@ class Plan:
         """Every mechanism with each of its consumers."""
         first = (unit for unit in self.units if unit.block == 0)
         return tuple(
-            (unit.mechanism, one) for unit in first for one in unit.consumers.values()
+            (unit.mechanism, consumer)
+            for unit in first
+            for consumer in unit.consumers.values()
         )
 
 
 def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
-    """Check the settings, find the data set, unless it was read before, and lay out the cells.
+    """Check the settings, load the data set unless it is given, and lay out the cells.
 
     Raises IsacTrackError for anything that a user can mend.
     """
     check_threads()
     _check_patrols(settings)
     crossed = axes(settings)
-    how = {name: getattr(settings, name) for name in _HOW_TO_READ}
-    dataset = dataset or datasets.load(settings.dataset, **how)
+    reading = {name: getattr(settings, name) for name in _HOW_TO_READ}
+    dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
     tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     if crossed.horizons_s:
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
         crossed = replace(crossed, horizons_s=tuple(tracks.further))
     identity = _identity(settings, dataset)
-    linked = partial(sessions_of, tracks=recorded, seed=settings.seed)
-    sessions, skipped = [], dict[str, str]()
-    for task in crossed.tasks:
-        try:
-            sessions.append(linked(task, stages=settings.stages))
-        except DataError as error:
-            if task.name in settings.choice("tasks").named:  # so that it must be
-                raise
-            if task.comes_back and dataset.tracks.session is None:
-                continue  # of one session nobody expects it
-            skipped[task.name] = str(error)
-    left = {one.task for one in sessions}
-    links = tuple((task, link) for task, link in crossed.links if task in left)
+    sessions, skipped = _task_sessions(crossed, settings, dataset, recorded)
+    tasks = {task_sessions.task for task_sessions in sessions}
+    links = tuple((task, link) for task, link in crossed.links if task in tasks)
     crossed = replace(crossed, links=links, skipped=skipped)
-    units, code_of = _units(crossed, settings, identity=identity)
-    jobs = jobs_of(crossed, settings)
-    is_apart = settings.cell_timeout_s is not None or settings.scheduler is not None
-    if is_apart or jobs > 1 or fingerprint.has_strangers(crossed):
+    units, code_digests = _units(crossed, settings, identity=identity)
+    jobs = choose_jobs(crossed, settings)
+    in_workers = settings.cell_timeout_s is not None or settings.scheduler is not None
+    if in_workers or jobs > 1 or fingerprint.has_strangers(crossed):
         _check_sendable(units)
-    most = min(
-        PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
-    )
-    few = settings.stages.changed({"linkage.most_people": most})
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
         settings=settings,
@@ -142,21 +125,66 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         jobs=jobs,
         out=out if settings.out is None else Path(settings.out),
         units=units,
-        code_of=code_of,
-        sessions=tuple(sessions),
-        model_sessions=tuple(
-            linked(one.task, stages=few)
-            for one in sessions
-            if one.task.is_one_stretch
-            and not one.task.shows_scene
-            and any(crossed.linked_in.values())
-        ),
+        code_digests=code_digests,
+        sessions=sessions,
+        model_sessions=_model_sessions(crossed, settings, sessions, recorded),
     )
 
 
+def _task_sessions(
+    crossed: Axes, settings: Settings, dataset: Dataset, recorded: Tracks
+) -> tuple[tuple[Sessions, ...], dict[str, str]]:
+    """Return the sessions of each task, and the tasks of too few people with reasons.
+
+    Raises DataError if a user has named such a task.
+    """
+    sessions, skipped = [], dict[str, str]()
+    for task in crossed.tasks:
+        try:
+            sessions.append(
+                make_sessions(
+                    task, tracks=recorded, stages=settings.stages, seed=settings.seed
+                )
+            )
+        except DataError as error:
+            if task.name in settings.choice("tasks").named:
+                raise
+            if task.comes_back and dataset.tracks.session is None:
+                continue  # a recording of a single session: no notice
+            skipped[task.name] = str(error)
+    return tuple(sessions), skipped
+
+
+def _model_sessions(
+    crossed: Axes,
+    settings: Settings,
+    sessions: Iterable[Sessions],
+    recorded: Tracks,
+) -> tuple[Sessions, ...]:
+    """Return the sessions of tasks that are linked in model worlds: fewer people."""
+    if not any(crossed.linked_in.values()):
+        return ()
+    most = min(
+        PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
+    )
+    stages = settings.stages.changed({"linkage.most_people": most})
+    return tuple(
+        make_sessions(
+            task_sessions.task, tracks=recorded, stages=stages, seed=settings.seed
+        )
+        for task_sessions in sessions
+        if _is_linked_in_models(task_sessions.task)
+    )
+
+
+def _is_linked_in_models(task: Task) -> bool:
+    """Whether a model's walks suit a task: in one stretch, without the scene."""
+    return task.is_one_stretch and not task.shows_scene
+
+
 def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
-    """Return what all cells of a run depend on; a folder takes cells of one identity alone."""
-    # One task always uses the bundled crowd.
+    """Return all that every cell of a run depends on; a folder has one identity."""
+    # A task always uses the bundled crowd.
     bundled = b"".join(
         crowd.bundled_path(session).read_bytes() for session in crowd.FILES
     )
@@ -170,7 +198,7 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
-    # An axis: another horizon adds cells to a folder and changes no other.
+    # An axis: another horizon adds cells to a folder and changes no others.
     del identity["conflict.horizons_s"]
     if settings.unit is not None:
         identity["unit"] = settings.unit
@@ -184,27 +212,29 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
     return identity
 
 
-def trial(ready: Plan, *, specs: Iterable[str]) -> Plan:
-    """Return a plan that tries the preset's breakers on some levels of a run, in its folder.
+def plan_stronger(ready: Plan, *, specs: Iterable[str]) -> Plan:
+    """Return a plan of the preset's stronger adversaries against some levels of a run.
 
-    Its cells are those of the same run with `--adversary` and `--attack ou_rts`: keyed
-    alike. No units without levels, or where attacks were named.
+    Its cells have the keys of the same run with `--adversary` and `--attack ou_rts`.
+    The plan has no units without levels, or if the user named the attacks.
     """
     settings, wanted = ready.settings, set(specs)
-    breakers = (
-        () if settings.choice("attacks").replaces else PRESETS[settings.preset].breakers
-    )
-    some = tuple(
+    breakers: tuple[str, ...] = ()
+    if not settings.choice("attacks").replaces:
+        breakers = PRESETS[settings.preset].breakers
+    mechanisms = tuple(
         level for level in ready.axes.mechanisms if level.spec in wanted and breakers
     )
     attacks = (plugins.parse("attacks", BREAKER)[0],)
-    crossed = Axes(some, (), attacks, adversaries=breakers, trial=True)
-    units, code_of = _units(crossed, settings, identity=ready.identity)
-    return replace(ready, axes=crossed, units=units, code_of=code_of, sessions=())
+    crossed = Axes(mechanisms, (), attacks, adversaries=breakers, only_stronger=True)
+    units, code_digests = _units(crossed, settings, identity=ready.identity)
+    return replace(
+        ready, axes=crossed, units=units, code_digests=code_digests, sessions=()
+    )
 
 
 def asked_of_file(settings: Settings) -> dict[str, Any]:
-    """Return what a user says of a file that is not as usual."""
+    """Return the options of a file that a user has changed from the defaults."""
     usual = Settings()
     asked = {name: getattr(settings, name) for name in _ASKED}
     return {
@@ -221,85 +251,106 @@ def _check_patrols(settings: Settings) -> None:
         )
 
 
+class _Crossing(NamedTuple):
+    """Mechanisms, consumers and blocks that are all combined with each other."""
+
+    mechanisms: tuple[Plugin, ...]
+    consumers: tuple[Consumer, ...]
+    blocks: Iterable[int]
+
+
+def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
+    """Return all that a run crosses: scenes and tasks, in its world and in others."""
+    n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
+    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
+    attacked, every = range(n_attacked), range(n_blocks)
+    utility = tuple(
+        consumer for consumer in crossed.consumers if consumer.spec in crossed.utility
+    )
+    crossings = [
+        _Crossing(crossed.mechanisms, crossed.consumers, attacked),
+        _Crossing(crossed.mechanisms, utility, every[n_attacked:]),
+    ]
+    for task in crossed.tasks:
+        readers = crossed.readers(task)
+        crossings.append(_Crossing(crossed.linked_mechanisms, readers, (0,)))
+    for world, mechanisms in crossed.worlds.items():
+        consumers = crossed.consumers_in(world)
+        crossings.append(_Crossing(mechanisms, consumers, attacked))
+    for horizon_s in crossed.horizons_s:
+        robots = crossed.robots_at(horizon_s)
+        crossings.append(_Crossing(crossed.mechanisms, robots, every))
+    for world, mechanisms in crossed.linked_in.items():
+        for task in filter(_is_linked_in_models, crossed.tasks):
+            readers = crossed.readers_in(world, task)
+            crossings.append(_Crossing(mechanisms, readers, (0,)))
+    return crossings
+
+
 def _units(
     crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
 ) -> tuple[tuple[Unit, ...], dict[str, str]]:
     """Return the units of work, and the digest of every module that they depend on."""
-    known: dict[str, str] = {}
+    digests: dict[str, str] = {}
 
     def code(stage: str, *plugins: Plugin) -> dict[str, str]:
         modules = fingerprint.sources(stage, *plugins)
-        missing = (one for one in modules if one not in known)
-        known.update((one, fingerprint.source_digest(one)[:16]) for one in missing)
-        return {module: known[module] for module in modules}
+        for module in modules:
+            if module not in digests:
+                digests[module] = fingerprint.source_digest(module)[:16]
+        return {module: digests[module] for module in modules}
 
     units = []
-    numbers = settings.n_scenes, settings.n_utility_scenes
-    attacked, every = (range(-(-n_scenes // BLOCK_SCENES)) for n_scenes in numbers)
-    utility = tuple(one for one in crossed.consumers if one.spec in crossed.utility)
-    for mechanisms, consumers, blocks in (
-        (crossed.mechanisms, crossed.consumers, attacked),
-        (crossed.mechanisms, utility, every[len(attacked) :]),
-        *(
-            (crossed.linked_mechanisms, crossed.readers(task), (0,))
-            for task in crossed.tasks
-        ),
-        *(
-            (some, crossed.consumers_in(world), attacked)
-            for world, some in crossed.worlds.items()
-        ),
-        *(
-            (crossed.mechanisms, crossed.robots_at(horizon_s), every)
-            for horizon_s in crossed.horizons_s
-        ),
-        *(
-            (some, crossed.readers_in(world, task), (0,))
-            for world, some in crossed.linked_in.items()
-            for task in crossed.tasks
-            if task.is_one_stretch and not task.shows_scene
-        ),
-    ):
+    for mechanisms, consumers, blocks in _crossings(crossed, settings):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
-            own = code("", *consumer.plugins).values()
             key = fingerprint.consumer_key(
-                consumer, code=own, keep_scores=settings.keep_scores
+                consumer,
+                code=code("", *consumer.plugins).values(),
+                keep_scores=settings.keep_scores,
             )
-            is_rebuilt = consumer.kind in {"attack", "bound"}
-            of_block = fingerprint.RECONSTRUCTION if is_rebuilt else fingerprint.SHARING
-            by_stage.setdefault(consumer.task or of_block, {})[key] = consumer
+            by_stage.setdefault(_stage(consumer), {})[key] = consumer
         for mechanism in mechanisms:
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
-            for stage, of_stage in by_stage.items():
-                met = {
-                    key: one
-                    for key, one in of_stage.items()
-                    if crossed.meets(one, mechanism)
+            for stage, stage_consumers in by_stage.items():
+                readers = {
+                    key: consumer
+                    for key, consumer in stage_consumers.items()
+                    if crossed.meets(consumer, mechanism)
                 }
-                made_by = code(stage, mechanism)
-                for block in blocks if met else ():
+                unit_code = code(stage, mechanism)
+                for block in blocks if readers else ():
                     key = fingerprint.digest(
-                        [identity, stage, block, *about, *made_by.values()]
+                        [identity, stage, block, *about, *unit_code.values()]
                     )
-                    units.append(Unit(stage, block, mechanism, key, made_by, met))
-    return tuple(units), known
+                    units.append(Unit(stage, block, mechanism, key, unit_code, readers))
+    return tuple(units), digests
+
+
+def _stage(consumer: Consumer) -> str:
+    """Return the stage of a consumer: its task, or a stage of scenes."""
+    if consumer.task:
+        return consumer.task
+    if consumer.kind in {"attack", "bound"}:
+        return fingerprint.RECONSTRUCTION
+    return fingerprint.SHARING
 
 
 def _check_sendable(units: Iterable[Unit]) -> None:
-    """Raise PluginError for a plug-in that no other process can be given."""
+    """Raise PluginError for a plug-in that cannot be sent to another process."""
     from cloudpickle import dumps  # noqa: PLC0415 - only with workers
 
-    whose = (
-        (unit.mechanism, *of.plugins)
-        for unit in units
-        for of in unit.consumers.values()
-    )
-    for plugin in {one.spec: one for some in whose for one in some}.values():
+    plugins_by_spec: dict[str, Plugin] = {}
+    for unit in units:
+        for consumer in unit.consumers.values():
+            for plugin in (unit.mechanism, *consumer.plugins):
+                plugins_by_spec[plugin.spec] = plugin
+    for plugin in plugins_by_spec.values():
         try:
             dumps(plugin)
-        except Exception as error:  # noqa: BLE001 - a stranger's __reduce__ may do anything
+        except Exception as error:  # noqa: BLE001 - a user's __reduce__ may do anything
             raise PluginError(
-                f"{plugin.spec} cannot be sent to a worker ({told(error)}); "
+                f"{plugin.spec} cannot be sent to a worker ({error_text(error)}); "
                 "leave out what cannot be pickled"
             ) from None

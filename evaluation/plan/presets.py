@@ -1,4 +1,4 @@
-"""The presets: axes that a name stands for."""
+"""The presets: named sets of axes."""
 
 from dataclasses import dataclass, replace
 
@@ -6,65 +6,62 @@ from attacks.tasks.task_list import TASKS
 from evaluation.plan.constants import IDENTITY, SHARED
 
 __all__ = [
+    "BASELINE",
     "BREAKER",
+    "DEFAULT",
     "DISSOCIATION",
     "IDENTITY",
     "PRESETS",
     "PROTECTIONS",
     "SHARED",
+    "UTILITY_PREDICTORS",
     "Preset",
 ]
-__all__ += ["BASELINE", "DEFAULT", "UTILITY_PREDICTORS"]
 
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """Axes that a name stands for."""
+    """A named set of axes."""
 
-    scenes: int  # Attacked ones.
-    # All: after the attacked ones those where the robot alone is looked at.
+    scenes: int  # The attacked ones.
+    # All scenes: after the attacked ones, those where only robots read.
     utility_scenes: int
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
     attacks: tuple[str, ...]
     tasks: tuple[str, ...]
     summary: str
-    protections: tuple[
-        str, ...
-    ] = ()  # Further mechanisms, beside the panel of the verdict.
+    # Further mechanisms, beside the panel of the verdict.
+    protections: tuple[str, ...] = ()
+    # Further attacks, where the error changes slowly: elsewhere they equal others.
     against_slow: tuple[str, ...] = ()
-    """Further attacks, only where the error changes slowly: elsewhere they are others' equals."""
-    # Mechanisms that are computed elsewhere, too:
-    other_law: tuple[
-        str, ...
-    ] = ()  # shared, foreseen and reconstructed under `OTHER_LAW`;
-    model: tuple[
-        str, ...
-    ] = ()  # reconstructed on walks of the fitted motion, under both laws;
-    model_linked: tuple[
-        str, ...
-    ] = ()  # of these, linked there, where errors are Gaussian.
-    # Adversaries who know more, tried on the levels that would be proposed:
+    # Mechanisms shared, predicted and reconstructed under `OTHER_LAW`, too.
+    other_law: tuple[str, ...] = ()
+    # Mechanisms reconstructed on walks of the fitted motion, too, under both laws.
+    model: tuple[str, ...] = ()
+    # Those of `model` that are linked there, where errors are Gaussian.
+    model_linked: tuple[str, ...] = ()
+    # Adversaries with more knowledge, tried on the levels that would be proposed.
     breakers: tuple[str, ...] = ()
     adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
     skips_oracle: bool = False
     """Whether the oracle, a reference, attacks only where no lesser adversary can."""
-    # Of a task at most, there: the optimum takes all pairs and lags.
+    # At most so many people in a task of a model: the optimum takes all pairs and lags.
     model_people: int = 100
 
 
 SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
-"""Those that the paper gives numbers for."""
+"""The levels that the paper gives numbers for."""
 _BOTH_RULES = (
     *SMOKE_LEVELS,
-    *(f"{one},adding=independent" for one in SMOKE_LEVELS[1:]),
+    *(f"{level},adding=independent" for level in SMOKE_LEVELS[1:]),
 )
 _AXES = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
 _SWEEP = ("raw", *_AXES, *(f"{axis},adding=independent" for axis in _AXES))
-# What moves the descriptors and what can be linked apart from each other. The levels
-# were chosen by PLR, AEL and MEL as shared alone, before anything was linked: those of
-# correlated and offset lie within the range from raw to fixed:1 (offset:0.4 does not).
-# Thinned, a sample stands for longer.
+# Mechanisms that separate the descriptors from linkability. The levels were chosen by
+# PLR, AEL and MEL as shared alone, before any linkage: those of correlated and offset
+# lie within the range from raw to fixed:1 (offset:0.4 does not). In a thinned track a
+# sample stands for longer.
 DISSOCIATION = (
     "correlated:0.75",
     "correlated:0.75,adding=independent",
@@ -73,19 +70,17 @@ DISSOCIATION = (
     "thin:4,d_sigma=0.75",
     "thin:4,d_sigma=0.75,adding=independent",
 )
-"""Controls of the question whether a descriptor tells how linkable people are."""
+"""Controls for the question whether a descriptor shows how linkable people are."""
 PROTECTIONS = (
     "ou:0.2",
     "ou:0.4",
     "laplace:1",
     "fixed:1,adding=independent,law=isotropic",
 )
-"""What may survive a filter, and the white noise that it is held against."""
+"""Noise that may survive a filter, and the white noise for comparison."""
+_WHITE = ("fixed", ",adding=independent,law=isotropic")
 _LEVELS = {
-    (
-        "fixed",
-        ",adding=independent,law=isotropic",
-    ): "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 1.4 1.6",
+    _WHITE: "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 1.4 1.6",
     ("ou", ""): "0.08 0.14 0.18 0.22 0.26 0.28 0.3 0.32 0.34 0.36 0.38 0.42 0.46",
     ("ou", ",tau_s=1"): "0.1 0.2 0.28 0.36 0.42 0.48 0.54 0.6",
     ("ou", ",tau_s=2"): "0.1 0.18 0.24 0.3 0.35 0.4 0.45 0.5",
@@ -99,25 +94,25 @@ _LEVELS = {
     ("fid", ",adding=independent,alpha=1.5"): "1 1e4 1e5 3e5 1e6",
     ("offset", ""): "0.1 0.2 0.26 0.32 0.38 0.44 0.5 0.6",
 }
-"""Between which a Kalman robot's missed conflicts rise by up to 12 points on Students03."""
+"""Levels at which a Kalman robot misses up to 12 points more conflicts (Students03)."""
 _FRONTIER = (
     "raw",
     *(
-        f"{name}:{at}{more}"
-        for (name, more), levels in _LEVELS.items()
-        for at in levels.split()
+        f"{name}:{level}{parameters}"
+        for (name, parameters), levels in _LEVELS.items()
+        for level in levels.split()
     ),
 )
 _AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
 BREAKER = "ou_rts"
-"""Attack that uses all that `--adversary` grants: in every run that asks for one by name alone."""
+"""Attack that uses all that `--adversary` grants; every run with the option has it."""
 BREAKERS = ("repeats", "anchor")
-"""Adversaries who undo a slow error: every level that is proposed is tried against them."""
+"""Adversaries that undo a slow error: every proposed level is tried against them."""
 BASELINE = "constant_position"
-"""Predictor by which nobody moves on, in every preset: a robot that loses to it is told so."""
+"""Predictor of standing people, in every preset: no useful robot is worse."""
 _ROBOTS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 UTILITY_PREDICTORS = (*_ROBOTS, BASELINE)
-"""Of a preset's own predictors those that are read in all scenes, at every horizon: the cheap."""
+"""A preset's predictors that read all scenes, at every horizon: the cheap ones."""
 _SMOKE = Preset(
     scenes=40,
     utility_scenes=40,
@@ -131,8 +126,8 @@ _SMOKE = Preset(
         "kalman_rts",
         "radial_rts",
         "averaging",
-        # Every linker as it is, and behind the stronger smoother where that gains more
-        # than it costs. All else runs when named: shape@kalman_rts, dtw@radial_rts.
+        # Every linker alone, and behind the stronger smoother where that gains more
+        # than it costs. Others run when named: shape@kalman_rts, dtw@radial_rts.
         "shape",
         "shape@radial_rts",
         "profile",
@@ -166,7 +161,7 @@ _PAPER = replace(
     ),
 )
 _PROTECTING = ("ou:0.4", "ou:0.8")
-"""Slow noise: the level nearest to a recommendation in `paper`, and a level that qualifies."""
+"""Slow noise: the level next to a recommendation in `paper`, and a qualifying level."""
 _QUICK = Preset(
     scenes=250,
     utility_scenes=2000,

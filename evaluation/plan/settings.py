@@ -1,4 +1,4 @@
-"""What a run is asked for: every option of the command line and of the notebook, checked."""
+"""The settings of a run: every option of the command line and of Python, checked."""
 
 import os
 import re
@@ -10,7 +10,7 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, Self
 
-from evaluation.plan.choices import Choice, choice_of
+from evaluation.plan.choices import Choice, parse_choice
 from evaluation.plan.constants import MOST_JOBS, MOST_SCENES
 from evaluation.plan.presets import DEFAULT, PRESETS
 from isac_track.config import StageSettings
@@ -31,7 +31,7 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
     "out": ((str, Path), Path, "the path of a folder"),
 }
-"""What an option must be, what it becomes, and how that is said."""
+"""By option: the accepted types, the type it is converted to, and words for both."""
 _SCENES_WRONG = (
     "a run needs at least 2 scenes (one of each label) and at most {1:,}, got {0}"
 )
@@ -50,57 +50,114 @@ _LIMITS: dict[str, tuple[float, float, str]] = {
     "utility_scenes": (1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"),
     "precision": (0, nextafter(0.5, 0.0), _PRECISION_WRONG),
 }
-"""Above and up to what a number must be, and how that is said."""
+"""By number: the value it must exceed, its maximum, and the message of the error."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """A whole run. None means: as the preset, the lookup or the default folder says.
+    """The settings of a run; None stands for the preset's value, or the default.
 
-    Lists, a `Path` as `dataset` and `stages={"privacy.epsilon_m": 0.5}` are taken as
-    well. SettingsError for what the command line refuses, too.
+    Lists, a `Path` as `dataset` and ``stages={"privacy.epsilon_m": 0.5}`` are accepted
+    as well.
+
+    Attributes
+    ----------
+    preset : str
+        Axes that a name stands for: ``quick``, ``smoke``, ``paper`` and others.
+    dataset : str, Path or data frame, optional
+        Name of a known data set, a path, or a frame (pandas, polars).
+    format : str, optional
+        Format of a user's file, if its name does not tell.
+    fps : float, optional
+        Frames per second of a user's file with frame numbers.
+    unit : str, optional
+        Unit of lengths in a user's file: ``m``, ``cm`` or ``mm``.
+    sessions : tuple of str
+        Paths of files that are sessions of one recording.
+    persistent_ids : bool
+        Whether ids are the same people in all sessions.
+    columns : str, optional
+        Names of a user's columns: ``t=time[ms],id=ped_id,x=pos_x,y=pos_y``.
+    on_duplicate : str
+        What to do with an id at two places at the same time: ``error``, ``first`` or
+        ``mean``.
+    crs : str, optional
+        ``degrees``: longitude and latitude, projected to local metres. None: metres.
+    drop_frozen : float, optional
+        Length in s of stretches at exactly the same place that are dropped.
+    scenes : int, optional
+        All scenes, which are all attacked; at least 2.
+    utility_scenes : int, optional
+        All scenes; the attacked ones stay the preset's first.
+    precision : float, optional
+        Half-width of missed-conflict rates, 0..0.5: finds `utility_scenes`.
+    pilot_half_width : float, optional
+        The widest half-width in the 250 scenes of the pilot.
+    seed : int
+        Base seed of every random stream, not negative.
+    mechanisms : tuple, optional
+        SPECs or objects of plug-ins. They replace the preset's, or add to them:
+        ``+NAME``, or all that follows a ``+`` as the first entry. Empty: none.
+    predictors : tuple, optional
+        Robots' predictors, as above.
+    attacks : tuple, optional
+        Attacks, as above; LINKER@RECONSTRUCTION among them.
+    tasks : tuple of str, optional
+        What is to be linked, as above.
+    adversaries : tuple of str
+        Adversaries beside blind, informed and oracle.
+    stages : StageSettings
+        Settings of the stages, from sensing to privacy.
+    jobs : int, optional
+        Worker processes; None: a core each, where the work is worth it.
+    cell_timeout_s : float, optional
+        Time in s after which a cell is killed and left out.
+    executor : str
+        ``local``, or ``dask``: the workers of a Dask cluster.
+    scheduler : str, optional
+        Address of the cluster's scheduler.
+    keep_scores : bool
+        Whether to keep the raw scores of all linkers: some hundred MB.
+    keep_ids : bool
+        Whether the run's files have the recording's own ids, not pseudonyms.
+    out : Path or str, optional
+        Run folder, by default ``runs/DATASET-PRESET-SEED``.
+    fresh : bool
+        Whether to replace the run in the folder, not to continue it.
+
+    Raises
+    ------
+    SettingsError
+        For all that the command line refuses, too.
     """
 
     preset: str = DEFAULT
-    # Name of a known data set, a path, or a data frame (pandas, polars).
     dataset: Any = None
     format: str | None = None
     fps: float | None = None
-    unit: str | None = None  # Of lengths in a file of one's own: m, cm or mm.
-    sessions: tuple[str, ...] = ()  # Paths of files that are sessions of one recording.
-    persistent_ids: bool = False  # Whether ids are the same people in all sessions.
-    # Of a table of one's own: t=time[ms],id=ped_id,x=pos_x,y=pos_y.
+    unit: str | None = None
+    sessions: tuple[str, ...] = ()
+    persistent_ids: bool = False
     columns: str | None = None
-    # Or first, or mean: of an id at two places at one time.
     on_duplicate: str = "error"
-    # Or degrees: longitude and latitude, projected to local metres.
     crs: str | None = None
-    # Stretches of so many s at exactly one place are dropped.
     drop_frozen: float | None = None
-    scenes: int | None = None  # Attacked ones, and all.
-    # All, where the attacked ones stay the preset's first.
+    scenes: int | None = None
     utility_scenes: int | None = None
-    # Half-width of missed-conflict rates: finds `utility_scenes`.
     precision: float | None = None
-    # The widest in the 250 scenes that found them.
     pilot_half_width: float | None = None
     seed: int = 0
-    # These replace the preset's, or add to them: `+NAME`, or all that follows a "+" of
-    # its own. Empty: no predictor, no attack, nothing is linked.
-    mechanisms: tuple[str, ...] | None = None  # SPECs, or objects of plug-ins.
+    mechanisms: tuple[str, ...] | None = None
     predictors: tuple[str, ...] | None = None
-    attacks: tuple[str, ...] | None = None  # SPECs, LINKER@RECONSTRUCTION among them.
+    attacks: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
-    adversaries: tuple[str, ...] = ()  # Beside blind, informed and oracle.
+    adversaries: tuple[str, ...] = ()
     stages: StageSettings = field(default_factory=StageSettings)
-    # Worker processes; None: the cores, where the work is worth it.
     jobs: int | None = None
-    # A cell that takes longer is killed and left out.
     cell_timeout_s: float | None = None
-    executor: str = "local"  # Or dask: the workers of a Dask cluster.
-    scheduler: str | None = None  # Address of the cluster's scheduler.
-    keep_scores: bool = False  # Of everybody who links, raw: some hundred MB.
-    # The recording's own ids in the run's files, not pseudonyms.
+    executor: str = "local"
+    scheduler: str | None = None
+    keep_scores: bool = False
     keep_ids: bool = False
     out: Path | str | None = None
     fresh: bool = False
@@ -111,10 +168,10 @@ class Settings:
             self.choice(axis)
         _check_known("preset", (self.preset,), PRESETS)
         _check_known("adversary", self.adversaries, ADVERSARIES)
-        for name, (above, most, wrong) in _LIMITS.items():
+        for name, (above, most, message) in _LIMITS.items():
             value = getattr(self, name)
             if value is not None and not above < value <= most:
-                raise SettingsError(wrong.format(value, most))
+                raise SettingsError(message.format(value, most))
         if self.precision is not None and self.scenes is not None:
             raise SettingsError(
                 "--precision finds the number of scenes: leave out --scenes"
@@ -122,7 +179,7 @@ class Settings:
         self._check_executor()
 
     def _check_executor(self) -> None:
-        """Refuse an executor that is unknown, and options that are another's."""
+        """Refuse an unknown executor, and options of another executor."""
         if self.executor not in ("local", "dask"):
             raise SettingsError(f"the executor is local or dask, got {self.executor!r}")
         is_dask = self.executor == "dask"
@@ -148,9 +205,9 @@ class Settings:
             )
 
     def _check_types(self) -> None:
-        """Refuse what only Python lets one write, and take lists and mappings for what they are."""
+        """Refuse values of wrong types; convert lists, mappings and numbers."""
         given: dict[str, Any] = {
-            one.name: getattr(self, one.name) for one in fields(self)
+            option.name: getattr(self, option.name) for option in fields(self)
         }
         if isinstance(given["stages"], Mapping):
             given["stages"] = StageSettings().changed(given["stages"])
@@ -160,48 +217,48 @@ class Settings:
             )
         given["sessions"] = tuple(map(str, given["sessions"]))
         for axis in (*AXES, "adversaries"):
-            some = given[axis]
-            if isinstance(some, str) or not isinstance(some, Iterable | None):
+            values = given[axis]
+            if isinstance(values, str) or not isinstance(values, Iterable | None):
                 raise SettingsError(
-                    f"{axis} takes a list: write {axis}=[{quoted(some)}]"
+                    f"{axis} takes a list: write {axis}=[{quoted(values)}]"
                 )
-            given[axis] = None if some is None else tuple(some)
+            given[axis] = None if values is None else tuple(values)
             if "none" in (given[axis] or ()):
                 raise SettingsError(f"'none' is of the command line: write {axis}=[]")
-        for name, (kind, becomes, what) in _KINDS.items():
+        for name, (kind, convert, words) in _KINDS.items():
             value = given[name]
             if value is not None:
                 if not isinstance(value, kind) or isinstance(value, bool):
                     raise SettingsError(
-                        f"{name} must be {what.format(name)}; got {quoted(value)}"
+                        f"{name} must be {words.format(name)}; got {quoted(value)}"
                     )
-                given[name] = becomes(value)
+                given[name] = convert(value)
         given["dataset"] = _dataset(given["dataset"])
         for name, value in given.items():
             object.__setattr__(self, name, value)
 
     def changed(self, **options: Any) -> Self:  # noqa: ANN401 - as many types as options
         """Return settings with other options; SettingsError if one is unknown."""
-        _check_known("option", options, [one.name for one in fields(self)])
+        _check_known("option", options, [field.name for field in fields(self)])
         return replace(self, **options)
 
     def choice(self, axis: str) -> Choice:
         """Return the choice on an axis: mechanisms, predictors, attacks or tasks.
 
-        SettingsError if values that add to the preset's are mixed with values that
-        replace them.
+        Raises SettingsError if values that add to the preset's are mixed with values
+        that replace them.
         """
-        return choice_of(getattr(self, axis), axis=axis)
+        return parse_choice(getattr(self, axis), axis=axis)
 
     @property
     def n_scenes(self) -> int:
-        """Scenes of the run that are attacked: the first of all."""
+        """The number of attacked scenes: the first of all."""
         usual = PRESETS[self.preset].scenes if self.scenes is None else self.scenes
         return usual if self.utility_scenes is None else min(usual, self.utility_scenes)
 
     @property
     def n_utility_scenes(self) -> int:
-        """All scenes of the run: what noise costs the robot is read in every one."""
+        """The number of all scenes: the robot's utility is measured in every scene."""
         if self.utility_scenes is not None:
             return self.utility_scenes
         return (
@@ -210,7 +267,10 @@ class Settings:
 
 
 def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
-    """Return a name or path as text, and a data frame as it is; SettingsError for all else."""
+    """Return a name or path as text, and a data frame as it is.
+
+    Raises SettingsError for anything else.
+    """
     if given is None or isinstance(given, str | Path):
         return None if given is None else str(given)
     if hasattr(given, "to_pandas") or hasattr(given, "__dataframe__"):
@@ -218,20 +278,19 @@ def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
     raise SettingsError(f"dataset must be text or a DataFrame; got {quoted(given)}")
 
 
-def _check_known(what: str, names: Iterable[str], known: Collection[str]) -> None:
+def _check_known(kind: str, names: Iterable[str], known: Collection[str]) -> None:
     for name in names:
         if name not in known:
             hint = (
                 did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
             )
-            raise SettingsError(f"unknown {what} {name!r}{hint}")
+            raise SettingsError(f"unknown {kind} {name!r}{hint}")
 
 
 def check_drawing() -> None:
-    """Raise SettingsError if matplotlib would refuse to be imported: before a run, not after it."""
-    if (
-        "MPLBACKEND" in os.environ
-    ):  # else there is nothing to ask, and the import takes its time
+    """Raise SettingsError before a run if matplotlib cannot be imported after it."""
+    # Without the variable the import cannot fail, and takes a while.
+    if "MPLBACKEND" in os.environ:
         try:
             import_module("matplotlib")
         except ValueError:
@@ -242,13 +301,13 @@ def check_drawing() -> None:
 
 
 def _has_port(address: str) -> bool:
-    """Whether an address ends with a port that there can be, or needs none within a process."""
+    """Whether an address ends with a possible port, or needs none within a process."""
     match = _ADDRESS.fullmatch(address)
     return match is not None and (match["port"] is None or int(match["port"]) in _PORTS)
 
 
 def check_threads() -> None:
-    """Raise SettingsError if numba would refuse to be imported: before a run, not within it."""
+    """Raise SettingsError before a run if numba cannot be imported within it."""
     text = os.environ.get("NUMBA_NUM_THREADS", "1")
     try:
         fits = int(text) > 0

@@ -1,9 +1,9 @@
-"""What the verdict may depend on, one change each: the variants of `evaluation.sensitivity`.
+"""The variants of `evaluation.sensitivity`: assumptions that the verdict may depend on.
 
-A variant's run has one assumption changed, and only the attacks that matter.
+A variant's run changes a single assumption, and has only the attacks that matter.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -18,7 +18,7 @@ from isac_track.errors import DataError, SettingsError, did_you_mean
 BASE: Final = "base"
 _FITTED: Final = ("processing_gain_db", "large_scale_db", "crb_gap_db")
 RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
-    point: {fixed: value, **dict(zip(_FITTED, constants, strict=True))}
+    point: {fixed: value} | dict(zip(_FITTED, constants, strict=True))
     for point, fixed, value, constants in (
         ("cap=1.5", "sigma_cap_m", 1.5, (32.75, 12.33, 14.03)),
         ("cap=3", "sigma_cap_m", 3.0, (32.22, 11.59, 12.86)),
@@ -27,9 +27,10 @@ RIDGE: Final[Mapping[str, Mapping[str, float]]] = {
         ("exponent=3.5", "path_loss_exponent", 3.5, (56.49, 11.29, 13.28)),
     )
 }
-"""Stage `sensing`: what is fixed elsewhere, and the constants that then fit the paper's numbers, as
-`scripts/calibrate.py --ridge` prints them (Students03, 5,000 scenes;
-docs/reproduction.md)."""
+"""Settings of stage `sensing` that fit the paper's numbers as well, by name.
+
+Each changes a fixed constant, and the fitted constants as `scripts/calibrate.py
+--ridge` prints them (Students03, 5,000 scenes; docs/explanation/reproduction.md)."""
 _SHORT: Final = {"law": "sensing.law", "epsilon": "privacy.epsilon_m"}
 _USUAL: Final = (
     "law=isotropic",
@@ -38,7 +39,8 @@ _USUAL: Final = (
     "epsilon=0.2",
     "epsilon=0.5",
     "epsilon=1",
-    "resample.min_duration_s=6",  # The default leaves those who stay, who are slower.
+    # The default keeps only people who stay long, who are slower.
+    "resample.min_duration_s=6",
     *(f"ridge {point}" for point in RIDGE),
     "recording=students03",
     "recording=zara01",
@@ -53,7 +55,7 @@ _FORMS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One assumption of a run, changed."""
+    """A run with a single assumption changed."""
 
     name: str
     stages: Mapping[str, Any] = field(default_factory=dict)  # ``{"stage.key": value}``
@@ -62,7 +64,7 @@ class Variant:
 
     @property
     def about(self) -> str:
-        """What is changed, for people."""
+        """The change in words."""
         if self.predictor:
             return f"the robot predicts with {self.predictor}"
         if self.recording:
@@ -71,7 +73,7 @@ class Variant:
         return changes or "nothing changed, with the attacks that the verdict is about"
 
     def changes_nothing(self, manifest: Mapping[str, Any]) -> bool:
-        """Return whether it is what a run did (`manifest` as in `manifest.json`)."""
+        """Whether a run had these settings (`manifest` as in `manifest.json`)."""
         flat = StageSettings().changed(manifest["settings"]["stages"]).flat()
         predictors = manifest["settings"]["predictors"]
         return (
@@ -88,16 +90,16 @@ class Variant:
 
 
 def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
-    """Return the variants that are run where none is named, the base first, less what a run did."""
-    found = [Variant(BASE), *map(parse, _USUAL)]
+    """Return the usual variants, the base first, without those that change nothing."""
+    usual = [Variant(BASE), *map(parse, _USUAL)]
     if manifest is None:
-        return found
-    found = [one for one in found if not one.changes_nothing(manifest)]
-    # One other predictor will do: a run whose first is the paper's own is tried with
-    # the tracker.
-    predictors = [one.predictor for one in found if one.predictor]
-    kept = predictors[:1] if manifest["settings"]["predictors"] else []
-    return [one for one in found if one.predictor in ("", *kept)]
+        return usual
+    usual = [variant for variant in usual if not variant.changes_nothing(manifest)]
+    # A single other predictor is enough: the tracker for a run whose first is the
+    # paper's own.
+    predictors = [variant.predictor for variant in usual if variant.predictor]
+    wanted = predictors[:1] if manifest["settings"]["predictors"] else []
+    return [variant for variant in usual if variant.predictor in ("", *wanted)]
 
 
 def chosen(
@@ -109,27 +111,27 @@ def chosen(
     """Return the variants to run, each once, the base first.
 
     By default they are those of `variants`; `also` names further ones by
-    STAGE.KEY=VALUE. Raises IsacTrackError for an unknown one, or one that is what the
-    run did.
+    STAGE.KEY=VALUE. Raises IsacTrackError for an unknown variant, or a variant whose
+    settings the run had.
     """
     added = [parse(text) for text in also]
-    for text, one in zip(also, added, strict=True):
-        if not one.stages:
+    for text, variant in zip(also, added, strict=True):
+        if not variant.stages:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
     named = variants(manifest) if names is None else [Variant(BASE), *map(parse, names)]
-    found = {one.name: one for one in (*named, *added)}
-    for one in found.values():
-        if manifest is not None and one.changes_nothing(manifest):
+    by_name = {variant.name: variant for variant in (*named, *added)}
+    for variant in by_name.values():
+        if manifest is not None and variant.changes_nothing(manifest):
             raise SettingsError(
-                f"variant {one.name} changes nothing: the run had this setting"
+                f"variant {variant.name} changes nothing: the run had this setting"
             )
-    return list(found.values())
+    return list(by_name.values())
 
 
 def parse(name: str) -> Variant:
     """Return the variant of a name.
 
-    Raises IsacTrackError if there is none, its setting is unknown or its value is out
+    Raises IsacTrackError if the name, or its setting, is unknown, or its value is out
     of range.
     """
     name = name.strip()
@@ -138,9 +140,8 @@ def parse(name: str) -> Variant:
     if name == BASE:
         return Variant(BASE)
     if name.startswith("ridge ") and point in RIDGE:
-        return Variant(
-            name, {f"sensing.{one}": number for one, number in RIDGE[point].items()}
-        )
+        stages = {f"sensing.{key}": number for key, number in RIDGE[point].items()}
+        return Variant(name, stages)
     if value and (key in _SHORT or ("." in key and " " not in key)):
         setting = _SHORT.get(key, key)
         changed = StageSettings().changed({setting: value}).flat()
@@ -163,7 +164,7 @@ def parse(name: str) -> Variant:
     raise SettingsError(f"unknown variant {name!r}{hint}")
 
 
-def settings_of(
+def variant_settings(
     variant: Variant,
     *,
     manifest: Mapping[str, Any],
@@ -173,60 +174,27 @@ def settings_of(
     jobs: int | None = None,
     trust: Sequence[str] = (),
 ) -> tuple[Settings, tuple[str, ...]]:
-    """Return the settings of a variant's run in a folder `out`, and why tasks are left out of it.
+    """Return the settings of a variant's run in a folder `out`.
 
-    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has
-    the task "". `trust` names classes of one's own that may be imported although a file
-    names them. Raises IsacTrackError if its recording is not at hand, or a setting is
-    unknown.
+    The second value has the reasons for which tasks are left out of it. `attacks` are
+    the SPECs of those to run, each with its tasks; a reconstruction has the task "".
+    `trust` names a user's classes that may be imported although a file names them.
+    Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
     """
-    from attacks.tasks.build import (  # noqa: PLC0415 - a list of variants needs none
-        sessions_of,
-    )
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - for --help
-
-    ran = manifest["settings"]
+    ran, identity = manifest["settings"], manifest["identity"]
     stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
-    recording, identity, own = (
-        manifest["dataset"],
-        manifest["identity"],
-        dict[str, Any](),
-    )
-    source = variant.recording or recording["name"]
-    if not variant.recording and recording["name"] not in KNOWN:
-        own = {name: identity.get(name) for name in ("format", "fps", "unit")}
-        own["sessions"] = tuple(recording.get("sessions", ()))
-        own["persistent_ids"] = bool(identity.get("persistent_ids"))
-        source = None if own["sessions"] else recording["path"]
-    # Nobody waits for a network here: a data set that is missing fails with how to get
-    # it.
-    data = datasets.load(source, download=False, **own)
-    if not variant.recording and data.sha256 != recording["sha256"]:
+    source, reading = _recording(variant, manifest)
+    # No download: a missing data set fails, and the message says how to get it.
+    dataset = datasets.load(source, download=False, **reading)
+    if not variant.recording and dataset.sha256 != manifest["dataset"]["sha256"]:
         raise DataError(
-            f"{data.path} is no longer the recording that was run; run it again"
+            f"{dataset.path} is no longer the recording that was run; run it again"
         )
-    too_small, asked = dict[str, str](), set().union(*attacks.values()) - {""}
-    for task in sorted(asked):
-        try:
-            sessions_of(
-                TASKS[task], tracks=data.tracks, stages=stages, seed=ran["seed"]
-            )
-        except DataError as error:
-            too_small[task] = str(error)
+    asked = set[str]().union(*attacks.values()) - {""}
+    too_small = _too_small(asked, dataset, stages, seed=ran["seed"])
     predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    named: list[tuple[plugins.Kind, str]] = [
-        ("predictors", spec) for spec in predictors
-    ]
-    named += [("attacks", spec) for whole in attacks for spec in whole.split("@")]
-    named += [("mechanisms", spec) for spec in ran["mechanisms"]]
-    for kind, spec in named:
-        # Only the user's own command line decides what is imported, never a file.
-        if plugins.is_own_class(kind, spec) and spec not in trust:
-            raise SettingsError(
-                f"the run's files name {spec!r}, a class that is not built in; if you"
-                f" trust its code, add --trust {spec}"
-            )
-    run = (asked - too_small.keys()) | {""}
+    _check_trusted([*attacks], predictors, ran["mechanisms"], trust=trust)
+    tasks = (asked - too_small.keys()) | {""}
     usual = PRESETS[ran["preset"]]
     is_usual = [ran["scenes"], ran["scenes_utility"]] == [
         usual.scenes,
@@ -235,16 +203,71 @@ def settings_of(
     settings = Settings(
         preset=ran["preset"],
         dataset=source,
-        **own,
+        **reading,
         scenes=scenes if scenes is not None or is_usual else ran["scenes"],
         seed=ran["seed"],
         mechanisms=tuple(ran["mechanisms"]),
         predictors=(variant.predictor,) if variant.predictor else predictors,
-        attacks=tuple(spec for spec, tasks in sorted(attacks.items()) if tasks & run),
-        tasks=tuple(task for task in ran["tasks"] if task in run),
+        attacks=tuple(spec for spec, own in sorted(attacks.items()) if own & tasks),
+        tasks=tuple(task for task in ran["tasks"] if task in tasks),
         stages=stages,
         keep_ids=identity.get("ids") == "kept",
         jobs=jobs,
         out=out,
     )
     return settings, tuple(too_small.values())
+
+
+def _recording(
+    variant: Variant, manifest: Mapping[str, Any]
+) -> tuple[str | None, dict[str, Any]]:
+    """Return the data set of a variant, and the options of its files."""
+    recording, identity = manifest["dataset"], manifest["identity"]
+    if variant.recording or recording["name"] in KNOWN:
+        return variant.recording or recording["name"], {}
+    reading = {name: identity.get(name) for name in ("format", "fps", "unit")}
+    reading["sessions"] = tuple(recording.get("sessions", ()))
+    reading["persistent_ids"] = bool(identity.get("persistent_ids"))
+    return None if reading["sessions"] else recording["path"], reading
+
+
+def _too_small(
+    tasks: Iterable[str], dataset: datasets.Dataset, stages: StageSettings, *, seed: int
+) -> dict[str, str]:
+    """Return the tasks for which a data set has too few people, with the reasons."""
+    from attacks.tasks.build import (  # noqa: PLC0415 - a list of variants needs none
+        make_sessions,
+    )
+    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - for --help
+
+    reasons = {}
+    for task in sorted(tasks):
+        try:
+            make_sessions(TASKS[task], tracks=dataset.tracks, stages=stages, seed=seed)
+        except DataError as error:
+            reasons[task] = str(error)
+    return reasons
+
+
+def _check_trusted(
+    attacks: Iterable[str],
+    predictors: Iterable[str],
+    mechanisms: Iterable[str],
+    *,
+    trust: Sequence[str],
+) -> None:
+    """Raise SettingsError for a user's class that is not in `trust`.
+
+    The user's own command line decides which classes are imported, never a file.
+    """
+    specs: list[tuple[plugins.Kind, str]] = [
+        ("predictors", spec) for spec in predictors
+    ]
+    specs += [("attacks", spec) for whole in attacks for spec in whole.split("@")]
+    specs += [("mechanisms", spec) for spec in mechanisms]
+    for kind, spec in specs:
+        if plugins.is_own_class(kind, spec) and spec not in trust:
+            raise SettingsError(
+                f"the run's files name {spec!r}, a class that is not built in; if you"
+                f" trust its code, add --trust {spec}"
+            )

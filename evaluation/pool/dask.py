@@ -1,8 +1,7 @@
-"""The same cells on a Dask cluster, to the bit: the user's scheduler, the user's workers.
+"""The same cells, bit by bit, on the scheduler and workers of a user's Dask cluster.
 
-A worker that is killed costs what it was at, which Dask gives to another. Work that has
-killed several is tried once more with nothing beside it, so that no innocent work is
-blamed.
+When a worker dies, Dask gives its work to another one. Work that has killed several
+workers is tried once more with nothing beside it, so that no innocent work is blamed.
 """
 
 import contextlib
@@ -20,11 +19,11 @@ from typing import Any, Final, Generic, TypeAlias, TypeVar
 from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
-from evaluation.compute.where import Failed, note
+from evaluation.compute.current_cell import Failure, note_cell
 from evaluation.plan.fingerprint import OURS, code_hash, source_digest
 from evaluation.pool.workers import given_back
 from isac_track.command_line import check_interrupt
-from isac_track.errors import SettingsError, told
+from isac_track.errors import SettingsError, error_text
 
 W = TypeVar("W")
 R = TypeVar("R")
@@ -42,14 +41,12 @@ _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
 # Works handed out per thread: no worker waits, and nobody holds many.
 _AHEAD: Final = 2
-_LARGE: Final = {
-    "distributed.admin.large-graph-warning-threshold": "1GiB"
-}  # Ours holds tracks.
+# Ours holds tracks.
+_LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
-_FIRST_SEEN: Final[
-    dict[str, str]
-] = {}  # Digests of the source as loaded: files may change later.
+_FIRST_SEEN: Final[dict[str, str]] = {}
+"""Digests of the source as this process loaded it, for good: files may change later."""
 
 
 def spread_on_cluster(
@@ -58,19 +55,21 @@ def spread_on_cluster(
     *,
     scheduler: str,
     modules: Iterable[str],
-) -> Generator[tuple[W, list[R | Failed]]]:
-    """Yield each work with what the function makes of it, as it is finished: `spread` on a cluster.
+) -> Generator[tuple[W, list[R | Failure]]]:
+    """Yield each work with its results, as it is finished: `spread` on a cluster.
 
-    A work whose workers died again and again yields a `Failed` of unknown place.
+    A work whose workers died again and again yields a `Failure` of an unknown cell.
     `scheduler` is an address, such as ``tcp://host:8786``; workers must have the same
-    of all `modules`.
+    source of all `modules`.
 
-    Raises SettingsError if the scheduler cannot be reached or is gone, no worker is
+    Raises SettingsError if the scheduler cannot be reached or has stopped, no worker is
     there, or a worker would not compute the same.
     """
-    strange = tuple(one for one in modules if one.partition(".")[0] not in OURS)
+    user_modules = tuple(
+        module for module in modules if module.partition(".")[0] not in OURS
+    )
     with _connected(scheduler) as client:
-        cluster = _Cluster(function, client, scheduler, strange)
+        cluster = _Cluster(function, client, scheduler, user_modules)
         suspects: deque[W] = deque()
         try:
             while works or suspects or cluster.under_way:
@@ -79,12 +78,14 @@ def spread_on_cluster(
                     cluster.start(works.popleft())
                 if suspects and not cluster.under_way:
                     cluster.start(suspects.popleft())
-                for work, items in cluster.ended():
+                for work, items in cluster.ended_works():
                     known = len(works)
                     yield work, items
-                    # A death may be a neighbour's fault: what is added after one waits
-                    # until nothing else is left, and is tried one at a time.
-                    if any(isinstance(one, Failed) and one.died for one in items):
+                    # A death may be a neighbour's fault: work that is added after it
+                    # waits until all else is done, and is tried one at a time.
+                    if any(
+                        isinstance(item, Failure) and item.worker_died for item in items
+                    ):
                         again = [works.pop() for _ in range(len(works) - known)]
                         suspects.extend(reversed(again))
         finally:
@@ -104,16 +105,16 @@ class _Cluster(Generic[W, R]):
         modules: tuple[str, ...],
     ) -> None:
         self._client, self._scheduler, self._modules = client, scheduler, modules
-        self._expected = _about(modules, seen={})
+        self._expected = _describe_process(modules, seen={})
         self.n_threads = 1
         self.under_way: dict[Task, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
-        # Packed for the workers alone: the scheduler has no use for a user's plug-in.
-        self._function = self._submitted(_loaded, dumps(function))
+        # Packed for the workers only: the scheduler may lack a user's plug-in.
+        self._function = self._submit(_load, dumps(function))
 
     def _check_workers(self) -> None:
-        """Raise SettingsError unless workers are there that compute the same."""
+        """Raise SettingsError unless there are workers that compute the same."""
         until = time.monotonic() + _FIRST_WORKER_S
         while not self._ask_threads():
             if time.monotonic() > until:
@@ -123,9 +124,11 @@ class _Cluster(Generic[W, R]):
                 )
             time.sleep(_LOOK_S)
         try:
-            answers = self._client.run(_about, self._modules, on_error="return")
+            answers = self._client.run(
+                _describe_process, self._modules, on_error="return"
+            )
         except (OSError, TimeoutError):
-            raise self._gone() from None
+            raise self._lost_error() from None
         for worker, answer in answers.items():
             if isinstance(answer, SettingsError):
                 raise SettingsError(f"worker {worker}: {answer}")
@@ -134,62 +137,66 @@ class _Cluster(Generic[W, R]):
                     f"worker {worker} lacks this isac-track ({type(answer).__name__}:"
                     f" {answer}); install it there"
                 )
-            _check_alike(answer, self._expected, worker=worker)
+            _check_same_versions(answer, self._expected, worker=worker)
 
     def start(self, work: W) -> None:
         arguments = (self._function, dumps(work), self._modules, self._expected)
-        self.under_way[self._submitted(_computed, *arguments)] = work
+        self.under_way[self._submit(_compute, *arguments)] = work
 
-    def _submitted(self, function: Callable[..., Any], *arguments: object) -> Task:
+    def _submit(self, function: Callable[..., Any], *arguments: object) -> Task:
         return self._client.submit(
             function, *arguments, key=f"isac-track-{uuid.uuid4().hex}"
         )
 
-    def ended(self) -> Iterator[tuple[W, list[R | Failed]]]:
-        """Yield what has ended; SettingsError if scheduler or workers are gone for long."""
+    def ended_works(self) -> Iterator[tuple[W, list[R | Failure]]]:
+        """Yield ended works; SettingsError if the scheduler or all workers are lost."""
         if self._client.status != "running":
-            raise self._gone()
+            raise self._lost_error()
         if time.monotonic() >= self._asked_s + _ASK_S:
             if self._ask_threads():
                 self._worked_s = time.monotonic()
             elif self._asked_s > self._worked_s + _NO_WORKER_S:
                 start = f"some (`dask worker {self._scheduler}`)"
-                raise self._gone(f"has had no worker for {_NO_WORKER_S:g} s", start)
+                raise self._lost_error(
+                    f"has had no worker for {_NO_WORKER_S:g} s", start
+                )
         time.sleep(_LOOK_S)
-        for task in [
-            one for one in self.under_way if one.status not in ("pending", "lost")
-        ]:
-            if (items := self._items(task)) is not None:
+        under_way = [*self.under_way]
+        ended = [task for task in under_way if task.status not in ("pending", "lost")]
+        for task in ended:
+            if (items := self._task_items(task)) is not None:
                 work = self.under_way.pop(task)
                 task.release()
                 yield work, items
 
-    def _items(self, task: Task) -> list[R | Failed] | None:
-        """Return what came of a task; None if it is not there (any more)."""
+    def _task_items(self, task: Task) -> list[R | Failure] | None:
+        """Return the results of a task; None if they cannot be fetched (any more)."""
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
-        # whoever had it is gone, or it takes long
-        found: list[R | Failed] | None = None
+        # None: the worker that had them is lost, or fetching takes long.
+        items: list[R | Failure] | None = None
         try:
-            found = task.result(timeout=_FETCH_S)
+            items = task.result(timeout=_FETCH_S)
         except KilledWorker:
             why = (
                 "its worker died (killed, crashed or out of memory), and others"
                 " before it"
             )
-            found = [Failed((), why, died=True)]
+            items = [Failure((), why, worker_died=True)]
         except CancelledError:
-            raise self._gone() from None
+            raise self._lost_error() from None
         except (OSError, TimeoutError):
             if task.status == "error":  # its own
                 raise
         except RuntimeError as error:
             if "deserialization of the task graph" not in str(error):
                 raise
-            what = f"the scheduler at {self._scheduler} lacks this isac-track"
-            raise SettingsError(f"{what}; install it there, too") from None
-        return found
+            raise SettingsError(
+                f"the scheduler at {self._scheduler} lacks this isac-track; install it"
+                " there, too"
+            ) from None
+        return items
 
     def _ask_threads(self) -> int:
         """Ask for the threads of all workers; 0 without workers."""
@@ -197,21 +204,18 @@ class _Cluster(Generic[W, R]):
             threads = self._client.sync(
                 self._client.scheduler.ncores, callback_timeout=_ANSWER_S
             )
-        except (
-            OSError,
-            TimeoutError,
-            AttributeError,
-        ):  # without a connection it is None
-            raise self._gone() from None
+        except (OSError, TimeoutError, AttributeError):
+            # Without a connection the scheduler is None.
+            raise self._lost_error() from None
         self._asked_s = time.monotonic()
         n_threads: int = sum(threads.values())
         self.n_threads = n_threads or self.n_threads
         return n_threads
 
-    def _gone(self, what: str = "is gone", start: str = "it") -> SettingsError:
+    def _lost_error(self, state: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} {what}; finished cells are kept; start"
-            f" {start} and run the same command again"
+            f"the scheduler at {self._scheduler} {state}; finished cells are kept;"
+            f" start {start} and run the same command again"
         )
 
 
@@ -232,7 +236,7 @@ def _connected(scheduler: str) -> Iterator[Client]:
     with contextlib.ExitStack() as ends:
         for logger in map(logging.getLogger, {*names, "distributed", "asyncio"}):
             ends.callback(logger.setLevel, logger.level)
-            logger.setLevel(logging.CRITICAL)  # what matters is told in one line
+            logger.setLevel(logging.CRITICAL)  # important errors are raised in one line
         ends.enter_context(dask.config.set(_LARGE))
         try:
             # Some versions of distributed have no types here, others do.
@@ -255,34 +259,38 @@ def _connected(scheduler: str) -> Iterator[Client]:
 # From here on: in a worker, several threads at a time.
 
 
-def _loaded(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
+def _load(packed: bytes) -> Any:  # noqa: ANN401 - what was packed
     with _LOADING:
         return loads(packed)
 
 
-def _computed(
+def _compute(
     function: Callable[[W], Iterable[R]],
     packed: bytes,
     modules: tuple[str, ...],
     expected: Mapping[str, str],
 ) -> list[R]:
-    """Return what a worker makes of a work; it may have joined after the others were checked."""
+    """Compute a work in a worker, which may have joined after the first check."""
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
-    _check_alike(_about(modules), expected, worker=get_worker().address)
-    work: W = _loaded(packed)
-    threadpool_limits(
-        limits=1
-    )  # not lifted: of the whole process, where others may be computing
-    note()
+    _check_same_versions(
+        _describe_process(modules), expected, worker=get_worker().address
+    )
+    work: W = _load(packed)
+    # Never lifted: the limit is the process's, and other threads may be computing.
+    threadpool_limits(limits=1)
+    note_cell()
     with given_back():
         return list(function(work))
 
 
-def _about(
+def _describe_process(
     modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN
 ) -> dict[str, str]:
-    """Return all that the bits of a result depend on in a process; `seen` is filled at sight."""
+    """Return all that the bits of a result depend on in a process.
+
+    `seen` keeps digests of the source from the first call on.
+    """
     with _LOADING:
         if "code" not in seen:
             seen["code"] = code_hash()
@@ -291,14 +299,12 @@ def _about(
                 try:
                     import_module(name)
                     seen[f"module {name}"] = source_digest(name)[:16]
-                except (
-                    Exception,  # noqa: BLE001 - it may do anything at all
-                    SystemExit,
-                ) as error:
+                # A user's module may raise anything.
+                except (Exception, SystemExit) as error:  # noqa: BLE001 - as said
                     raise SettingsError(
-                        f"cannot import {name!r} ({told(error)}), which a plug-in of"
-                        " the run needs; it must be importable on every worker, as by"
-                        " PYTHONPATH"
+                        f"cannot import {name!r} ({error_text(error)}), which a plug-in"
+                        " of the run needs; it must be importable on every worker, as"
+                        " by PYTHONPATH"
                     ) from None
     return {
         "code": seen["code"],
@@ -309,7 +315,7 @@ def _about(
     }
 
 
-def _check_alike(
+def _check_same_versions(
     answer: Mapping[str, str], expected: Mapping[str, str], *, worker: str
 ) -> None:
     """Raise SettingsError if a worker's results might not be the same to the bit."""

@@ -1,4 +1,4 @@
-"""How long a plan will take, from measured rates of its parts: an estimate, for `--dry-run`."""
+"""Estimate the duration of a plan from measured rates of its parts, for `--dry-run`."""
 
 import json
 from collections.abc import Mapping
@@ -13,19 +13,19 @@ import numpy as np
 from evaluation.compute.work import Block, LinkWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
-from evaluation.pool.pieces import cells_of, pieces_of, unfinished
+from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 
 RATES: Final = "rates.json"
-"""CPU seconds by part on an idle machine: per million samples, or per million pairs of a task."""
+"""CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
 _START_S: Final = 3.0  # Imports, and the first worker.
 _REPORT_SHARE: Final = 0.12  # Of the time of the cells, as the progress bar has it.
-_MINUTES_FROM_S: Final = 120.0  # Shorter ones are said in seconds.
+_MINUTES_FROM_S: Final = 120.0  # Shorter durations are given in seconds.
 _HOURS_FROM_S: Final = 7200.0
 _REPORT_S: Final = 3.0  # Of the smallest run: tables, figures and page.
 
 
 def expected_s(ready: Plan) -> float:
-    """Return how long a plan will take, s, on as many idle cores as it has workers.
+    """Return the expected duration of a plan, s, on as many idle cores as workers.
 
     Finished cells take no time. A plug-in of a user's own counts as the median of the
     built-in ones of its kind. Loops that are still to be compiled are not counted.
@@ -34,23 +34,23 @@ def expected_s(ready: Plan) -> float:
 
 
 def wall_s(cpu_s: float, *, jobs: int) -> float:
-    """Return how long a run takes whose cells take so many CPU seconds, s."""
+    """Return the duration of a run, s, from the CPU time of its cells."""
     return _START_S + (1.0 + _REPORT_SHARE) * cpu_s / max(jobs, 1) + _REPORT_S
 
 
 def cells_cpu_s(ready: Plan) -> float:
-    """Return the CPU seconds of the cells that a plan misses."""
+    """Return the CPU time of the missing cells of a plan, s."""
     missing = ready.units if ready.settings.fresh else unfinished(ready)
     rates, cpu_s = measured_rates(), 0.0
-    for work in pieces_of(missing, ready):
-        rate = rates[setup_of(work)]
-        rate += sum(_rate(consumer, rates) for *_, consumer in cells_of(work))
-        cpu_s += rate * size_of(work, ready)
+    for work in cut_work(missing, ready):
+        rate = rates[setup_name(work)]
+        rate += sum(_rate(cell.consumer, rates) for cell in planned_cells(work))
+        cpu_s += rate * work_size(work, ready)
     return cpu_s
 
 
 def in_words(seconds: float, *, jobs: int) -> str:
-    """Return a duration as it is said: `about 25 s on 2 cores`."""
+    """Return a duration in words: `about 25 s on 2 cores`."""
     cores = "1 core" if jobs == 1 else f"{jobs} cores"
     if seconds < _MINUTES_FROM_S:
         return f"about {_rounded(seconds):.0f} s on {cores}"
@@ -64,8 +64,8 @@ def _rounded(seconds: float) -> float:
     return 5.0 * max(round(seconds / 5.0), 1)
 
 
-def size_of(work: Block | LinkWork, ready: Plan) -> float:
-    """Return how much a consumer reads of a piece of work, in millions of samples or pairs."""
+def work_size(work: Block | LinkWork, ready: Plan) -> float:
+    """Return the millions of samples, or of pairs, that a consumer reads of a work."""
     if isinstance(work, Block):
         return work.order.size * float(np.diff(ready.tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
@@ -75,20 +75,20 @@ def size_of(work: Block | LinkWork, ready: Plan) -> float:
     return float(probes @ gallery) / 1e6
 
 
-def setup_of(work: Block | LinkWork) -> str:
-    """Return what the rate of all that is shared by the levels of a piece of work is called."""
+def setup_name(work: Block | LinkWork) -> str:
+    """Return the name of the rate of all that the levels of a work share."""
     return "setup/scenes" if isinstance(work, Block) else "setup/linkage"
 
 
-def name_of(consumer: Consumer) -> str:
-    """Return what a consumer's rate is called: its kind and family, and what it runs behind."""
+def rate_name(consumer: Consumer) -> str:
+    """Return the name of a consumer's rate: its kind and its plug-ins' families."""
     families = "@".join(plugin.family for plugin in consumer.plugins)
     return f"{consumer.kind}/{families or consumer.control}".rstrip("/")
 
 
 @cache
 def measured_rates() -> Mapping[str, float]:
-    """Return the measured CPU seconds by part, as `python -m benchmarks.rates` wrote them."""
+    """Return the CPU seconds by part, as `python -m benchmarks.rates` measured them."""
     path = files("evaluation.pool") / RATES
     rates: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))
     return rates
@@ -96,13 +96,12 @@ def measured_rates() -> Mapping[str, float]:
 
 def _rate(consumer: Consumer, rates: Mapping[str, float]) -> float:
     """Return a consumer's rate, or the median of its kind if it was not measured."""
-    name = name_of(consumer)
+    name = rate_name(consumer)
     if name in rates:
         return rates[name]
     kind = f"{consumer.kind}/"
-    return median(
-        [rate for known, rate in rates.items() if known.startswith(kind)] or [0.0]
-    )
+    same_kind = [rate for known, rate in rates.items() if known.startswith(kind)]
+    return median(same_kind or [0.0])
 
 
 def rates_path(root: Path) -> Path:

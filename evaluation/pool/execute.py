@@ -1,4 +1,4 @@
-"""The work of a run: what is missing is computed, and what could not be is named."""
+"""The work of a run: compute the missing cells, and record the failed ones by name."""
 
 import time
 import warnings
@@ -11,48 +11,49 @@ from typing import Any, Final
 
 import pyarrow as pa
 
+from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.loops import (
     COMPILED,
     COMPILING,
     GAIN,
     LOADED,
-    loops_of,
+    list_loops,
     prepare_loop,
 )
-from evaluation.compute.sample_tracks import chosen, gallery_rows
-from evaluation.compute.where import Failed, here, note
+from evaluation.compute.sample_tracks import gallery_mechanisms, gallery_rows
 from evaluation.plan.constants import horizon_world
 from evaluation.plan.fingerprint import has_strangers
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool import pieces
-from evaluation.pool.trials import try_plugins
+from evaluation.pool.plugin_calls import try_plugins
 from evaluation.pool.workers import dismiss, spread
 from evaluation.store.cell_files import (
-    places_of,
+    cell_places,
     read_rows,
-    renamed,
+    rename_people,
     sound_files,
     write_gallery,
 )
-from evaluation.store.files import FOLDER, label_of, locked, write_checked
+from evaluation.store.files import FOLDER, entry_label, locked, write_checked
 from evaluation.store.folder import check_folder, check_preset, open_run
 from evaluation.store.manifest import (
+    candidate_losses,
+    cell_entries,
+    consumer_fields,
     describe,
-    entries_of,
-    losses_of,
     merged_cells,
     merged_plugins,
-    named,
-    others,
+    other_entries,
     with_ceiling,
     write_manifest,
 )
-from evaluation.store.people import names_to_write, share_key
+from evaluation.store.people import prepare_names, share_key
 from isac_track.command_line import check_interrupt
-from isac_track.errors import PluginError, told
+from isac_track.errors import PluginError, error_text
 from isac_track.plugins import Plugin
 
-NOT_PASSED_ON: Final = "never to be passed on"  # What such a recording's licence says.
+# Words in the licence of a recording whose walks must not be passed on.
+NOT_PASSED_ON: Final = "never to be passed on"
 
 
 class FailedCellsWarning(UserWarning):
@@ -60,128 +61,141 @@ class FailedCellsWarning(UserWarning):
 
 
 def execute(
-    ready: Plan, tell: Callable[[int, int, str], None], *, keeps_walks: bool = True
+    ready: Plan, progress: Callable[[int, int, str], None], *, keeps_walks: bool = True
 ) -> None:
-    """Compute what a run's folder misses; the folder is locked by who calls.
+    """Compute the cells that a run's folder lacks; the caller holds the folder's lock.
 
     The walks of a few people are kept to be drawn, unless `keeps_walks` is false or the
-    recording's licence forbids that they are passed on.
+    recording's licence forbids to pass them on.
 
-    `tell` is called with cells finished, cells to do, and what is under way. Raises
-    IsacTrackError for anything that a user can mend; finished cells are kept.
+    `progress` is called with cells finished, cells to do, and the cell under way.
+    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
     started, out = time.monotonic(), ready.out
-    given_up = try_plugins(ready)
+    untried = try_plugins(ready)
     if not ready.settings.fresh:
         check_preset(out, preset=ready.settings.preset)
-    manifest, held, damaged = open_run(
+    manifest, index_by_file, damaged = open_run(
         out, identity=ready.identity, fresh=ready.settings.fresh
     )
     deque(prepare_loop(GAIN), maxlen=0)
-    names = names_to_write(ready, is_continued=bool(held))
+    names = prepare_names(ready, is_continued=bool(index_by_file))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
-    places = places_of(held)
-    missing = pieces.missing_of(ready, places)
+    places = cell_places(index_by_file)
+    units = pieces.missing_units(ready, places)
     earlier_plugins = manifest.get("own_plugins", {})
     manifest |= describe(ready) | {
         "damaged_cells": damaged,
-        "untried_plugins": given_up,
+        "untried_plugins": untried,
     }
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
-    # What failed when other axes were run, whose finished levels stay in the tables.
+    # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    ours = entries_of(ready, places, missing)
-    manifest["failed"] = others(failures, than=ours)
-    manifest["cells"] = merged_cells(manifest["cells"], ours, held=held)
+    entries = cell_entries(ready, places, units)
+    manifest["failed"] = other_entries(failures, than=entries)
+    manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
     write_manifest(out, manifest | {"state": "running"})
-    failed = _computed(missing, ready, manifest, tell, names)
-    tell(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
-    without = {str(one[name]) for one in failed for name in ("spec", "consumer")}
-    keeps_walks = keeps_walks and NOT_PASSED_ON not in ready.dataset.licence
-    manifest["gallery_without"] = (
-        _write_gallery(ready, without, names) if keeps_walks else []
-    )
-    if not keeps_walks:
+    failed = _compute_missing(units, ready, manifest, progress, names)
+    progress(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
+    if keeps_walks and NOT_PASSED_ON not in ready.dataset.licence:
+        failed_plugins = {
+            str(entry[name]) for entry in failed for name in ("spec", "consumer")
+        }
+        manifest["gallery_without"] = _write_gallery(ready, failed_plugins, names)
+    else:
+        manifest["gallery_without"] = []
         write_gallery([], out=out)
-    manifest["exhausted_redraws"] = _exhausted(out, manifest["cells"], "")
-    for horizon_s, about in manifest["horizons"].items():
+    manifest["exhausted_redraws"] = _exhausted_redraws(out, manifest["cells"], "")
+    for horizon_s, horizon_entry in manifest["horizons"].items():
         world = horizon_world(float(horizon_s))
-        about["exhausted_redraws"] = _exhausted(out, manifest["cells"], world)
+        horizon_entry["exhausted_redraws"] = _exhausted_redraws(
+            out, manifest["cells"], world
+        )
     is_approximate = ready.settings.stages.linkage.candidates > 0
-    if is_approximate and (losses := losses_of(out, manifest["cells"])):
+    if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
         manifest["linkage"]["candidates"] = losses
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
 
-def execute_trial(ready: Plan, tell: Callable[[int, int, str], None]) -> None:
-    """Compute further cells of a run that is finished; what is said of the run stays.
+def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> None:
+    """Compute the cells of stronger adversaries for a finished run.
 
-    `ready` is of `evaluation.plan.plan.trial`; otherwise as `execute`.
+    `ready` is a plan of `evaluation.plan.plan.plan_stronger`. The description of the
+    run in its manifest stays. Otherwise as `execute`.
     """
     if not ready.units:
         return
     started, out = time.monotonic(), ready.out
-    manifest, held, _ = open_run(out, identity=ready.identity, fresh=False)
-    names = names_to_write(ready, is_continued=True)
-    places = places_of(held)
-    missing = pieces.missing_of(ready, places)
-    ours = entries_of(ready, places, missing)
-    manifest["failed"] = others(manifest.get("failed", []), than=ours)
-    # In the order of before: results do not depend on who asked first.
-    by_label = {(entry["spec"], label_of(entry)): entry for entry in ours}
-    cells = [
-        by_label.pop((one["spec"], label_of(one)), one) for one in manifest["cells"]
-    ]
+    manifest, index_by_file, _ = open_run(out, identity=ready.identity, fresh=False)
+    names = prepare_names(ready, is_continued=True)
+    places = cell_places(index_by_file)
+    missing = pieces.missing_units(ready, places)
+    entries = cell_entries(ready, places, missing)
+    manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
+    # Earlier cells keep their order: results do not depend on the order of requests.
+    by_label = {(entry["spec"], entry_label(entry)): entry for entry in entries}
+    cells = []
+    for earlier in manifest["cells"]:
+        key = earlier["spec"], entry_label(earlier)
+        cells.append(by_label.pop(key, earlier))
     manifest["cells"] = cells + list(by_label.values())
     write_manifest(out, manifest | {"state": "running"})
-    _computed(missing, ready, manifest, tell, names)
+    _compute_missing(missing, ready, manifest, progress, names)
     spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
     write_manifest(
         out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
     )
 
 
-def _computed(
-    missing: Sequence[Unit],
+def _compute_missing(
+    units: Sequence[Unit],
     ready: Plan,
     manifest: dict[str, Any],
-    tell: Callable[[int, int, str], None],
+    progress: Callable[[int, int, str], None],
     names: Mapping[str, str],
 ) -> list[dict[str, Any]]:
-    """Compute what is missing; return what failed, which the manifest then names."""
-    works = deque(pieces.pieces_of(missing, ready))
+    """Compute missing cells; return the failed ones, which the manifest then names."""
+    works = deque(pieces.cut_work(units, ready))
     if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
-        total = sum(len(unit.consumers) for unit in missing)
-        compiling_s = _prepare_loops(works, ready, partial(tell, 0, total))
+        total = sum(len(unit.consumers) for unit in units)
+        compiling_s = _prepare_loops(works, ready, partial(progress, 0, total))
         manifest["compiling_s"] = round(
             manifest.get("compiling_s", 0.0) + compiling_s, 3
         )
+    failures = _compute_cells(units, works, ready, progress, names)
     failed = [
-        {**named(mechanism, consumer), "block": block, "why": why}
-        for (block, mechanism, consumer), why in _compute(
-            missing, works, ready, tell, names
-        )
+        {
+            **consumer_fields(cell.mechanism, cell.consumer),
+            "block": cell.block,
+            "why": why,
+        }
+        for cell, why in failures
     ]
     if failed:
         manifest["failed"] += failed
-        # No entry that misses a cell: nothing is averaged over less.
-        manifest["cells"] = with_ceiling(others(manifest["cells"], than=failed))
+        # No entry that lacks a cell: every mean is over all blocks.
+        manifest["cells"] = with_ceiling(other_entries(manifest["cells"], than=failed))
         if not manifest["cells"]:
             write_manifest(ready.out, manifest | {"state": "failed"})
             raise PluginError(failed[0]["why"])
-        reasons = list(dict.fromkeys(one["why"] for one in failed))
+        reasons = list(dict.fromkeys(entry["why"] for entry in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=5)
     return failed
 
 
-def _exhausted(out: Path, cells: Iterable[dict[str, Any]], world: str) -> int | None:
-    """Return how many agents of a world kept a place without clearance; None if no cell tells."""
+def _exhausted_redraws(
+    out: Path, cells: Iterable[dict[str, Any]], world: str
+) -> int | None:
+    """Return the number of a world's agents whose place has no clearance.
+
+    None if no cell of a predictor tells.
+    """
     forecasts = (entry for entry in cells if entry["kind"] == "predictor")
-    of_world = (entry for entry in forecasts if (entry.get("world") or "") == world)
-    entry = next(of_world, None)
+    in_world = (entry for entry in forecasts if (entry.get("world") or "") == world)
+    entry = next(in_world, None)
     if entry is None:
         return None
     return int(
@@ -190,10 +204,10 @@ def _exhausted(out: Path, cells: Iterable[dict[str, Any]], world: str) -> int | 
 
 
 def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
-    """Open the folder of a run and copy the cells into it that other runs have.
+    """Open the folder of a run and copy cells of other runs into it.
 
-    Each is taken from the first of the source folders that has it: what is keyed alike
-    is the same. Raises DataError if the folder cannot be written or another process
+    Each cell comes from the first of the source folders that has it: equal keys mean
+    equal cells. Raises DataError if the folder cannot be written or another process
     runs in it, and SettingsError if it holds another run, which `fresh` replaces.
     """
     check_folder(ready.out)
@@ -201,154 +215,174 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
         manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
         share_key(ready.out, sources)
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
-        missing = pieces.missing_of(ready, places_of(files))
-        wanted = {(one.key, key) for one in missing for key in one.consumers}
+        units = pieces.missing_units(ready, cell_places(files))
+        wanted = {
+            (consumer.key, key) for consumer in units for key in consumer.consumers
+        }
         for source in sources:
             for name, index in sound_files(source)[0].items():
-                held = {(index.unit, one.key) for one in index.consumers.values()}
-                if wanted & held:
+                present = {
+                    (index.unit, consumer.key) for consumer in index.consumers.values()
+                }
+                if wanted & present:
                     write_checked(
                         ready.out, name, (source / FOLDER / name).read_bytes()
                     )
-                    wanted -= held
+                    wanted -= present
 
 
 def _write_gallery(
-    ready: Plan, without: set[str], names: Mapping[str, str]
+    ready: Plan, failed_plugins: set[str], names: Mapping[str, str]
 ) -> list[str]:
-    """Keep some tracks to look at, `without` some plug-ins; return what fails here."""
+    """Write sample tracks without the failed plug-ins; return the failures here."""
+    axes = ready.axes
+    mechanisms = [
+        plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
+    ]
     compute = partial(
         _gallery_part,
         tracks=ready.tracks,
-        attacks=[one for one in ready.axes.attacks if one.spec not in without],
+        attacks=[
+            plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
+        ],
         stages=ready.settings.stages,
         seed=ready.settings.seed,
     )
-    mechanisms = chosen(
-        [one for one in ready.axes.mechanisms if one.spec not in without]
-    )
     parts: list[pa.Table] = []
     failed = []
-    # Where workers are they have loaded all that this takes.
-    apart = ready.jobs > 1 or has_strangers(ready.axes)
+    # Workers have loaded all modules that this takes.
+    in_workers = ready.jobs > 1 or has_strangers(axes)
     limit_s = ready.settings.cell_timeout_s
-    for plugin, found in spread(
-        compute, deque(mechanisms), jobs=1, limit_s=limit_s, apart=apart
+    works = deque(gallery_mechanisms(mechanisms))
+    for mechanism, results in spread(
+        compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
     ):
-        for part in found:
-            if isinstance(part, Failed):
-                failed.append(f"{plugin.spec}: {part.why}")
+        for result in results:
+            if isinstance(result, Failure):
+                failed.append(f"{mechanism.spec}: {result.message}")
             else:
-                parts.append(renamed(part, names))
+                parts.append(rename_people(result, names))
     write_gallery(parts, out=ready.out)
     return failed
 
 
-def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failed]:  # noqa: ANN401 - handed on
-    note(mechanism.spec, "gallery")
+def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failure]:  # noqa: ANN401 - handed on
+    note_cell(mechanism.spec, "gallery")
     try:
         yield gallery_rows(mechanism, **options)
-    except Exception as error:  # noqa: BLE001 - the cells are finished: no picture may cost them
-        yield Failed(
-            here.at, str(error) if isinstance(error, PluginError) else told(error)
-        )
+    except PluginError as error:
+        yield Failure(current_cell.names, str(error))
+    except Exception as error:  # noqa: BLE001 - no picture may cost finished cells
+        yield Failure(current_cell.names, error_text(error))
 
 
-def _compute(
-    missing: Sequence[Unit],
+def _compute_cells(
+    units: Sequence[Unit],
     works: deque[pieces.Work],
     ready: Plan,
-    tell: Callable[[int, int, str], None],
+    progress: Callable[[int, int, str], None],
     names: Mapping[str, str],
-) -> list[tuple[pieces.Cell, str]]:
-    """Compute what is missing, here or by workers, and return what could not be, and why."""
-    settings = ready.settings
+) -> list[tuple[pieces.PlannedCell, str]]:
+    """Compute missing cells, here or by workers; return failed ones with reasons."""
     if not works:
         return []
-    total = sum(len(one.consumers) for one in missing)
-    tell(0, total, _stage(pieces.place_of(next(pieces.cells_of(works[0])))))
-    files = pieces.files_to_come(missing, ready.code_of)
-    own: dict[str, Any] = {
-        "tracks": ready.tracks,
-        "stages": settings.stages,
-        "seed": settings.seed,
-    }
-    compute = partial(pieces.in_files, files=files, names=names, **own)
-    computed: Generator[tuple[pieces.Work, Iterable[pieces.Found]]]
-    if settings.scheduler is None:
-        computed = spread(
-            compute,
-            works,
-            jobs=ready.jobs,
-            limit_s=settings.cell_timeout_s,
-            apart=has_strangers(ready.axes),
-        )
-    else:
-        from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
-
-        pieces.cut_for_cluster(works)
-        modules = ready.code_of.keys()
-        computed = spread_on_cluster(
-            compute, works, scheduler=settings.scheduler, modules=modules
-        )
-    finished: set[pieces.Place] = set()
-    failures, gathered, n_failed = pieces.Failures(), pieces.Gathered(files, names), 0
+    total = sum(len(unit.consumers) for unit in units)
+    first_cell = next(pieces.planned_cells(works[0]))
+    progress(0, total, _describe_cell(pieces.cell_name(first_cell)))
+    files = pieces.expected_files(units, ready.code_digests)
+    compute = partial(
+        pieces.compute_files,
+        files=files,
+        names=names,
+        tracks=ready.tracks,
+        stages=ready.settings.stages,
+        seed=ready.settings.seed,
+    )
+    computed = _spread_works(compute, works, ready)
+    finished: set[pieces.CellName] = set()
+    failures, collector = pieces.Failures(), pieces.FileCollector(files, names)
+    n_failed = 0
     with closing(computed):
-        for work, found in computed:
-            for one in found:
-                if isinstance(one, pieces.WholeFile):
-                    _write(ready.out, one)
-                    finished.update(one.places)
-                    place = one.places[-1]
-                elif isinstance(one, Failed):
-                    works.extend(failures.rest(work, one, finished=finished))
+        for work, results in computed:
+            for result in results:
+                if isinstance(result, pieces.WholeFile):
+                    _write_file(ready.out, result)
+                    finished.update(result.cells)
+                    name = result.cells[-1]
+                elif isinstance(result, Failure):
+                    works.extend(failures.rest(work, result, finished=finished))
                     for cell, _ in failures.cells[n_failed:]:
-                        _write(ready.out, gathered.add(pieces.place_of(cell), None))
+                        _write_file(
+                            ready.out, collector.add(pieces.cell_name(cell), None)
+                        )
                     n_failed = len(failures.cells)
                     continue
                 else:
-                    place = pieces.place_of(one[:3])
-                    _write(ready.out, gathered.add(place, one))
-                    finished.add(place)
+                    name = pieces.cell_name(result)
+                    _write_file(ready.out, collector.add(name, result))
+                    finished.add(name)
                 check_interrupt()
-                tell(len(finished) + n_failed, total, _stage(place))
+                progress(len(finished) + n_failed, total, _describe_cell(name))
     return failures.cells
 
 
-def _stage(place: pieces.Place) -> str:
-    """Return what is under way: of scenes or of linkage, whose consumers are called by a task."""
-    _, spec, label = place
-    return (
-        f"{'linkage' if '/' in label.partition(':')[0] else 'scenes'}: {spec} > {label}"
-    )
+def _spread_works(
+    compute: Callable[[pieces.Work], Iterable[pieces.WorkResult]],
+    works: deque[pieces.Work],
+    ready: Plan,
+) -> Generator[tuple[pieces.Work, Iterable[pieces.WorkResult]]]:
+    """Yield each work with its results, from this machine or from a Dask cluster."""
+    scheduler = ready.settings.scheduler
+    if scheduler is None:
+        return spread(
+            compute,
+            works,
+            jobs=ready.jobs,
+            limit_s=ready.settings.cell_timeout_s,
+            in_workers=has_strangers(ready.axes),
+        )
+    from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
+
+    pieces.cut_for_cluster(works)
+    modules = ready.code_digests.keys()
+    return spread_on_cluster(compute, works, scheduler=scheduler, modules=modules)
+
+
+def _describe_cell(name: pieces.CellName) -> str:
+    """Return a cell in words: of linkage if its consumer's label begins with a task."""
+    _, spec, label = name
+    stage = "linkage" if "/" in label.partition(":")[0] else "scenes"
+    return f"{stage}: {spec} > {label}"
 
 
 def _prepare_loops(
-    works: Iterable[pieces.Work], ready: Plan, tell: Callable[[str], None]
+    works: Iterable[pieces.Work], ready: Plan, report: Callable[[str], None]
 ) -> float:
-    """Compile the loops that the cells call, or load them; return the seconds that compiling took.
+    """Compile the loops that the cells call, or load them; return the time of it, s.
 
-    Workers that had to compile end here: each keeps half a gigabyte for it.
+    The time is 0 if all were loaded. Workers that had to compile end here: each keeps
+    half a gigabyte for it.
     """
-    loops = loops_of(cell[1:] for work in works for cell in pieces.cells_of(work))
-    apart = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
+    cells = (cell for work in works for cell in pieces.planned_cells(work))
+    loops = list_loops((cell.mechanism, cell.consumer) for cell in cells)
+    in_workers = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
     started, states = time.monotonic(), dict[str, str]()
     prepared = spread(
-        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, apart=apart
+        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, in_workers=in_workers
     )
     with closing(prepared):
-        for loop, some in prepared:
-            for state in some:
-                states[loop] = LOADED if isinstance(state, Failed) else state
+        for loop, loop_states in prepared:
+            for state in loop_states:
+                states[loop] = LOADED if isinstance(state, Failure) else state
                 if {COMPILING, COMPILED} & {*states.values()}:
-                    n_ready = sum(one != COMPILING for one in states.values())
-                    tell(f"compiling, once: {n_ready} of {len(loops)} loops")
+                    n_ready = len(states) - [*states.values()].count(COMPILING)
+                    report(f"compiling, once: {n_ready} of {len(loops)} loops")
     if COMPILED not in states.values():
         return 0.0
     dismiss()
     return time.monotonic() - started
 
 
-def _write(out: Path, file: pieces.WholeFile | None) -> None:
+def _write_file(out: Path, file: pieces.WholeFile | None) -> None:
     if file is not None:
         write_checked(out, file.name, file.content)

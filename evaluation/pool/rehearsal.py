@@ -1,19 +1,19 @@
-"""A dry run: everything that would end a run before its first cell, without leaving a trace."""
+"""A dry run: try all that could end a run before its first cell, and leave no trace."""
 
 import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 from evaluation.plan.plan import Plan
-from evaluation.pool.trials import try_plugins
+from evaluation.pool.plugin_calls import try_plugins
 from evaluation.store.files import MANIFEST
 from evaluation.store.folder import check_folder, refuse_other_run, usable
-from evaluation.store.manifest import parsed, undamaged
+from evaluation.store.manifest import checked_manifest, parse_manifest
 from isac_track.errors import SettingsError
 
 
 def rehearse(ready: Plan) -> list[str]:
-    """Try what a run does before it computes; return notices.
+    """Try all that a run does before it computes; return notices.
 
     The folder must be writable, and hold no other run. Every plug-in of a user's own is
     called once on a few made-up people. Raises SettingsError, DataError or PluginError
@@ -23,7 +23,7 @@ def rehearse(ready: Plan) -> list[str]:
     with usable(ready.out):
         _check_writable(ready.out)
         if (ready.out / MANIFEST).exists() and not ready.settings.fresh:
-            manifest = undamaged(parsed(ready.out), out=ready.out)
+            manifest = checked_manifest(parse_manifest(ready.out), out=ready.out)
             refuse_other_run(manifest["identity"], ready.identity, out=ready.out)
     with tempfile.TemporaryDirectory() as folder:
         given_up = try_plugins(replace(ready, out=Path(folder)), keeps_traceback=False)
@@ -33,11 +33,12 @@ def rehearse(ready: Plan) -> list[str]:
 
 
 def _check_writable(out: Path) -> None:
-    """Raise SettingsError if nothing can be written where a run folder is, or would be made."""
-    there = next(path for path in (out, *out.absolute().parents) if path.is_dir())
+    """Raise SettingsError if a run folder, or its nearest parent, is not writable."""
+    folder = next(path for path in (out, *out.absolute().parents) if path.is_dir())
     try:
-        with tempfile.TemporaryDirectory(dir=there, prefix=".isac-track-"):
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".isac-track-"):
             pass
     except OSError as error:
-        what = f"cannot write {there}: {error.strerror}"
-        raise SettingsError(f"{what}; choose another --out") from None
+        raise SettingsError(
+            f"cannot write {folder}: {error.strerror}; choose another --out"
+        ) from None

@@ -1,8 +1,7 @@
-"""Works handed out to worker processes of this machine, and what comes back of them.
+"""Hand out works to worker processes of this machine, and receive their results.
 
-Each worker is in a lane of its own, at the other end of a pipe: one that dies takes
-nobody along. It tells where it is before each cell, which names the culprit and times
-it.
+Each worker is in a lane of its own, at the other end of a pipe: its death harms no
+other. It reports each cell before it computes it, which names the culprit and times it.
 """
 
 import contextlib
@@ -26,45 +25,46 @@ import pyarrow as pa
 from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
-from evaluation.compute.where import Failed, here, note
+from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from isac_track.command_line import check_interrupt
-from isac_track.errors import told
+from isac_track.errors import error_text
 
 W = TypeVar("W")
 R = TypeVar("R")
-_ONE_THREAD: Final = dict.fromkeys(
+_SINGLE_THREAD: Final = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"),
     "1",
 )
-"""More would fight over the cores; and a sum depends on how many share it."""
+"""More threads would fight over the cores; and a sum depends on their number."""
 _FREED_STAYS: Final = {
     "MALLOC_TRIM_THRESHOLD_": str(2**26),
     "MALLOC_MMAP_THRESHOLD_": str(2**25),
 }
-"""Of glibc's malloc, which else gives every larger array back to the system, page by page."""
-_LOOK_S: Final = 0.25  # How often running cells are held against their limit.
+"""Settings of glibc's malloc: else it gives every larger array back page by page."""
+_LOOK_S: Final = 0.25  # How often running cells are compared with their time limit.
 _WORKER: Final = """
 import ctypes, os, signal, sys
-if sys.platform == "linux":  # 1: it ends with its parent, even where no other thread may run
+if sys.platform == "linux":
+    # 1: it ends with its parent, even where no other thread may run.
     ctypes.CDLL(None).prctl(1, signal.SIGKILL)
 from multiprocessing.connection import Connection
 pipe = Connection(int(sys.argv[1]))
 try:
     sys.path[:] = pipe.recv()
-except (EOFError, OSError):  # the parent was killed meanwhile
+except (EOFError, OSError):  # the parent was killed
     sys.exit()
 from evaluation.pool.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
-_waiting: Final[
-    "list[_Worker]"
-] = []  # With nothing to do: who spreads work takes them first.
-_CELLS_NEED: Final = (
+_idle_workers: Final["list[_Worker]"] = []
+"""Workers without work, for the next `spread`; `dismiss` and `ahead` end them."""
+_CELL_MODULES: Final = (
     "evaluation.pool.pieces",
     "evaluation.compute.sample_tracks",
     "numba",
 )
-_heard: Final[dict[int, int]] = {}  # Output and errors of this process, as it began.
+_own_streams: Final[dict[int, int]] = {}
+"""Copies of this process's output and error streams, as they were at its start."""
 _M_ARENA_MAX: Final = -8  # Of glibc's malloc.h.
 
 
@@ -74,34 +74,35 @@ def spread(
     *,
     jobs: int,
     limit_s: float | None,
-    apart: bool = False,
-    alone: bool = False,
-) -> Generator[tuple[W, Iterable[R | Failed]]]:
-    """Yield each work with what the function makes of it, again and again as it comes.
+    in_workers: bool = False,
+    is_separate: bool = False,
+) -> Generator[tuple[W, Iterable[R | Failure]]]:
+    """Yield each work with its results, again and again as they come.
 
-    The function notes with `note` where it is. Works may be added while this runs. With
-    one job and no limit, all is computed in this process and while what is yielded is
-    read, unless it is to be kept `apart`; else by workers, of which one that takes
-    longer than `limit_s` between two notes is killed: what it has sent stays. What is
-    left of many still gets one: it may kill its process.
+    The function calls `note_cell` before each cell. Works may be added while this runs.
+    With one job and no limit, all is computed in this process, while the yielded
+    results are read, unless it must be done `in_workers`. A worker that takes longer
+    than `limit_s` for a cell is killed: the results that it has sent stay. The last of
+    several works still gets a worker, since it may kill its process.
 
-    Workers that are done wait for other work until `ahead` ends; if this goes on
-    `alone`, before other work, those do that nobody took. Raises what the function
-    raises.
+    Workers without work wait for the next call until `ahead` ends. If `is_separate`,
+    the workers of this call end with it, and only those that it did not take wait.
+    Raises the errors of the function.
     """
-    if limit_s is None and jobs == 1 and not apart:
+    if limit_s is None and jobs == 1 and not in_workers:
         with threadpool_limits(limits=1):
             while works:
                 work = works.popleft()
-                note()
+                note_cell()
                 yield work, function(work)
         return
     with contextlib.ExitStack() as ends:
         lanes = [_Lane[W, R](function, limit_s) for _ in range(min(jobs, len(works)))]
-        for lane in lanes:  # to begin takes a worker 1 to 2 s: all at once
-            ends.callback(lane.stop, keeps=not alone)
+        for lane in lanes:  # a worker takes 1 to 2 s to begin: start all at once
+            ends.callback(lane.stop, keeps=not is_separate)
             lane.begin()
-        dismiss(len(_waiting) if alone else 0)  # there is no work for more
+        if not is_separate:
+            dismiss()  # there is no work for more
         while works or any(lane.is_busy for lane in lanes):
             check_interrupt()
             for lane in lanes:
@@ -116,12 +117,12 @@ def spread(
 
 
 @contextlib.contextmanager
-def ahead(n_workers: int = 0, needed: Sequence[str] = _CELLS_NEED) -> Iterator[None]:
-    """Start workers that import what is needed meanwhile; at the end dismiss all that wait."""
+def ahead(n_workers: int = 0, needed: Sequence[str] = _CELL_MODULES) -> Iterator[None]:
+    """Start workers that import modules meanwhile; at the end dismiss all idle ones."""
     try:
         for _ in range(n_workers):
-            _waiting.append(_started())
-            _waiting[-1].tell("import", needed)
+            _idle_workers.append(_start_worker())
+            _idle_workers[-1].send("import", needed)
         yield
     finally:
         dismiss()
@@ -129,24 +130,24 @@ def ahead(n_workers: int = 0, needed: Sequence[str] = _CELLS_NEED) -> Iterator[N
 
 @contextlib.contextmanager
 def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
-    """Let a worker that waits call something meanwhile; entered is what waits for the result.
+    """Let an idle worker make a call; yield the function that waits for its result.
 
-    Without a worker, or if it dies over it, the call is made here, once the result is
-    asked for: that raises what the call does.
+    Without an idle worker, or if it dies, that function makes the call here: it raises
+    the errors of the call.
     """
-    if not _waiting:
+    if not _idle_workers:
         yield call
         return
-    lane = _Lane[Callable[[], R], R](lambda of: [of()], None)
+    lane = _Lane[Callable[[], R], R](lambda function: [function()], None)
     lane.start(call)
 
     def result() -> R:
-        found: list[R | Failed] = []
+        results: list[R | Failure] = []
         while lane.is_busy:
             check_interrupt()
             connection.wait([lane.pipe], timeout=_LOOK_S)
-            found += lane.items()
-        return call() if isinstance(found[0], Failed) else found[0]
+            results += lane.items()
+        return call() if isinstance(results[0], Failure) else results[0]
 
     try:
         yield result
@@ -154,15 +155,15 @@ def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
         lane.stop(keeps=True)
 
 
-def dismiss(but: int = 0) -> None:
-    """End the workers that wait, all but some."""
-    while len(_waiting) > but:
-        _waiting.pop().end()
+def dismiss() -> None:
+    """End the idle workers."""
+    while _idle_workers:
+        _idle_workers.pop().end()
 
 
 @contextlib.contextmanager
 def given_back() -> Iterator[None]:
-    """Give back to the system what was freed while this was open: one process may run many.
+    """Return freed memory to the system at the end: one process may do many runs.
 
     glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach,
     and pyarrow's pools keep pieces that the next run does not quite fill. So threads
@@ -177,19 +178,18 @@ def given_back() -> Iterator[None]:
         yield
     finally:
         pa.set_memory_pool(pool)
-        _give_back(libc)
+        _trim_memory(libc)
 
 
 def _glibc() -> Any | None:  # noqa: ANN401 - untyped
-    with contextlib.suppress(
-        OSError, TypeError
-    ):  # Windows: there is no name for "this process"
+    # Windows has no name for "this process".
+    with contextlib.suppress(OSError, TypeError):
         libc = ctypes.CDLL(None)
         return libc if hasattr(libc, "malloc_trim") else None
     return None
 
 
-def _give_back(libc: Any | None) -> None:  # noqa: ANN401 - untyped
+def _trim_memory(libc: Any | None) -> None:  # noqa: ANN401 - untyped
     gc.collect()
     if libc is not None:
         libc.malloc_trim(ctypes.c_size_t(0))
@@ -201,17 +201,16 @@ class _Worker(NamedTuple):
     process: subprocess.Popen[bytes]
     pipe: Any
 
-    def tell(self, kind: str, content: object) -> None:
-        with contextlib.suppress(
-            OSError
-        ):  # it is gone: who waits for an answer finds that
+    def send(self, kind: str, content: object) -> None:
+        # A worker that has ended is noticed by the lane that waits for its answer.
+        with contextlib.suppress(OSError):
             self.pipe.send_bytes(dumps((kind, content)))
 
     def is_alive(self) -> bool:
         return self.process.poll() is None
 
     def kill(self) -> None:
-        """Kill it, whatever it is at, and all that it started."""
+        """Kill it at once, and all processes that it started."""
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
 
@@ -221,14 +220,14 @@ class _Worker(NamedTuple):
         self.pipe.close()
 
 
-def _started() -> _Worker:
-    """Start a worker in a group of its own, which no Ctrl-C reaches: it waits for the end."""
+def _start_worker() -> _Worker:
+    """Start a worker in a process group of its own, which no Ctrl-C reaches."""
     pipe, theirs = Pipe()
     with theirs:
         number = theirs.fileno()
         process = subprocess.Popen(  # noqa: S603 - this very Python
             [sys.executable, "-P", "-c", _WORKER, str(number), str(os.getpid())],
-            env=_FREED_STAYS | os.environ | _ONE_THREAD,
+            env=_FREED_STAYS | os.environ | _SINGLE_THREAD,
             pass_fds=[number],
             process_group=0,
         )
@@ -238,7 +237,7 @@ def _started() -> _Worker:
 
 
 class _Lane(Generic[W, R]):
-    """One worker after another, one piece of work at a time."""
+    """A sequence of workers, each with one piece of work at a time."""
 
     work: W
     _worker: _Worker | None = None
@@ -254,68 +253,70 @@ class _Lane(Generic[W, R]):
         return None if self._worker is None else self._worker.pipe
 
     def begin(self) -> _Worker:
-        """Take a worker that waits, or start one."""
-        while _waiting and not _waiting[-1].is_alive():
-            _waiting.pop().end()
-        self._worker = _waiting.pop() if _waiting else _started()
-        self._worker.tell("function", self._function)
+        """Take an idle worker, or start a new worker."""
+        while _idle_workers and not _idle_workers[-1].is_alive():
+            _idle_workers.pop().end()
+        self._worker = _idle_workers.pop() if _idle_workers else _start_worker()
+        self._worker.send("function", self._function)
         return self._worker
 
     def start(self, work: W) -> None:
         self.work, self.is_busy, self._overdue = work, True, ""
-        self._at: tuple[str, ...] = ()
+        self._cell: tuple[str, ...] = ()
         self._since_s = time.monotonic()
         worker = self._worker
         if worker is None or not worker.is_alive():  # killed with nothing to do
             self.stop()
             worker = self.begin()
-        worker.tell("work", work)
+        worker.send("work", work)
 
-    def items(self) -> list[R | Failed]:
-        """Return what comes next; busy no more if that was all. Kill a worker that is late."""
-        # First: what it said before it ended is still there.
-        is_gone = self._worker is None or not self._worker.is_alive()
+    def items(self) -> list[R | Failure]:
+        """Return the next results, and note the end of the work; kill a late worker."""
+        # First: the messages of a worker that has ended are still in the pipe.
+        worker_ended = self._worker is None or not self._worker.is_alive()
         try:
             while self.is_busy and self.pipe.poll():
-                kind, said = _received(self.pipe)
-                if kind == "at":
-                    self._at, self._since_s = said, time.monotonic()
+                kind, content = _receive_message(self.pipe)
+                if kind == "cell":
+                    self._cell, self._since_s = content, time.monotonic()
                 elif kind == "item":
-                    return [said]
-                elif kind == "raised" and isinstance(said, Exception):
-                    raise said
+                    return [content]
+                elif kind == "raised" and isinstance(content, Exception):
+                    raise content
                 else:
                     self.is_busy = False
-                    if (
-                        kind == "raised"
-                    ):  # KeyboardInterrupt, say: no Ctrl-C reaches a worker
-                        return [Failed(self._at, f"it raised {type(said).__name__}")]
+                    if kind == "raised":
+                        # KeyboardInterrupt, say: no Ctrl-C reaches a worker.
+                        message = f"it raised {type(content).__name__}"
+                        return [Failure(self._cell, message)]
         except (EOFError, ConnectionError):
-            is_gone = True
-        if is_gone and self.is_busy:
-            self.stop()
-            self.is_busy = False
-            why = self._overdue or "its worker died (killed, crashed or out of memory)"
-            return [
-                Failed(
-                    self._at, why, died=not self._overdue, is_late=bool(self._overdue)
-                )
-            ]
+            worker_ended = True
+        if worker_ended and self.is_busy:
+            return [self._end_of_worker()]
         is_late = (
             self._limit_s is not None
             and time.monotonic() - self._since_s > self._limit_s
         )
-        if self.is_busy and self._at and is_late and not self._overdue:
+        if self.is_busy and self._cell and is_late and not self._overdue:
             self._overdue = f"it ran for longer than {self._limit_s:g} s"
             if self._worker is not None:
                 self._worker.kill()
         return []
 
+    def _end_of_worker(self) -> Failure:
+        """Return the failure of a work whose worker has ended before it was done."""
+        self.stop()
+        self.is_busy = False
+        if self._overdue:
+            return Failure(self._cell, self._overdue, timed_out=True)
+        message = "its worker died (killed, crashed or out of memory)"
+        return Failure(self._cell, message, worker_died=True)
+
     def stop(self, *, keeps: bool = False) -> None:
         """End the worker, if there is one, or keep it if it has nothing to do."""
         if self._worker is not None:
             if keeps and not self.is_busy:
-                _waiting.append(self._worker)
+                _idle_workers.append(self._worker)
             else:
                 self._worker.end()
             self._worker = None
@@ -325,85 +326,86 @@ class _Lane(Generic[W, R]):
 
 
 def serve(pipe: Any, *, parent: int) -> None:  # noqa: ANN401 - a connection, untyped
-    """Do what comes through a pipe, and tell where that is and what came of it."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # one here is a plug-in's: the user's goes above
-    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    here.tell = lambda at: pipe.send_bytes(*_packed("at", at))
-    # What was imported stays, and arrays form no circles: to look for them takes one
-    # second of 20.
+    """Do the work that comes through a pipe; report each cell and send the results."""
+    # An interrupt here is a plug-in's: the user's reaches the parent.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
+    current_cell.report = lambda names: pipe.send_bytes(*_pack_message("cell", names))
+    # Imported modules stay, and arrays form no cycles: to search for cycles would take
+    # one second of 20.
     gc.disable()
     libc = _glibc()
     function: Any = None
     with contextlib.suppress(EOFError, OSError):  # the parent is gone
         while True:
-            kind, said = pipe.recv()
+            kind, content = pipe.recv()
             if kind == "function":
-                function = said
+                function = content
             elif kind == "work":
-                for answer in _answers(function, said):
+                for answer in _answer_messages(function, content):
                     for part in answer:
                         pipe.send_bytes(part)
-                    del answer, part  # of a result that is large nothing stays
-                said = None
-                _give_back(libc)
+                    del answer, part  # a large result must not stay in memory
+                content = None
+                _trim_memory(libc)
                 gc.freeze()
             else:
-                for name in said:
-                    with contextlib.suppress(Exception):  # who needs it fails by name
+                for name in content:
+                    # An error is ignored here: the cell that needs it fails by name.
+                    with contextlib.suppress(Exception):
                         import_module(name)
 
 
-def _end_with(parent: int) -> None:
+def _end_with_parent(parent: int) -> None:
     while os.getppid() == parent:
         time.sleep(_LOOK_S)
     os._exit(1)
 
 
-def _answers(function: Callable[[W], Iterable[R]], work: W) -> Iterator[list[Any]]:
-    """Yield messages: each item as it comes, and at last that this was all, or what was raised."""
-    undo = _as_it_is()
+def _answer_messages(
+    function: Callable[[W], Iterable[R]], work: W
+) -> Iterator[list[Any]]:
+    """Yield messages: each item as it comes, and at the end `done`, or the error."""
+    undo = _protect_process()
     try:
-        note()
+        note_cell()
         for item in function(work):
             undo()
-            yield _packed("item", item)
-        yield _packed("done", None)
-    except BaseException as error:  # noqa: BLE001 - whatever it is, it is the parent's to tell
+            yield _pack_message("item", item)
+        yield _pack_message("done", None)
+    except BaseException as error:  # noqa: BLE001 - the parent reports it
         undo()
         error.add_note(traceback.format_exc())
         try:
-            yield _packed("raised", error)
-        except Exception:  # noqa: BLE001 - a stranger's error may not be sendable
-            yield _packed("raised", RuntimeError(told(error)))
+            yield _pack_message("raised", error)
+        except Exception:  # noqa: BLE001 - a plug-in's error may not be sendable
+            yield _pack_message("raised", RuntimeError(error_text(error)))
 
 
-def _packed(kind: str, said: object) -> list[Any]:
-    """Return a message for `_received`; its arrays are sent from where they are, each by itself."""
+def _pack_message(kind: str, content: object) -> list[Any]:
+    """Return the parts of a message for `_receive_message`; arrays are not copied."""
     arrays: list[Any] = []
-    content = dumps((kind, said), protocol=5, buffer_callback=arrays.append)
-    return [dumps((content, len(arrays))), *(one.raw() for one in arrays)]
+    packed = dumps((kind, content), protocol=5, buffer_callback=arrays.append)
+    return [dumps((packed, len(arrays))), *(array.raw() for array in arrays)]
 
 
-def _received(pipe: Any) -> Any:  # noqa: ANN401 - a connection, untyped
+def _receive_message(pipe: Any) -> Any:  # noqa: ANN401 - a connection, untyped
     content, n_arrays = pipe.recv()
     return loads(content, buffers=[pipe.recv_bytes() for _ in range(n_arrays)])
 
 
-def _as_it_is() -> Callable[[], None]:
-    """Return what undoes that a plug-in changes its process: how deep calls go, who hears it."""
+def _protect_process() -> Callable[[], None]:
+    """Return a function that restores the recursion limit and the output streams."""
     limit = sys.getrecursionlimit()
-    np.seterr(
-        all="warn", under="ignore"
-    )  # as numpy begins, whatever a plug-in's module set
-    if not _heard:
-        with contextlib.suppress(OSError):  # nobody listens
-            _heard.update({number: os.dup(number) for number in (1, 2)})
+    # As numpy begins, whatever a plug-in's module has set.
+    np.seterr(all="warn", under="ignore")
+    if not _own_streams:
+        with contextlib.suppress(OSError):  # without streams
+            _own_streams.update({number: os.dup(number) for number in (1, 2)})
 
     def undo() -> None:
         sys.setrecursionlimit(limit)
-        for number, own in _heard.items():
+        for number, own in _own_streams.items():
             os.dup2(own, number)
 
     return undo

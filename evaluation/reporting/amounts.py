@@ -1,4 +1,4 @@
-"""Numbers, shares and lists as a sentence says them: one home for every text of a run."""
+"""Numbers, shares and lists as sentences have them: used by every text of a run."""
 
 from __future__ import annotations
 
@@ -14,26 +14,26 @@ PERCENT: Final = 100.0
 _AT_LEAST_TWO: Final = 2
 
 
-def whole(percent: float) -> str:
-    """Return a share in percent without decimals; a small one is not rounded to nothing."""
+def round_percent(percent: float) -> str:
+    """Return a percentage without decimals; a small positive value is `<1`."""
     rounded = f"{percent:.0f}"
-    return (
-        "<1" if rounded in ("0", "-0") and percent > 0.0 else rounded.replace("-0", "0")
-    )
+    if rounded in ("0", "-0") and percent > 0.0:
+        return "<1"
+    return rounded.replace("-0", "0")
 
 
 def half_width(estimate: Estimate) -> float:
-    """Return half of the 95 % interval, in the unit of the estimate; NaN without an interval."""
+    """Return half of the 95 % interval, in the estimate's unit; NaN without any."""
     return 0.5 * (estimate.ci_high - estimate.ci_low)
 
 
 def percent_cell(estimate: Estimate | None) -> str:
-    """Return a share as a table shows it, without its unit: `34 ±4`; `-` where it is unknown."""
+    """Return a share as a table shows it, without unit: `34 ±4`; `-` if unknown."""
     if estimate is None or not math.isfinite(estimate.value):
         return "-"
     half = half_width(estimate)
-    value = whole(PERCENT * estimate.value)
-    return f"{value} ±{whole(PERCENT * half)}" if math.isfinite(half) else value
+    value = round_percent(PERCENT * estimate.value)
+    return f"{value} ±{round_percent(PERCENT * half)}" if math.isfinite(half) else value
 
 
 def percent(estimate: Estimate) -> str:
@@ -41,14 +41,14 @@ def percent(estimate: Estimate) -> str:
     if not math.isfinite(estimate.value):
         return "an unknown share"
     half = half_width(estimate)
-    value = f"{whole(PERCENT * estimate.value)} %"
-    return f"{value} ±{whole(PERCENT * half)}" if math.isfinite(half) else value
+    value = f"{round_percent(PERCENT * estimate.value)} %"
+    return f"{value} ±{round_percent(PERCENT * half)}" if math.isfinite(half) else value
 
 
 def bare_percent(estimate: Estimate) -> str:
     """Return a share without its half-width: `34 %`."""
     known = math.isfinite(estimate.value)
-    return f"{whole(PERCENT * estimate.value)} %" if known else "unknown"
+    return f"{round_percent(PERCENT * estimate.value)} %" if known else "unknown"
 
 
 def counted(n: int, noun: str, plural: str = "") -> str:

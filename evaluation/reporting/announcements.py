@@ -1,4 +1,7 @@
-"""What a run says of itself in lines; nothing heavy is imported: `--list` answers at once."""
+"""Lines of text about a run: its plan, its notices, and the command that repeats it.
+
+Nothing heavy is imported at the top, so that `--list` answers at once.
+"""
 
 from __future__ import annotations
 
@@ -23,19 +26,19 @@ WIDTH: Final = 80  # Columns of the first screen.
 _INSIDE_NUMBER: Final = re.compile(
     r" (?=[%±])|(?<=\beta) (?=\d)|(?<=\d) (?=(?:m|s|Hz)\b)"
 )
-"""Spaces at which no line is broken."""
+"""Spaces at which no line may break."""
 _COMMANDS = ("matrix.py", "isac-track", "__main__.py")
 _KINDS: tuple[Kind, ...] = ("mechanisms", "predictors", "attacks")
 
 
-def near(path: Path) -> Path:
-    """Return a path as it is shortest to type from here: relative below the working folder."""
+def short_path(path: Path) -> Path:
+    """Return a path relative to the working folder, if it lies in that folder."""
     with contextlib.suppress(ValueError, OSError):
         return path.absolute().relative_to(Path.cwd())
     return path
 
 
-def wrapped(text: str, *, width: int = WIDTH, indent: str = "  ") -> list[str]:
+def wrap_lines(text: str, *, width: int = WIDTH, indent: str = "  ") -> list[str]:
     """Return a text in lines; a number and its unit stay together."""
     joined = _INSIDE_NUMBER.sub("\0", text)
     lines = textwrap.wrap(
@@ -48,9 +51,14 @@ def wrapped(text: str, *, width: int = WIDTH, indent: str = "  ") -> list[str]:
     return [line.replace("\0", " ") for line in lines]
 
 
-def condensed(notices: Sequence[str], *, most: int | None, where: str) -> list[str]:
-    """Return notices in lines, at most so many; the last then says where they can be read."""
-    lines = [line for one in notices for line in wrapped(one)]
+def condense_notices(
+    notices: Sequence[str], *, most: int | None, where: str
+) -> list[str]:
+    """Return notices in at most `most` lines.
+
+    If that cuts any, the last line says that `where` has them in full.
+    """
+    lines = [line for notice in notices for line in wrap_lines(notice)]
     if most is None or len(lines) <= most:
         return lines
     return [*lines[: most - 1], f"  ... {len(notices)} notices in full: {where}"]
@@ -59,14 +67,13 @@ def condensed(notices: Sequence[str], *, most: int | None, where: str) -> list[s
 def scenes_text(identity: Mapping[str, Any]) -> str:
     """Return how many scenes a run has, and how many of them are attacked."""
     attacked = identity["scenes"]
-    every = identity.get("scenes_utility", attacked)
-    return f"{every:,} scenes" + (
-        f", {attacked:,} of them attacked" if every != attacked else ""
-    )
+    total = identity.get("scenes_utility", attacked)
+    text = f"{total:,} scenes"
+    return text if total == attacked else f"{text}, {attacked:,} of them attacked"
 
 
 def plan_lines(ready: Plan) -> Iterator[str]:
-    """Yield what a plan is about to do, what it leaves out, and what slow attacks cost."""
+    """Yield what a plan will do, what it leaves out, and what slow attacks cost."""
     from evaluation.pool.pieces import (  # noqa: PLC0415 - names alone need none
         n_finished,
     )
@@ -76,40 +83,48 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         usable,
     )
 
-    # Reading all of them would take seconds here; the run does, and says which are
-    # damaged.
+    # Cells are counted and not read, which would take seconds. The run reads them and
+    # names the damaged ones.
     check_folder(ready.out)
     with usable(ready.out):
-        finished = n_finished(ready) * (not ready.settings.fresh)
+        finished = n_finished(ready)
+    if ready.settings.fresh:
+        finished = 0
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     yield (
         f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)}"
         f" tracks used, {scenes_text(ready.identity)}; {ready.n_cells} cells{so_far},"
-        f" in {near(ready.out)}"
+        f" in {short_path(ready.out)}"
     )
-    slow = [one for one in ready.axes.consumers if one.is_slow]
-    n_levels, costs = len(ready.axes.mechanisms), list[tuple[str, int, float]]()
-    for spec in dict.fromkeys(one.spec for one in slow):
+    slow = [consumer for consumer in ready.axes.consumers if consumer.is_slow]
+    n_levels = len(ready.axes.mechanisms)
+    costs: list[tuple[str, int, float]] = []
+    for spec in dict.fromkeys(consumer.spec for consumer in slow):
         from evaluation.compute.reconstruction import (  # noqa: PLC0415 - seldom needed
             slow_cost_s,
         )
 
-        rows = [one for one in slow if one.spec == spec]
-        costs.append(
-            (spec, len(rows), slow_cost_s(rows, tracks=ready.tracks, n_levels=n_levels))
-        )
+        same = [consumer for consumer in slow if consumer.spec == spec]
+        cost_s = slow_cost_s(same, tracks=ready.tracks, n_levels=n_levels)
+        costs.append((spec, len(same), cost_s))
     yield from plan_notices(ready, slow_costs=costs)
 
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the settings of a run's stages that are not the usual ones, as they are typed."""
+    """Return the stage settings that are not the usual ones, as they are typed."""
     usual = StageSettings().flat()
     stages = manifest["settings"].get("stages", {}).items()
-    return [f"{key}={at}" for key, at in stages if usual.get(key, at) != at]
+    return [
+        f"{name}={value}" for name, value in stages if usual.get(name, value) != value
+    ]
 
 
-def command(manifest: Mapping[str, Any]) -> str:
-    """Return the command that makes the run again: as given, or from Python what is not usual."""
+def rerun_command(manifest: Mapping[str, Any]) -> str:
+    """Return the command that makes the run again.
+
+    It is the command that was given. For a run from Python it has all options that are
+    not usual.
+    """
     given = [str(word) for word in manifest["environment"].get("command", ())]
     if given and Path(given[0]).name in _COMMANDS:
         options = [word for word in given[1:] if word != "matrix"]
@@ -124,20 +139,20 @@ def command(manifest: Mapping[str, Any]) -> str:
 
 
 def _named(settings: Mapping[str, Any], usual: Preset) -> Mapping[str, Sequence[str]]:
-    """Return the values that were named on each axis: `+NAME` adds to those of the preset.
+    """Return the values that the user named on each axis; `+NAME` adds to the preset's.
 
     The manifest of an earlier version has the outcome alone: all of it is named where
-    it differs.
+    it differs from the preset.
     """
     if "named" in settings:
         named: Mapping[str, Sequence[str]] = settings["named"]
         return named
     outcome: dict[str, Sequence[str]] = {}
     for axis in AXES:
-        used, usually = settings.get(axis, []), set(getattr(usual, axis))
-        # Of one session a run leaves the task of those who come back out by itself.
-        if set(used) not in (usually, usually - {"cross_session"}):
-            outcome[axis] = used
+        values, usual_values = settings.get(axis, []), set(getattr(usual, axis))
+        # A run of one session leaves out the task `cross_session` by itself.
+        if set(values) not in (usual_values, usual_values - {"cross_session"}):
+            outcome[axis] = values
     return outcome
 
 
@@ -147,23 +162,22 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         KNOWN,
     )
 
-    identity, settings, dataset = (
-        manifest[key] for key in ("identity", "settings", "dataset")
-    )
-    name = settings["preset"]
-    usual = PRESETS.get(name, PRESETS[DEFAULT])
-    known = dataset["name"] in KNOWN
+    identity, settings = manifest["identity"], manifest["settings"]
+    dataset, preset = manifest["dataset"], settings["preset"]
+    usual = PRESETS.get(preset, PRESETS[DEFAULT])
+    is_known = dataset["name"] in KNOWN
     scenes = identity["scenes"]
-    every = identity.get("scenes_utility", scenes)
-    is_usual = (scenes, every) == (usual.scenes, usual.utility_scenes)
-    options = [("preset", name if name in PRESETS and name != DEFAULT else None)]
+    total = identity.get("scenes_utility", scenes)
+    is_usual = (scenes, total) == (usual.scenes, usual.utility_scenes)
+    is_named = preset in PRESETS and preset != DEFAULT
+    options = [("preset", preset if is_named else None)]
     sessions = [("session", path) for path in dataset.get("sessions", ())]
-    options += sessions or [("dataset", dataset["name"] if known else dataset["path"])]
-    if not known:
+    source = dataset["name"] if is_known else dataset["path"]
+    options += sessions or [("dataset", source)]
+    if not is_known:
         options.append(("format", dataset["format"] or None))
         options += [
-            (option, identity.get(option))
-            for option in ("fps", "unit", "columns", "crs")
+            (name, identity.get(name)) for name in ("fps", "unit", "columns", "crs")
         ]
     options += [
         (name.replace("_", "-"), identity.get(name))
@@ -173,10 +187,11 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         ("scenes", None if is_usual else scenes),
         ("seed", identity["seed"] or None),
     ]
-    for axis, named in _named(settings, usual).items():
-        options += [(axis.removesuffix("s"), value) for value in named or ["none"]]
+    for axis, values in _named(settings, usual).items():
+        options += [(axis.removesuffix("s"), value) for value in values or ["none"]]
     options += [("set", setting) for setting in changed_settings(manifest)]
-    words = ["--persistent-ids"] * bool(identity.get("persistent_ids"))
-    return words + [
-        word for key, at in options if at is not None for word in (f"--{key}", f"{at}")
-    ]
+    words = ["--persistent-ids"] if identity.get("persistent_ids") else []
+    for name, value in options:
+        if value is not None:
+            words += [f"--{name}", f"{value}"]
+    return words

@@ -1,4 +1,4 @@
-"""Tables of answers: the paper's numbers and claims, equal costs, weak attacks, and the verdict."""
+"""Tables of answers: paper's numbers and claims, frontier, weak attacks, verdict."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -10,25 +10,26 @@ import pandas as pd
 
 from evaluation.estimates import paper
 from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
-from evaluation.estimates.keys import AS_SHARED, Source, rows_of, where_text
+from evaluation.estimates.keys import AS_SHARED, Source, row_dicts, where_text
 from evaluation.estimates.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.estimates.metrics import (
     EXPOSURE,
     METRICS,
-    OF_ROBOT,
+    ROBOT_PLR,
     SUCCESS,
     SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.constants import horizon_of
+from evaluation.plan.constants import world_horizon_s
 from evaluation.reporting import table as make
-from evaluation.reporting.lookups import family_of
+from evaluation.reporting.lookups import find_family
 from evaluation.reporting.result_tables import laplace_notes
 from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
 
-CRITERIA = {  # By what operating points are matched.
+# How operating points are matched.
+CRITERIA = {
     MISSED: "equal rise of missed conflicts",
     AT_EQUAL_ALARMS: "the same, at equal false alarms",
     FUTURE: "equal rise of missed future conflicts, at equal false alarms",
@@ -41,48 +42,36 @@ _EFFECTS = {
     "correlation": (1.0, 2, ""),
     "ratio": (1.0, 2, "times"),
 }
+"""By the unit of an effect: the scale, the digits and the unit of its text."""
+_JUDGED = "paper in our interval"
+_TOLERANCE = "tolerance at 5,000 scenes"
+_ROUNDING = 1e-12  # The difference of two rounded fractions may exceed a limit by this.
 
 
 def effect(row: Mapping[str, Any], *, signed: bool = False) -> Cell:
-    """Return an effect with its interval and unit; a ratio has no sign, a difference may."""
+    """Return an effect with its interval and unit; a ratio never has a sign."""
     unit = str(row["unit"])
     scale, digits, name = _EFFECTS.get(unit, (1.0, 1, unit))
     sign = "+" if signed and unit != "ratio" else "-"
     ends = (row[key] for key in ("effect", "ci_low", "ci_high"))
-    return make.number(*ends, scale=scale, digits=digits, unit=name, sign=sign)
+    return make.number_cell(*ends, scale=scale, digits=digits, unit=name, sign=sign)
 
 
 def paper_table(run: Results) -> Table:
-    """Return the paper's numbers beside ours; judged only on the paper's own recording."""
-    judged = "paper in our interval", "tolerance at 5,000 scenes"
+    """Return the paper's numbers beside ours; judged on the paper's recording alone."""
     frame = run.paper_table
     records = frame.assign(bias=frame["ours"] - frame["paper"]).to_dict("records")
     for row in records:
-        metric, published = row["metric"], row["paper"]
-        row["paper_error"] = paper.monte_carlo_error(metric, published)
-        is_judged = isinstance(row["within"], bool | np.bool_) and np.isfinite(
-            row["ci_low"]
-        )
-        answer = "fitted" if paper.is_fitted(row) else "yes" if row["within"] else "no"
-        row[judged[0]] = answer if is_judged else ""
-        allowed = paper.tolerance(row["mechanism"], metric, published)
-        # A hair more: the difference of two rounded fractions may miss the limit
-        # itself.
-        met = "yes" if abs(row["bias"]) <= allowed + 1e-12 else "no"
-        text = f"{met} ({make.amount(metric, allowed).text})"
-        row[judged[1]] = text if np.isfinite(row["ours"]) else ""
-    linear = [row for row in records if "adding=" not in row["mechanism"]]
-    seen = [row for row in linear if not paper.is_fitted(row)]
-    rates = [
-        row for row in records if np.isfinite(row["paper_error"])
-    ]  # the missed ones
+        row["paper_error"] = paper.monte_carlo_error(row["metric"], row["paper"])
+        row[_JUDGED] = _interval_answer(row)
+        row[_TOLERANCE] = _tolerance_answer(row)
     is_own = run.dataset == paper.DATASET
     identity = run.manifest["identity"]
     n_scenes = identity.get("scenes_utility", identity["scenes"])
     n_attacked = identity["scenes"]
     notes = [f"Missed rates rest on {n_scenes:,} scenes, the others on {n_attacked:,}."]
     if is_own:
-        notes += _own_recording_notes(linear, seen, rates, judged[1])
+        notes += _own_recording_notes(records)
     else:
         notes.append(
             f"The paper used {paper.DATASET}; ours are of {run.dataset}, so they need"
@@ -90,35 +79,55 @@ def paper_table(run: Results) -> Table:
         )
     columns = [
         *mechanism_columns(run.families),
-        make.said("metric", lambda row: METRICS[row["metric"]].title),
-        make.measured("paper", "paper"),
-        make.measured("ours", "ours", "ci_low", "ci_high"),
-        make.measured("ours - paper", "bias", sign="+"),
-        make.measured("paper's own error", "paper_error"),
-        *(replace(make.decided(name), align="right") for name in judged if is_own),
+        make.text_column("metric", lambda row: METRICS[row["metric"]].title),
+        make.metric_column("paper", "paper"),
+        make.metric_column("ours", "ours", "ci_low", "ci_high"),
+        make.metric_column("ours - paper", "bias", sign="+"),
+        make.metric_column("paper's own error", "paper_error"),
     ]
+    if is_own:
+        columns += [
+            replace(make.decision_column(name), align="right")
+            for name in (_JUDGED, _TOLERANCE)
+        ]
     title = "The paper's numbers beside ours, privacy as shared; 95 % intervals"
-    return make.built(
+    return make.build_table(
         "paper", title, records, columns, notes=notes, n_headings=2, n_keys=4
     )
 
 
-def _own_recording_notes(
-    linear: Sequence[Mapping[Any, Any]],
-    seen: Sequence[Mapping[Any, Any]],
-    rates: Sequence[Mapping[Any, Any]],
-    tolerance: str,
-) -> list[str]:
-    """Return how many numbers were fitted and how many agree, on the recording of the paper.
+def _interval_answer(row: Mapping[Any, Any]) -> str:
+    """Return whether our interval holds the paper's number; empty if not judged."""
+    is_judged = isinstance(row["within"], bool | np.bool_)
+    if not (is_judged and np.isfinite(row["ci_low"])):
+        return ""
+    if paper.is_fitted(row):
+        return "fitted"
+    return "yes" if row["within"] else "no"
 
-    `linear` are the numbers under the adding rule of the paper, `seen` those that were
-    not fitted, `rates` the missed rates, and `tolerance` the column that says whether
-    they agree.
+
+def _tolerance_answer(row: Mapping[Any, Any]) -> str:
+    """Return whether our number is within the tolerance; empty where we have none."""
+    if not np.isfinite(row["ours"]):
+        return ""
+    metric = row["metric"]
+    allowed = paper.tolerance(row["mechanism"], metric, row["paper"])
+    answer = "yes" if abs(row["bias"]) <= allowed + _ROUNDING else "no"
+    return f"{answer} ({make.metric_cell(metric, allowed).text})"
+
+
+def _own_recording_notes(records: Sequence[Mapping[Any, Any]]) -> list[str]:
+    """Return how many numbers were fitted and agree, on the recording of the paper.
+
+    `records` have the columns `paper_error` and whether they are within the tolerance.
     """
-    n_within = sum(row[tolerance].startswith("yes") for row in seen)
+    linear = [row for row in records if "adding=" not in row["mechanism"]]
+    seen = [row for row in linear if not paper.is_fitted(row)]
+    missed_rates = [row for row in records if np.isfinite(row["paper_error"])]
+    n_within = sum(row[_TOLERANCE].startswith("yes") for row in seen)
     far = [
         where_text(row["mechanism"], row["level"])
-        for row in rates
+        for row in missed_rates
         if paper.differs(row)
     ]
     fitted = (
@@ -129,7 +138,7 @@ def _own_recording_notes(
     error = (
         f"The paper's own error is that of a share of {paper.CONFLICTS} conflicts."
         f" Missed rates that differ at 5 % by both errors: {', '.join(far) or 'none'}"
-        f" (of {len(rates)}, each by itself)."
+        f" (of {len(missed_rates)}, each by itself)."
     )
     return [fitted, error]
 
@@ -137,49 +146,52 @@ def _own_recording_notes(
 def claims_table(run: Results) -> Table:
     """Return the paper's claims, and whether they hold."""
     columns = [
-        *map(make.said, ("adding", "claim")),
-        make.decided("answer"),
+        make.text_column("adding"),
+        make.text_column("claim"),
+        make.decision_column("answer"),
         Column("effect", effect),
-        replace(make.said("evidence"), is_long=True),
+        replace(make.text_column("evidence"), is_long=True),
     ]
-    title, notes = "The paper's claims; 95 % intervals", ["Evidence: paper_claims.csv."]
-    records = run.claims.to_dict("records")
-    return make.built(
-        "claims", title, records, columns, notes=notes, n_headings=1, n_keys=2
+    return make.build_table(
+        "claims",
+        "The paper's claims; 95 % intervals",
+        run.claims.to_dict("records"),
+        columns,
+        notes=["Evidence: paper_claims.csv."],
+        n_headings=1,
+        n_keys=2,
     )
 
 
 def frontier_table(run: Results) -> Table:
-    """Return what is left, and at which level, where missed conflicts have risen by a target."""
-    names, of = ["robot", "mechanism", "target"], run.frontier
-    is_told = of["metric"].isin([EXPOSURE, OF_ROBOT, SUCCESS, SUCCESS_OF_100])
+    """Return privacy and level where missed conflicts have risen by a target."""
+    frontier = run.frontier
+    is_shown = frontier["metric"].isin([EXPOSURE, ROBOT_PLR, SUCCESS, SUCCESS_OF_100])
+    priced = usual_price(frontier[is_shown]) if len(frontier) else frontier
     records: dict[tuple[Any, ...], dict[str, Any]] = {}
-    heads: dict[str, None] = {}
-    priced = usual_price(of[is_told]) if len(of) else of
-    for row in rows_of(priced):
-        source = Source(row["consumer"], row["knowledge"])
-        whose = (
-            "attacked" if source.knowledge in HEADLINE else f"after {source.knowledge}"
-        )
-        whose = "shared" if source == AS_SHARED else whose
-        head = f"{source.task or METRICS[row['metric']].head}, {whose}"
-        if row["metric"] == OF_ROBOT:
-            head = METRICS[OF_ROBOT].head
-        record = records.setdefault(tuple(row[name] for name in names), dict(row))
-        for key, ends in ((head, VALUE), (f"{head}, less white", GAP)):
-            if key == head or head == f"{METRICS[EXPOSURE].head}, attacked":
-                record[key] = make.number(*(row[name] for name in ends), scale=100.0)
-                heads[key] = None
+    heads: dict[str, None] = {}  # A set that keeps its order.
+    for row in row_dicts(priced):
+        point = row["robot"], row["mechanism"], row["target"]
+        record = records.setdefault(point, dict(row))
+        head = _frontier_head(row)
+        ends_of_heads = {head: VALUE}
+        if head == f"{METRICS[EXPOSURE].head}, attacked":
+            ends_of_heads[f"{head}, less white"] = GAP
+        for name, ends in ends_of_heads.items():
+            record[name] = make.number_cell(*(row[end] for end in ends), scale=100.0)
+            heads[name] = None
     columns = [
-        make.said("robot"),
-        make.said(
-            "mechanism", lambda row: family_of(run.families, row["mechanism"]).name
+        make.text_column("robot"),
+        make.text_column(
+            "mechanism", lambda row: find_family(run.families, row["mechanism"]).name
         ),
-        make.said("adding"),
-        make.counted("rise", "points", "target", scale=100.0, sign="+"),
-        make.counted("level", "", *LEVEL_READ, digits=2),
-        *(replace(make.held(head), unit="%") for head in heads),
-        make.said("beaten", lambda row: "yes" if row["dominated"] is True else ""),
+        make.text_column("adding"),
+        make.number_column("rise", "points", "target", scale=100.0, sign="+"),
+        make.number_column("level", "", *LEVEL_READ, digits=2),
+        *(replace(make.cell_column(head), unit="%") for head in heads),
+        make.text_column(
+            "beaten", lambda row: "yes" if row["dominated"] is True else ""
+        ),
     ]
     title = (
         "What is left where missed conflicts have risen so far over raw, at raw's false"
@@ -197,18 +209,32 @@ def frontier_table(run: Results) -> Table:
             "An error that is constant over a track is drawn once a person: 5 seeds"
             " tell more."
         ),
-        *laplace_notes(of.round({"level": 2}), n_reports=run.n_reports),
+        *laplace_notes(frontier.round({"level": 2}), n_reports=run.n_reports),
     ]
-    return make.built(
+    return make.build_table(
         "frontier", title, records.values(), columns, notes=notes, n_keys=4
     )
 
 
+def _frontier_head(row: Mapping[str, Any]) -> str:
+    """Return the head of the column in which a row of the frontier stands."""
+    if row["metric"] == ROBOT_PLR:
+        return METRICS[ROBOT_PLR].head
+    source = Source(row["consumer"], row["knowledge"])
+    if source == AS_SHARED:
+        state = "shared"
+    elif source.knowledge in HEADLINE:
+        state = "attacked"
+    else:
+        state = f"after {source.knowledge}"
+    return f"{source.task or METRICS[row['metric']].head}, {state}"
+
+
 def price_text(priced: pd.DataFrame) -> str:
-    """Return by which missed conflicts rows of a frontier are priced, in a sentence."""
+    """Return a sentence on the missed conflicts that price the rows of a frontier."""
     if not (priced["criterion"] == FUTURE).any():
         return "The price: missed conflicts, at raw's false alarms."
-    horizon_s = horizon_of(str(priced["dataset"].iloc[0]).rpartition(":")[2])
+    horizon_s = world_horizon_s(str(priced["dataset"].iloc[0]).rpartition(":")[2])
     ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
     return (
         f"The price: missed conflicts that are still to come{ahead}, at raw's false"
@@ -223,53 +249,61 @@ def flag_table(run: Results) -> Table:
         **run.flags[["by", "by_knowledge"]].astype(object).fillna("")
     )
     columns = [
-        make.said("flag", lambda row: row["kind"].replace("_", " ")),
-        make.said("attack", lambda row: Source(row["attack"], row["knowledge"]).label),
-        make.said(
+        make.text_column("flag", lambda row: row["kind"].replace("_", " ")),
+        make.text_column(
+            "attack", lambda row: Source(row["attack"], row["knowledge"]).label
+        ),
+        make.text_column(
             "beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label
         ),
         *mechanism_columns(run.families),
-        make.counted("PLR difference", "points", *ends, scale=100.0, sign="+"),
+        make.number_column("PLR difference", "points", *ends, scale=100.0, sign="+"),
     ]
-    return make.built("flags", "All flags", rows_of(texts), columns, n_keys=6)
+    return make.build_table("flags", "All flags", row_dicts(texts), columns, n_keys=6)
 
 
 def item_tables(items: Sequence[Mapping[str, Any]]) -> dict[str, Table]:
     """Return the items of the verdict, a table for each section."""
-    found = {}
-    for section in dict.fromkeys(
-        [*rules.SECTIONS, *(str(one["section"]) for one in items)]
-    ):
-        records = [_told(one) for one in items if one["section"] == section]
-        if not records:
-            continue
-        aspects = "mechanism", "descriptor", "task", "criterion", "about"
-        keys = ["adding", *(key for key in aspects if any(one[key] for one in records))]
-        columns = [
-            make.decided("decision"),
-            replace(make.said("what it says"), is_long=True),
-            *map(make.said, keys),
-            Column("effect", partial(effect, signed=True)),
-            make.counted("people", "", "n", digits=0),
+    own_sections = [str(item["section"]) for item in items]
+    tables = {}
+    for section in dict.fromkeys([*rules.SECTIONS, *own_sections]):
+        records = [_item_record(item) for item in items if item["section"] == section]
+        if records:
+            tables[section] = _section_table(section, records)
+    return tables
+
+
+def _section_table(section: str, records: Sequence[Mapping[str, Any]]) -> Table:
+    """Return the table of the items of a section of the verdict."""
+    aspects = "mechanism", "descriptor", "task", "criterion", "about"
+    keys = ["adding", *(key for key in aspects if any(row[key] for row in records))]
+    columns = [
+        make.decision_column("decision"),
+        replace(make.text_column("what it says"), is_long=True),
+        *map(make.text_column, keys),
+        Column("effect", partial(effect, signed=True)),
+        make.number_column("people", "", "n", digits=0),
+    ]
+    if all("power" in row for row in records):
+        ends = ("prediction_error", "prediction_error_low", "prediction_error_high")
+        columns += [
+            Column("people that show an equal", _people_needed),
+            make.text_column("evidence", lambda row: ", ".join(row["evidence"])),
+            make.text_column("power to show", _power),
+            make.number_column("prediction error", "points", *ends, scale=100.0),
         ]
-        if all("power" in one for one in records):
-            ends = ("prediction_error", "prediction_error_low", "prediction_error_high")
-            columns += [
-                Column("people that show an equal", _people_needed),
-                make.said("evidence", lambda row: ", ".join(row["evidence"])),
-                make.said("power to show", _power),
-                make.counted("prediction error", "points", *ends, scale=100.0),
-            ]
-        about = f"verdict-{section}", section.capitalize()
-        notes, n_keys = _untestable(records), 1 + len(keys)
-        found[section] = make.built(
-            *about, records, columns, notes=notes, n_keys=n_keys
-        )
-    return found
+    return make.build_table(
+        f"verdict-{section}",
+        section.capitalize(),
+        records,
+        columns,
+        notes=_untestable(records),
+        n_keys=1 + len(keys),
+    )
 
 
 def _untestable(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return why some items could not be tested: a note for each reason, and whom it concerns."""
+    """Return a note for each reason why items could not be tested, with these items."""
     reasons: dict[str, list[str]] = {}
     for row in records:
         if row["decision"] == rules.NOT_TESTABLE:
@@ -278,9 +312,9 @@ def _untestable(records: Sequence[Mapping[str, Any]]) -> list[str]:
             )
             reasons.setdefault(row["why"], []).append(about)
     return [
-        f"Not testable, {len(of)} of {len(records)} ({', '.join(dict.fromkeys(of))}):"
-        f" {why}."
-        for why, of in reasons.items()
+        f"Not testable, {len(names)} of {len(records)}"
+        f" ({', '.join(dict.fromkeys(names))}): {why}."
+        for why, names in reasons.items()
     ]
 
 
@@ -291,11 +325,11 @@ def _criterion_text(item: Mapping[str, Any]) -> str:
 
 
 def _people_needed(row: Mapping[str, Any]) -> Cell:
-    """Return how many people would show that linkage is equal, where anybody could record them."""
+    """Return how many people would show that linkage is equal, if so many can exist."""
     needed = row["n_needed"]
     if needed is not None and needed >= rules.MOST_PEOPLE:
-        return make.word("no realistic number")
-    return make.number(needed, digits=0)
+        return make.text_cell("no realistic number")
+    return make.number_cell(needed, digits=0)
 
 
 def _power(item: Mapping[str, Any]) -> str:
@@ -306,18 +340,18 @@ def _power(item: Mapping[str, Any]) -> str:
     )
 
 
-def _told(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an item with what it says in one sentence, and what it is about as over a column."""
-    descriptor, decision = item["descriptor"], item["decision"].capitalize()
-    why = "" if item["why"] in item["sentence"] else item["why"]
-    of, is_claim = item.get("of", ""), item["section"] == rules.CLAIM
+def _item_record(item: Mapping[str, Any]) -> dict[str, Any]:
+    """Return an item as a record of its table, with what it says in one text."""
+    descriptor, is_claim = item["descriptor"], item["section"] == rules.CLAIM
+    text = item["sentence"]
+    if item["why"] not in text:
+        text += f" {item['decision'].capitalize()}: {item['why'].rstrip('.')}."
+    mechanism = item.get("mechanism", "fid") if is_claim else item.get("of", "")
     return {
         **item,
-        "mechanism": item.get("mechanism", "fid") if is_claim else of,
+        "mechanism": mechanism,
         "about": item["subject"] or ("as shared" if is_claim else ""),
-        "what it says": (
-            item["sentence"] + (f" {decision}: {why.rstrip('.')}." if why else "")
-        ),
+        "what it says": text,
         "descriptor": METRICS[descriptor].head if descriptor in METRICS else descriptor,
         "criterion": _criterion_text(item),
     }

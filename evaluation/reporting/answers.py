@@ -1,4 +1,4 @@
-"""The five questions that a run is read for, each answered in a few plain sentences."""
+"""The five questions about a run, each answered in a few plain sentences."""
 
 import math
 from collections import Counter
@@ -14,12 +14,12 @@ from evaluation.reporting.amounts import (
     bare_percent,
     listed,
     percent,
+    round_percent,
     sentence_case,
-    whole,
 )
 from evaluation.reporting.bounds import gap_text
-from evaluation.reporting.headline import Headline, Shown
-from evaluation.reporting.lookups import HEADLINE, family_of
+from evaluation.reporting.headline import Headline, HeadlineColumn
+from evaluation.reporting.lookups import HEADLINE, find_family
 from evaluation.reporting.names import (
     adding_phrase,
     attack_name,
@@ -38,67 +38,77 @@ _MATTERS: Final = 0.05  # Difference between the adding rules that a sentence me
 _LEADS: Final = (rules.DOES_NOT, rules.TRACKS, rules.BETWEEN, rules.NOT_TESTABLE)
 """Decisions of the items on descriptors: the first that any item has is the answer."""
 
-
 _RULE_NOISE: Final = {
     "linear": "noise as in the paper",
     "independent": "independent noise",
 }
-"""Adding rules, in brackets."""
+"""By adding rule: the words in brackets."""
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """A question about a run, and the answer of the run."""
+    """A question about a run, and its answer."""
 
     question: str
     topic: str  # The question in a word.
-    # What the first screen says: shares in % with half of their 95 % interval.
+    # The text of the first screen: shares in % with half of their 95 % interval.
     sentence: str
     details: tuple[str, ...] = ()  # Further sentences, for the page and `--verbose`.
+
+
+@dataclass(frozen=True, slots=True)
+class LosingRobot:
+    """A robot that misses more conflicts than if it expected people to stand still."""
+
+    name: str
+    n_lost: int  # Levels at which it loses.
+    n_levels: int
 
 
 def answers(
     run: Results, first: Headline | None = None, *, names_level: bool = True
 ) -> tuple[Answer, ...]:
-    """Return the five answers of a run in their order; `first` is its first table, if at hand.
+    """Return the five answers of a run in their order.
 
-    Without `names_level` the first three do not say which level they are about: it is
-    `reference(first)`.
+    `first` is the first table of the run, if it is at hand. Without `names_level` the
+    first three answers do not name their level: it is `reference_level(first)`.
     """
-    table = headline_of(run) if first is None else first
-    where, items = reference(table), run.verdict.get("items", ())
+    table = run.headline if first is None else first
+    where, items = reference_level(table), run.verdict.get("items", ())
     robot = lead_robot(table, best=best_robot(run))
-    beaten = beaten_by_standing_still(table, run.verdict.get("robots", ()))
+    losing = losing_robots(table, run.verdict.get("robots", ()))
     start = f"With {level_phrase(table, where)}, " if names_level else ""
-    said = {
-        ("What does the robot lose?", "Robot"): (
-            _robot_sentence(table, where, robot, beaten, start=start),
+    return (
+        Answer(
+            "What does the robot lose?",
+            "Robot",
+            _robot_sentence(table, where, robot, losing, start=start),
             _robot_details(table, where, robot),
         ),
-        ("What still leaks?", "Leak"): (
+        Answer(
+            "What still leaks?",
+            "Leak",
             _leak_sentence(table, where, start=start),
             _leak_details(table, where),
         ),
-        ("Can people be linked?", "Links"): (
+        Answer(
+            "Can people be linked?",
+            "Links",
             _links_sentence(table, where, start=start),
             _links_details(table, where),
         ),
-        ("Do the descriptors tell?", "Descriptors"): (
+        Answer(
+            "Do the descriptors tell?",
+            "Descriptors",
             _descriptors_sentence(items),
             _descriptors_details(items, table, where),
         ),
-        ("What should I share?", "Share"): (share_answer(run), share_details(run)),
-    }
-    return tuple(Answer(*question, *answer) for question, answer in said.items())
+        Answer("What should I share?", "Share", share_answer(run), share_details(run)),
+    )
 
 
-def headline_of(run: Results) -> Headline:
-    """Return the first table of a run."""
-    return run.headline
-
-
-def reference(table: Headline) -> Where:
-    """Return the level of the answers: the strictest FID, or what costs a robot most, or raw."""
+def reference_level(table: Headline) -> Where:
+    """Return the level of the answers: strictest FID, else the costliest, else raw."""
     wheres = [where for where in table.wheres if table.known[where[0]].is_added]
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
@@ -110,81 +120,84 @@ def reference(table: Headline) -> Where:
 
 
 def best_robot(run: Results) -> str:
-    """Return the robot by which levels are chosen: of two chosen ones the first; empty if none."""
+    """Return the robot by which levels are chosen, the first of two; empty if none."""
     return next(iter(run.recommendation().robots), "")
 
 
-def lead_robot(table: Headline, *, best: str = "") -> Shown | None:
-    """Return the robot that the first screen shows, by the conflicts that are still to come.
+def lead_robot(table: Headline, *, best: str = "") -> HeadlineColumn | None:
+    """Return the robot of the first screen, by future conflicts if the table has them.
 
     A user's own predictor comes first, then the `best` of the run, then the first.
     """
     robots = table.future or list(table.robots)
-    own = [shown for shown in robots if not is_built_in_robot(shown.measure.consumer)]
-    usual = [shown for shown in robots if shown.measure.consumer == best]
+    own = [robot for robot in robots if not is_built_in_robot(robot.measure.consumer)]
+    usual = [robot for robot in robots if robot.measure.consumer == best]
     return next(iter([*own, *usual, *robots]), None)
 
 
 def _robot_sentence(
     table: Headline,
     where: Where,
-    robot: Shown | None,
-    beaten: Sequence[tuple[str, int, int]],
+    robot: HeadlineColumn | None,
+    losing: Sequence[LosingRobot],
     *,
     start: str,
 ) -> str:
-    """Return what a robot misses at a level, and whether a robot loses to standing still."""
+    """Return the conflicts that a robot misses, and a robot that loses, if any."""
     missed = table.at(where, robot) if robot else None
     if robot is None or missed is None:
         return "Not tested: the run has no predictor."
-    subject = robot_subject(robot.measure.consumer)
+    consumer = robot.measure.consumer
     conflicts = "future conflicts" if robot.is_later else "conflicts"
     raw = _raw_beside(table, where, robot)
     sentences = [
         sentence_case(
-            f"{start}{subject} misses {percent(missed)} of {conflicts}{raw}."
+            f"{start}{robot_subject(consumer)} misses {percent(missed)} of"
+            f" {conflicts}{raw}."
         ),
         *_other_rule(table, where, [robot]),
     ]
-    if beaten:
-        # The shown robot counts most, else the first that loses.
-        name, n_loses, n_levels = next(
-            (row for row in beaten if row[0] == robot.measure.consumer), beaten[0]
-        )
+    if losing:
+        # The robot of the sentence comes first, then the first that loses.
+        same = [loser for loser in losing if loser.name == consumer]
+        loser = next(iter([*same, *losing]))
         sentences.append(
-            f"At {n_loses} of {n_levels} levels, expecting people to stand beats "
-            f"{robot_subject(name)}."
+            f"At {loser.n_lost} of {loser.n_levels} levels, expecting people to stand"
+            f" beats {robot_subject(loser.name)}."
         )
     return " ".join(sentences)
 
 
-def beaten_by_standing_still(
+def losing_robots(
     table: Headline, records: Sequence[Mapping[str, Any]]
-) -> list[tuple[str, int, int]]:
-    """Return shown robots that lose to standing still: name, levels where they lose, levels."""
+) -> list[LosingRobot]:
+    """Return the shown robots that lose to the prediction that people stand still.
+
+    `records` are the verdict's: for each robot and horizon the levels where it loses.
+    """
     names = [robot.measure.consumer for robot in table.robots]
-    worst: dict[str, tuple[str, int, int]] = {}
+    worst: dict[str, LosingRobot] = {}
     for record in sorted(records, key=lambda record: -len(record["loses"])):
-        name = record["robot"]
-        if record["loses"] and name in names:
-            worst.setdefault(name, (name, len(record["loses"]), record["levels"]))
-    return sorted(worst.values(), key=lambda row: names.index(row[0]))
+        name, n_lost = record["robot"], len(record["loses"])
+        if n_lost and name in names:
+            worst.setdefault(name, LosingRobot(name, n_lost, record["levels"]))
+    return sorted(worst.values(), key=lambda loser: names.index(loser.name))
 
 
 def _robot_details(
-    table: Headline, where: Where, robot: Shown | None
+    table: Headline, where: Where, robot: HeadlineColumn | None
 ) -> tuple[str, ...]:
     """Return what the other robots miss, each at both horizons."""
     sentences = []
-    for shown in (*table.future, *table.robots):
-        missed = table.at(where, shown)
-        if missed is None or shown == robot:
+    for column in (*table.future, *table.robots):
+        missed = table.at(where, column)
+        if missed is None or column == robot:
             continue
         conflicts = "all conflicts"
-        if shown.is_later:
+        if column.is_later:
             conflicts = f"future conflicts within {table.horizon_s:g} s"
-        subject = sentence_case(robot_subject(shown.measure.consumer))
-        raw = _raw_beside(table, where, shown)
+        subject = sentence_case(robot_subject(column.measure.consumer))
+        raw = _raw_beside(table, where, column)
         sentences.append(f"{subject} misses {percent(missed)} of {conflicts}{raw}.")
     return tuple(sentences)
 
@@ -201,20 +214,17 @@ def _leak_sentence(table: Headline, where: Where, *, start: str) -> str:
     attacked = table.at(where, table.attacked) if table.attacked else None
     if table.attacked is None or attacked is None:
         return f"{known}. The run has no attack on them."
-    columns = [table.shared, table.attacked]
-    other = _other_rule(table, where, columns)
+    other = _other_rule(table, where, [table.shared, table.attacked])
     return " ".join([f"{known}, {percent(attacked)} after an attack.", *other])
 
 
 def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
-    """Return which attack it is, and the numbers under other assumptions."""
+    """Return the name of the attack, and the numbers under other assumptions."""
     column = table.attacked
     if column is None or table.at(where, column) is None:
         return ()
-    is_headline = where[0] not in table.known or table.known[where[0]].family in (
-        *SWEPT,
-        CLEAN,
-    )
+    family = table.known.get(where[0])
+    is_headline = family is None or family.family in (*SWEPT, CLEAN)
     source = column.measure.source
     attack = f"the {attack_name(source.consumer)} ({source.label})"
     if not is_headline:
@@ -235,16 +245,16 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
 
 
 def _links_sentence(table: Headline, where: Where, *, start: str) -> str:
-    """Return how many people an attack re-identifies, in the first two tasks of the table."""
+    """Return the share of re-identified people in the first two tasks of the table."""
     numbers = _linked_numbers(table, where)[:2]
     if not numbers:
         return "Not tested: the run has no linkage task with a linkage attack."
     (lead, rank1), *further = numbers
     phrase = task_phrase(lead.measure.source.task)
     sentence = f"{start}{phrase} {percent(rank1)} of people are re-identified"
-    for column, later in further:
+    for column, share in further:
         phrase = task_phrase(column.measure.source.task).removesuffix(" of silence")
-        sentence += f", {phrase} {bare_percent(later)}"
+        sentence += f", {phrase} {bare_percent(share)}"
     other = _other_rule(table, where, [column for column, _ in numbers])
     return " ".join([sentence_case(f"{sentence}."), *other])
 
@@ -255,38 +265,40 @@ def _links_details(table: Headline, where: Where) -> tuple[str, ...]:
     for column, rank1 in _linked_numbers(table, where):
         source = column.measure.source
         phrase = sentence_case(task_phrase(source.task))
-        way = " It matches all people at once." if column.is_joint else ""
+        joint = " It matches all people at once." if column.is_joint else ""
         sentences.append(
             f"{phrase}, the strongest attack is {source.attack.label} with"
-            f" {percent(rank1)}.{way}"
+            f" {percent(rank1)}.{joint}"
         )
         if math.isfinite(column.candidates):
-            chance = whole(PERCENT * column.chance)
+            chance = round_percent(PERCENT * column.chance)
             sentences.append(
                 f"Guessing among {column.candidates:.0f} people finds {chance} %."
             )
     return tuple(sentences)
 
 
-def _linked_numbers(table: Headline, where: Where) -> list[tuple[Shown, Estimate]]:
-    """Return the linkage tasks that have a number at a level."""
+def _linked_numbers(
+    table: Headline, where: Where
+) -> list[tuple[HeadlineColumn, Estimate]]:
+    """Return the columns of linkage tasks that have a number at a level, with it."""
     numbers = [(column, table.at(where, column)) for column in table.linked]
     return [(column, rank1) for column, rank1 in numbers if rank1 is not None]
 
 
 def level_phrase(table: Headline, where: Where) -> str:
-    """Return a level in the middle of a sentence."""
-    return mechanism_phrase(family_of(table.known, where[0]), where[1])
+    """Return the name of a level for the middle of a sentence."""
+    return mechanism_phrase(find_family(table.known, where[0]), where[1])
 
 
 def _descriptor_items(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the items of the verdict on the descriptors of the paper."""
-    own = [item for item in items if item["section"] == rules.VALIDITY]
-    return [item for item in own if item["descriptor"] in DESCRIPTORS]
+    validity = [item for item in items if item["section"] == rules.VALIDITY]
+    return [item for item in validity if item["descriptor"] in DESCRIPTORS]
 
 
 def _leading_item(items: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the item of the widest spread among those that have the leading decision."""
+    """Return the item of the widest spread among those with the leading decision."""
     decisions = {item["decision"] for item in items}
     lead = next(decision for decision in _LEADS if decision in decisions)
     leading = [item for item in items if item["decision"] == lead]
@@ -301,20 +313,23 @@ def _descriptors_sentence(items: Sequence[Mapping[str, Any]]) -> str:
     lead = _leading_item(own)
     same = [item for item in own if item["decision"] == lead["decision"]]
     names = list(dict.fromkeys(descriptor_name(item["descriptor"]) for item in same))
-    under = list(dict.fromkeys(item["adding"] for item in own))
-    shown = list(dict.fromkeys(item["adding"] for item in same))
+    tested_rules = list(dict.fromkeys(item["adding"] for item in own))
+    same_rules = list(dict.fromkeys(item["adding"] for item in same))
     # Where the adding rules disagree, the sentence says under which the decision holds.
-    where = f" ({_RULE_NOISE[shown[0]]})" if len(shown) < len(under) else ""
-    return _decision_sentence(lead, names, where=where)
+    is_split = len(same_rules) < len(tested_rules)
+    noise = f" ({_RULE_NOISE[same_rules[0]]})" if is_split else ""
+    return _decision_sentence(lead, names, noise=noise)
 
 
 def _decision_sentence(
-    item: Mapping[str, Any], names: Sequence[str], *, where: str
+    item: Mapping[str, Any], names: Sequence[str], *, noise: str
 ) -> str:
-    """Return the decision of an item in words, with by how much linkage differs."""
-    low, high = (
-        whole(PERCENT * (item[name] or 0.0)) for name in ("spread_low", "spread_high")
-    )
+    """Return the decision of an item in words, with the difference of linkage.
+
+    `noise` is the adding rule in brackets, or empty.
+    """
+    low = round_percent(PERCENT * (item["spread_low"] or 0.0))
+    high = round_percent(PERCENT * (item["spread_high"] or 0.0))
     several = len(names) > 1
     subject = f"The {listed(names)}"
     if len(names) == len(DESCRIPTORS):
@@ -326,17 +341,17 @@ def _decision_sentence(
         case rules.DOES_NOT if (item["spread_low"] or 0.0) <= rules.SUCCESS_MARGIN:
             return (
                 f"{subject} {says_not} how linkable people are: linkage falls where the"
-                f" {head} hardly changes{where}."
+                f" {head} hardly changes{noise}."
             )
         case rules.DOES_NOT:
             return (
                 f"{subject} {says_not} how linkable people are: at equal values,"
-                f" linkage differs by at least {low} points{where}."
+                f" linkage differs by at least {low} points{noise}."
             )
         case rules.TRACKS:
             return (
                 f"{subject} {says} how linkable people are: at equal values, linkage"
-                f" differs by {low} to {high} points{where}."
+                f" differs by {low} to {high} points{noise}."
             )
         case rules.BETWEEN:
             needed = item.get("n_needed")
@@ -344,7 +359,7 @@ def _decision_sentence(
             return (
                 f"The run cannot say whether the {head} tells how linkable people are."
                 f" At equal values, linkage differs by {low} to {high}"
-                f" points{where}.{more}"
+                f" points{noise}.{more}"
             )
     # The reason in short: the details have it in full.
     why = item["why"].partition(": ")[0].partition(", not surely")[0]
@@ -361,14 +376,14 @@ def people_needed(n: float) -> str:
 def _descriptors_details(
     items: Sequence[Mapping[str, Any]], table: Headline, where: Where
 ) -> tuple[str, ...]:
-    """Return where the answer comes from, on which evidence, and all decisions counted."""
+    """Return the source of the answer, its evidence, and the count of all decisions."""
     own = _descriptor_items(items)
     if not own:
         return ()
     lead = _leading_item(own)
     head = descriptor_name(lead["descriptor"])
     how = f"{task_phrase(lead['task'])}, with {adding_phrase(lead['adding'])}"
-    spread = whole(PERCENT * (lead["spread"] or 0.0))
+    spread = round_percent(PERCENT * (lead["spread"] or 0.0))
     sentences = [f"The widest spread is {spread} of 100 people at equal {head}, {how}."]
     if lead["decision"] == rules.NOT_TESTABLE:
         sentences = [f"Not testable {how}: {lead['why']}."]
@@ -386,18 +401,21 @@ def _descriptors_details(
     return tuple(sentences)
 
 
-def _raw_beside(table: Headline, where: Where, column: Shown) -> str:
-    """Return raw's number in brackets; empty at raw itself, or where it is unknown."""
+def _raw_beside(table: Headline, where: Where, column: HeadlineColumn) -> str:
+    """Return the number of raw positions in brackets; empty at raw itself."""
     raw = table.at((RAW, None), column) if where[0] != RAW else None
     return f" (raw positions: {bare_percent(raw)})" if raw else ""
 
 
-def _other_rule(table: Headline, where: Where, columns: Sequence[Shown]) -> list[str]:
-    """Return a sentence with the numbers under the other adding rule, where any clearly differs.
+def _other_rule(
+    table: Headline, where: Where, columns: Sequence[HeadlineColumn]
+) -> list[str]:
+    """Return a sentence on the other adding rule, if any number clearly differs there.
 
-    A number clearly differs if the intervals are apart and the values by five points.
+    A number clearly differs if the intervals are apart and the values differ by at
+    least five points.
     """
-    own = family_of(table.known, where[0])
+    own = find_family(table.known, where[0])
     for twin in table.known.values():
         if twin.name != own.name or twin.adding in ("", own.adding):
             continue
@@ -406,14 +424,14 @@ def _other_rule(table: Headline, where: Where, columns: Sequence[Shown]) -> list
             for column in columns
         ]
         known = [(value, other) for value, other in pairs if value and other]
-        if len(known) == len(pairs) and any(
-            _differ(value, other) for value, other in known
-        ):
+        differs = any(_clearly_differ(value, other) for value, other in known)
+        if differs and len(known) == len(pairs):
             shares = listed([percent(other) for _, other in known])
             return [f"With {adding_phrase(twin.adding)}: {shares}."]
     return []
 
 
-def _differ(value: Estimate, other: Estimate) -> bool:
+def _clearly_differ(value: Estimate, other: Estimate) -> bool:
+    """Return whether the intervals are apart and the values differ enough."""
     apart = max(other.ci_low - value.ci_high, value.ci_low - other.ci_high)
     return apart > 0 and abs(other.value - value.value) >= _MATTERS

@@ -1,4 +1,4 @@
-"""The best attacks beside the optimum of model worlds, and what a genie knows of recorded walks."""
+"""The best attacks beside the optimum of model worlds and a genie on recorded walks."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -37,78 +37,86 @@ _RATIO = (
 )
 
 
-def law_of(world: str, run: Results) -> str:
+def world_error_law(world: str, run: Results) -> str:
     """Return the error law of a world of a run."""
     own = run.manifest["settings"]["stages"]["sensing.law"]
     return OTHER_LAW if OTHER_LAW_WORLD in world else str(own)
 
 
 def bound_table(run: Results) -> Table:
-    """Return what the attack that comes closest lacks at every level of every model world."""
-    of = estimates(run.ours[run.ours["metric"] == CEILING])
-    ceilings = {key.where: make.estimated(EXPOSURE, one) for key, one in of.items()}
+    """Return the gap between the closest attack and the optimum of each model world."""
+    ceilings = {
+        key.where: make.estimate_cell(EXPOSURE, ceiling)
+        for key, ceiling in estimates(run.ours[run.ours["metric"] == CEILING]).items()
+    }
 
     def recorded(row: Mapping[str, Any]) -> Cell:
         return ceilings.get(row["where"], Cell()) if row["world"] == MODEL else Cell()
 
     columns = [
-        make.said("error law", lambda row: law_of(row["world"], run)),
-        make.said("closest attack", lambda row: row["attack"].label),
+        make.text_column("error law", lambda row: world_error_law(row["world"], run)),
+        make.text_column("closest attack", lambda row: row["attack"].label),
         _column("PLR there", EXPOSURE, "reached"),
         _column("bound", EXPOSURE, "bound"),
-        make.said("is", lambda row: "optimum" if row["is_exact"] else "ceiling"),
+        make.text_column("is", lambda row: "optimum" if row["is_exact"] else "ceiling"),
         _column("gap", GAP, "gap"),
         Column("genie, recorded walks", recorded, "%"),
     ]
     title = "How far the attacks are from the optimum of model worlds; 95 % intervals"
-    return _table(run, title, columns, note=_GENIE)
+    return _table(run, title, columns, links=False)
 
 
 def linked_bound_table(run: Results) -> Table:
-    """Return what the linker that comes closest lacks of the optimal likelihood ratio, by level."""
+    """Return the gap between the closest linker and the optimal likelihood ratio."""
     columns = [
-        make.said("task", lambda row: row["attack"].task),
-        make.said("closest linker", lambda row: row["attack"].attack.label),
+        make.text_column("task", lambda row: row["attack"].task),
+        make.text_column("closest linker", lambda row: row["attack"].attack.label),
         _column("rank 1 there", SUCCESS, "reached"),
         _column("optimum", SUCCESS, "bound"),
         _column("gap", RANK_GAP, "gap"),
     ]
     title = "How far the linkers are from the optimum of a model world; 95 % intervals"
-    return _table(run, title, columns, note=_RATIO)
+    return _table(run, title, columns, links=True)
 
 
 def _column(name: str, metric: str, key: str) -> Column:
     return Column(
-        name, lambda row: make.estimated(metric, row[key]), METRICS[metric].unit
+        name, lambda row: make.estimate_cell(metric, row[key]), METRICS[metric].unit
     )
 
 
-def _table(run: Results, title: str, columns: Sequence[Column], *, note: str) -> Table:
-    """Return a row for each gap, of those who link or of the others."""
-    name = "bounds-linked" if note == _RATIO else "bounds"
-    records = [
-        one._asdict() | dict(zip(("mechanism", "level"), one.where, strict=True))
-        for one in run.headline.gaps
-        if bool(one.attack.task) == (note == _RATIO)
-    ]
-    columns = [*mechanism_columns(run.families), *columns]
-    return make.built(
-        name, title, records, columns, notes=[_MODEL, note], n_headings=2, n_keys=4
+def _table(
+    run: Results, title: str, columns: Sequence[Column], *, links: bool
+) -> Table:
+    """Return a table with a row for each gap of linkers, or of the other attacks."""
+    records = []
+    for gap in run.headline.gaps:
+        if bool(gap.attack.task) == links:
+            mechanism, level = gap.where
+            records.append(gap._asdict() | {"mechanism": mechanism, "level": level})
+    return make.build_table(
+        "bounds-linked" if links else "bounds",
+        title,
+        records,
+        [*mechanism_columns(run.families), *columns],
+        notes=[_MODEL, _RATIO if links else _GENIE],
+        n_headings=2,
+        n_keys=4,
     )
 
 
 def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
-    own, *others = [
+    lacks = [
         f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"
         for gap in known
         if gap.where == where and gap.attack.task == task
-    ] or [""]
-    if not own:
+    ]
+    if not lacks:
         return ""
     unit = "of 100 people" if task else "points"
-    isotropic = "".join(f" With isotropic errors it lacks {other}." for other in others)
+    isotropic = [f" With isotropic errors it lacks {other}." for other in lacks[1:]]
     return (
-        f"In the model world the closest attack lacks {own} {unit} of the"
-        f" optimum.{isotropic}"
+        f"In the model world the closest attack lacks {lacks[0]} {unit} of the"
+        f" optimum.{''.join(isotropic)}"
     )

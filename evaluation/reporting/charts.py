@@ -1,7 +1,7 @@
-"""Charts: marks and lines on two axes, as places; the page's templates make SVG of them.
+"""Charts: marks and lines on two axes, in picture units; templates turn them into SVG.
 
-A chart is as wide as a phone. Colours are classes, so that they change in the dark, and
-a mark's shape and filling say the same in grey. Every mark is named.
+A chart is as wide as a phone. Colours are CSS classes, so that they change in the dark
+mode. The shape and the filling of a mark say the same in grey. Every mark has a name.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -30,9 +30,9 @@ INKS: Final = (
     "#1b1d20",
 )
 MARKERS: Final = "os^DvP*"
-"""Colours as in `colours.css`, and shapes as in `chart.html.j2`, as matplotlib has them."""
+"""Colours of `colours.css` and shapes of `chart.html.j2`, as matplotlib names them."""
 LOOKS: Final = len(INKS)
-Stroke: TypeAlias = "Sequence[Any]"  # Places (x, y) that a line goes through.
+Stroke: TypeAlias = "Sequence[Any]"  # Points (x, y) that a line goes through.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _MOST_STEPS: Final = 5
 _TOP: Final = 6.0
@@ -40,11 +40,11 @@ _RIGHT: Final = WIDTH - 12.0
 _FEW_DECADES: Final = 2.0
 _CURVES_HEIGHT: Final = 190.0
 _PLANE_HEIGHT: Final = 250.0
-_LABEL_MARK: Final = 16.0  # Room of the mark before a label.
-_LABEL_STEP: Final = 11.0  # Between two labels.
+_LABEL_MARK: Final = 16.0  # Width of the mark before a label.
+_LABEL_STEP: Final = 11.0  # Distance between two labels.
 _LABEL_ROOM: Final = 150.0
 _MOST_LABELS: Final = 7
-_WIDEST_ROW: Final = 172.0  # Of the names of rows.
+_WIDEST_ROW: Final = 172.0  # Width of the names of rows, at most.
 
 
 class Look(NamedTuple):
@@ -52,33 +52,36 @@ class Look(NamedTuple):
 
     place: int
     hollow: bool = False
-    turn: int = 0  # A colour that is used again has the shape of so many colours on.
+    # A colour that is used again has the shape of the colour `turn` places later.
+    turn: int = 0
 
     @property
     def css(self) -> str:
-        """Classes of its mark."""
-        return f"mark k{self.place % LOOKS}{' hollow' * self.hollow}"
+        """CSS classes of the mark."""
+        hollow = " hollow" if self.hollow else ""
+        return f"mark k{self.place % LOOKS}{hollow}"
 
     @property
     def shape(self) -> int:
-        """Number of its shape."""
-        return (
-            (self.place + self.turn) % (LOOKS - 1) if self.turn else self.place % LOOKS
-        )
+        """Number of the shape."""
+        if self.turn:
+            return (self.place + self.turn) % (LOOKS - 1)
+        return self.place % LOOKS
 
 
-def looks_of(known: Iterable[Family]) -> dict[str, Look]:
-    """Return the look of every mechanism: its rule is hollow or not, raw is a star."""
-    added = [one for one in known if one.is_added]
-    names = dict.fromkeys([FID, FIXED, *(one.name for one in added)])
-    looks = {
+def mechanism_looks(known: Iterable[Family]) -> dict[str, Look]:
+    """Return the look of each mechanism: independent noise is hollow, raw is a star."""
+    noisy = [family for family in known if family.is_added]
+    names = dict.fromkeys([FID, FIXED, *(family.name for family in noisy)])
+    family_looks = {
         name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
         for n, name in enumerate(names)
     }
-    return {RAW: Look(LOOKS - 1)} | {
-        one.mechanism: looks[one.name]._replace(hollow=one.adding == "independent")
-        for one in added
-    }
+    looks = {RAW: Look(LOOKS - 1)}
+    for family in noisy:
+        is_hollow = family.adding == "independent"
+        looks[family.mechanism] = family_looks[family.name]._replace(hollow=is_hollow)
+    return looks
 
 
 class Point(NamedTuple):
@@ -91,18 +94,22 @@ class Point(NamedTuple):
 
 
 class Curve(NamedTuple):
-    """A line over something, with marks and intervals."""
+    """A line over an axis, with marks and intervals."""
 
     look: Look
     name: str
     x: Floats  # (P,) in the unit of the axis
     y: Floats  # (3, P) values and both ends of their intervals, NaN where unknown
-    label: str = ""  # Stands at the right end of the line, where there is room.
+    label: str = ""  # Text at the right end of the line, if there is room.
 
 
-Mark: TypeAlias = tuple[
-    Look, float, float, str
-]  # x (infinite: the right edge), y, and name.
+class Mark(NamedTuple):
+    """A mark of its own, on no curve."""
+
+    look: Look
+    x: float  # In the unit of the axis; infinite: at the right edge.
+    y: float
+    name: str
 
 
 class Label(NamedTuple):
@@ -123,7 +130,7 @@ class Axis(NamedTuple):
 
 @dataclass(eq=False, slots=True)
 class Chart:
-    """What is drawn, in units of the picture; the templates know how."""
+    """Marks, lines and texts in picture units; the templates draw them."""
 
     x_label: str
     height: float
@@ -132,45 +139,40 @@ class Chart:
     x_ticks: list[tuple[float, str]] = field(default_factory=list)
     y_ticks: list[tuple[float, str]] = field(default_factory=list)
     grid: list[Stroke] = field(default_factory=list)
-    lines: list[tuple[str, Sequence[Stroke]]] = field(
-        default_factory=list
-    )  # Classes before.
-    marks: list[tuple[Look, Stroke, str]] = field(
-        default_factory=list
-    )  # Middles and name.
+    # CSS classes and the strokes that have them.
+    lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)
+    # Look, centres, and name.
+    marks: list[tuple[Look, Stroke, str]] = field(default_factory=list)
     labels: list[Label] = field(default_factory=list)  # Beside the ends of curves.
-    hints: dict[str, str] = field(
-        default_factory=dict
-    )  # Hover text by the words of a text.
-    right: float = _RIGHT  # Where the horizontal axis ends.
+    # Hover text of a text that the chart shows.
+    hints: dict[str, str] = field(default_factory=dict)
+    right: float = _RIGHT  # The right end of the horizontal axis.
 
     @property
     def bottom(self) -> float:
-        """Where the horizontal axis is."""
+        """Height of the horizontal axis."""
         return self.height - 30.0
 
     @property
     def texts(self) -> list[tuple[float, float, str, str]]:
-        """Place, class and words of all texts but that of the upright axis."""
-        found = [(at, self.bottom + 12.0, "x", text) for at, text in self.x_ticks]
-        found += [
-            (0.5 * (self.left + self.right), self.bottom + 26.0, "x", self.x_label)
-        ]
-        return found + [
-            (self.left - 5.0, at + 3.4, "y", text) for at, text in self.y_ticks
-        ]
+        """Position (x, y), CSS class and words of all texts but the vertical label."""
+        middle = 0.5 * (self.left + self.right)
+        texts = [(x, self.bottom + 12.0, "x", text) for x, text in self.x_ticks]
+        texts.append((middle, self.bottom + 26.0, "x", self.x_label))
+        texts += [(self.left - 5.0, y + 3.4, "y", text) for y, text in self.y_ticks]
+        return texts
 
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
-        """Draw the axis of values; return where one of them is."""
-        place, self.x_ticks = _axis(values, (self.left, self.right), log=log)
-        self.grid += [self.down(at) for at, _ in self.x_ticks]
-        return place
+        """Draw the horizontal axis; return the map from a value to its position."""
+        position, self.x_ticks = _axis(values, (self.left, self.right), log=log)
+        self.grid += [self.down(x) for x, _ in self.x_ticks]
+        return position
 
     def y_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
-        """Draw the upright axis of values; return where one of them is."""
-        place, self.y_ticks = _axis(values, (self.bottom, _TOP), log=log)
-        self.grid += [self.across(at) for at, _ in self.y_ticks]
-        return place
+        """Draw the vertical axis; return the map from a value to its position."""
+        position, self.y_ticks = _axis(values, (self.bottom, _TOP), log=log)
+        self.grid += [self.across(y) for y, _ in self.y_ticks]
+        return position
 
     def across(self, y: float) -> Stroke:
         """Return a line from side to side."""
@@ -188,27 +190,32 @@ def rows_chart(
     x_label: str,
     across: Iterable[tuple[Look, float]] = (),
 ) -> Chart:
-    """Return a row for each name, a mark for each series, and lines `across`, such as chance."""
+    """Return a chart with a row for each name and a mark for each series.
+
+    `across` are vertical lines, such as chance: a look and a fraction each.
+    """
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
     left = min(_WIDEST_ROW, 10.0 + CHARACTER * longest)
     chart = Chart(x_label, 12.0 + step * len(rows) + 30.0, left)
-    at = chart.x_axis(_shares([one for _, of in series.values() for one in of if one]))
-    for place, row in enumerate(rows):
-        middle = 8.0 + step * (place + 0.5)
+    columns = [estimates for _, estimates in series.values()]
+    known = [estimate for column in columns for estimate in column if estimate]
+    to_x = chart.x_axis(_percents(known))
+    for n_row, row in enumerate(rows):
+        middle = 8.0 + step * (n_row + 0.5)
         chart.y_ticks.append((middle, row))
         chart.grid.append(chart.across(middle))
-        for turn, (name, (look, of)) in enumerate(series.items()):
-            if one := of[place]:
-                y = middle + 4.5 * (turn - 0.5 * (len(series) - 1))
-                x, *ends = at(_shares([one]))
+        for n_series, (name, (look, estimates)) in enumerate(series.items()):
+            if estimate := estimates[n_row]:
+                y = middle + 4.5 * (n_series - 0.5 * (len(series) - 1))
+                x, *ends = to_x(_percents([estimate]))
+                text = f"{row}: {name} {share_text(estimate)}"
                 chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-                chart.marks.append((look, [(x, y)], f"{row}: {name} {share(one)}"))
+                chart.marks.append((look, [(x, y)], text))
     for look, value in across:
         if np.isfinite(value):
-            chart.lines.append(
-                (f"across k{look.place}", [chart.down(at(PERCENT * value))])
-            )
+            line = chart.down(to_x(PERCENT * value))
+            chart.lines.append((f"across k{look.place}", [line]))
     return chart
 
 
@@ -220,33 +227,48 @@ def plane_chart(
     has_front: bool = False,
     limit: float | None = None,
 ) -> Chart:
-    """Return marks on two axes, a line for each mechanism, what none beats, and a limit of y."""
+    """Return a chart of points, joined by a line for each mechanism.
+
+    `has_front` draws the front: the levels that no other level beats. `limit` is a
+    fraction; it is drawn as a horizontal line.
+    """
     points = [point for curve in curves for point in curve]
-    words = [label.removesuffix(" (%)") for label in (x_label, y_label)]
+    x_name, y_name = x_label.removesuffix(" (%)"), y_label.removesuffix(" (%)")
     chart = Chart(x_label, _PLANE_HEIGHT, 40.0, y_label)
-    at_x = chart.x_axis(_shares([one.x for one in points]))
-    at_y = chart.y_axis(_shares([one.y for one in points]))
+    to_x = chart.x_axis(_percents([point.x for point in points]))
+    to_y = chart.y_axis(_percents([point.y for point in points]))
     if limit is not None:
-        chart.lines.append(("across k6", [chart.across(at_y(PERCENT * limit))]))
+        chart.lines.append(("across k6", [chart.across(to_y(PERCENT * limit))]))
     for curve in curves:
-        way = [
-            (at_x(PERCENT * one.x.value), at_y(PERCENT * one.y.value)) for one in curve
+        line = [
+            (to_x(PERCENT * point.x.value), to_y(PERCENT * point.y.value))
+            for point in curve
         ]
-        chart.lines.append((f"curve k{curve[0].look.place}", [way]))
+        chart.lines.append((f"curve k{curve[0].look.place}", [line]))
     if has_front and points:
-        values = np.array([(one.x.value, one.y.value) for one in points])
-        corners = values[front(*values.T)]
-        # A staircase: whoever is right of it and above pays more and leaves more.
-        across, up = corners[np.argsort(corners[:, 0])].T * PERCENT
-        x, y = np.repeat(at_x(across), 2), np.repeat(at_y(up), 2)
-        chart.lines.append(("front", [[*zip([*x, _RIGHT], [_TOP, *y], strict=True)]]))
-    for one in points:
-        (x, *x_ends), (y, *y_ends) = at_x(_shares([one.x])), at_y(_shares([one.y]))
-        both = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
-        chart.lines.append((f"bar k{one.look.place}", both))
-        name = f"{one.name}: {words[0]} {share(one.x)}, {words[1]} {share(one.y)}"
-        chart.marks.append((one.look, [(x, y)], name))
+        chart.lines.append(("front", [_front_line(points, to_x, to_y)]))
+    for point in points:
+        x, *x_ends = to_x(_percents([point.x]))
+        y, *y_ends = to_y(_percents([point.y]))
+        bars = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
+        chart.lines.append((f"bar k{point.look.place}", bars))
+        name = (
+            f"{point.name}: {x_name} {share_text(point.x)},"
+            f" {y_name} {share_text(point.y)}"
+        )
+        chart.marks.append((point.look, [(x, y)], name))
     return chart
+
+
+def _front_line(
+    points: Sequence[Point], to_x: Callable[[Any], Any], to_y: Callable[[Any], Any]
+) -> Stroke:
+    """Return the front as a staircase: every point above and right of it is beaten."""
+    values = np.array([(point.x.value, point.y.value) for point in points])
+    corners = values[front(*values.T)]
+    x_percent, y_percent = corners[np.argsort(corners[:, 0])].T * PERCENT
+    x, y = np.repeat(to_x(x_percent), 2), np.repeat(to_y(y_percent), 2)
+    return list(zip([*x, _RIGHT], [_TOP, *y], strict=True))
 
 
 def curves_chart(
@@ -257,37 +279,43 @@ def curves_chart(
     across: Sequence[tuple[str, float]] = (),
     marked: Sequence[Mark] = (),
 ) -> Chart:
-    """Return curves on two axes; `across` are lines from side to side, a class and value each."""
+    """Return a chart of curves on two axes.
+
+    `across` are horizontal lines: a CSS class and a value each. `marked` are further
+    marks, of no curve.
+    """
     chart = Chart(
         x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves)
     )
-    at_x = chart.x_axis(np.concatenate([one.x for one in curves]), log=x.log)
-    others = [value for _, value in across] + [value for _, _, value, _ in marked]
-    shown = np.concatenate([*(one.y.ravel() for one in curves), np.array(others)])
-    at_y = chart.y_axis(shown, log=y.log)
+    to_x = chart.x_axis(np.concatenate([curve.x for curve in curves]), log=x.log)
+    others = [value for _, value in across] + [mark.y for mark in marked]
+    curve_values = [curve.y.ravel() for curve in curves]
+    to_y = chart.y_axis(np.concatenate([*curve_values, np.array(others)]), log=y.log)
     for css, value in across:
-        chart.lines.append((f"across {css}", [chart.across(at_y(value))]))
-    for one in curves:
-        known = np.isfinite(one.y[0])
-        places, (middle, *ends) = at_x(one.x[known]), at_y(one.y[:, known])
-        way = [*zip(places, middle, strict=True)]
-        each = zip(places, *ends, strict=True)
-        bars = [line for at, *pair in each for line in bar(pair, at=at, upright=True)]
-        chart.lines.append((f"curve k{one.look.place}", [way]))
-        chart.lines.append((f"bar k{one.look.place}", bars))
-        chart.marks.append((one.look, way, one.name))
-    for look, at, value, name in marked:
-        place = at_x(at) if np.isfinite(at) else chart.right
-        chart.marks.append((look, [(place, at_y(value))], name))
+        chart.lines.append((f"across {css}", [chart.across(to_y(value))]))
+    for curve in curves:
+        known = np.isfinite(curve.y[0])
+        xs = to_x(curve.x[known])
+        middles, lows, highs = to_y(curve.y[:, known])
+        line = list(zip(xs, middles, strict=True))
+        bars: list[Stroke] = []
+        for at, low, high in zip(xs, lows, highs, strict=True):
+            bars += bar([low, high], at=at, upright=True)
+        chart.lines.append((f"curve k{curve.look.place}", [line]))
+        chart.lines.append((f"bar k{curve.look.place}", bars))
+        chart.marks.append((curve.look, line, curve.name))
+    for mark in marked:
+        mark_x = to_x(mark.x) if np.isfinite(mark.x) else chart.right
+        chart.marks.append((mark.look, [(mark_x, to_y(mark.y))], mark.name))
     if chart.right < _RIGHT:
-        chart.labels = _labels(curves, at_y, x=chart.right, bottom=chart.bottom)
+        chart.labels = _labels(curves, to_y, x=chart.right, bottom=chart.bottom)
     return chart
 
 
 def label_room(curves: Sequence[Curve]) -> float:
-    """Return how much room the labels of curves take at the right; 0 if they do not fit.
+    """Return the width of the labels right of the curves; 0 if they do not fit.
 
-    They fit if every curve has a different one, there are at most seven, and none is
+    They fit if every curve has a different label, there are at most seven, and none is
     too long.
     """
     labels = [curve.label for curve in curves]
@@ -297,21 +325,20 @@ def label_room(curves: Sequence[Curve]) -> float:
 
 
 def _labels(
-    curves: Sequence[Curve], at_y: Callable[[Any], Any], *, x: float, bottom: float
+    curves: Sequence[Curve], to_y: Callable[[Any], Any], *, x: float, bottom: float
 ) -> list[Label]:
-    """Return the labels at the height of the last values, moved apart so that none overlap."""
-    ends = [float(at_y(curve.y[0][np.isfinite(curve.y[0])][-1])) for curve in curves]
+    """Return labels at the heights of the last values, moved apart if they overlap."""
+    ends = [float(to_y(curve.y[0][np.isfinite(curve.y[0])][-1])) for curve in curves]
     order = sorted(range(len(curves)), key=ends.__getitem__)
     heights = list[float]()
     for place in order:
-        heights.append(
-            max(ends[place], heights[-1] + _LABEL_STEP if heights else _TOP + 2.0)
-        )
-    # What has moved below the axis pushes the others up again.
+        highest = heights[-1] + _LABEL_STEP if heights else _TOP + 2.0
+        heights.append(max(ends[place], highest))
+    # Labels that have moved below the axis push the others up again.
     limit = bottom
-    for turn in reversed(range(len(heights))):
-        heights[turn] = min(heights[turn], limit)
-        limit = heights[turn] - _LABEL_STEP
+    for n in reversed(range(len(heights))):
+        heights[n] = min(heights[n], limit)
+        limit = heights[n] - _LABEL_STEP
     return [
         Label(x + 0.75 * _LABEL_MARK, height, curves[place].look, curves[place].label)
         for place, height in zip(order, heights, strict=True)
@@ -319,55 +346,64 @@ def _labels(
 
 
 def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stroke]:
-    """Return the line of an interval; none without one."""
+    """Return the line of an interval; an empty list without an interval."""
     line = [(at, end) if upright else (end, at) for end in ends]
     return [line] if np.isfinite(ends).all() else []
 
 
-def share(one: Estimate) -> str:
-    """Return a share in % with its interval."""
-    ends = f" [{PERCENT * one.ci_low:.1f}, {PERCENT * one.ci_high:.1f}]"
-    return f"{PERCENT * one.value:.1f} %" + ends * bool(np.isfinite(one.ci_low))
+def share_text(estimate: Estimate) -> str:
+    """Return a share in % with its interval, if it has one: `12.3 % [10.1, 14.5]`."""
+    value = f"{PERCENT * estimate.value:.1f} %"
+    if not np.isfinite(estimate.ci_low):
+        return value
+    low, high = PERCENT * estimate.ci_low, PERCENT * estimate.ci_high
+    return f"{value} [{low:.1f}, {high:.1f}]"
 
 
-def _shares(of: Sequence[Estimate]) -> Floats:
-    """Return values in % with both ends of their intervals, one after the other."""
-    found = np.array(
-        [(one.value, one.ci_low, one.ci_high) for one in of], dtype=np.float64
-    )
-    return PERCENT * found.reshape(-1)
+def _percents(estimates: Sequence[Estimate]) -> Floats:
+    """Return value and both interval ends of each estimate in %, flat: (3 E,)."""
+    rows = [
+        (estimate.value, estimate.ci_low, estimate.ci_high) for estimate in estimates
+    ]
+    return PERCENT * np.array(rows, dtype=np.float64).reshape(-1)
 
 
 def _axis(
     values: Floats, ends: tuple[float, float], *, log: bool
 ) -> tuple[Callable[[Any], Any], list[tuple[float, str]]]:
-    """Return where a value is on an axis between two places, and its ticks."""
+    """Return the map from values to positions between two ends, and the ticks."""
     known, length = values[np.isfinite(values)], ends[1] - ends[0]
     if log and (known > 0).any():
-        known = known[known > 0]
-        low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
-        steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
-        decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
-        ticks = [
-            one
-            for one in np.outer(decades, steps).ravel()
-            if low <= np.log10(one) <= high
-        ]
-
-        def place(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
-            return ends[0] + length * (
-                np.log10(np.maximum(values, 10.0**low)) - low
-            ) / (high - low)
-
-        return place, [(float(place(one)), _short(one)) for one in ticks]
+        return _log_axis(known[known > 0], ends)
     ticks = _ticks(float(known.min(initial=0.0)), float(known.max(initial=0.0)))
     unit = length / (ticks[-1] - ticks[0])
-    of_tick = [(ends[0] + unit * (one - ticks[0]), level_text(one)) for one in ticks]
-    return lambda of: ends[0] + unit * (of - ticks[0]), of_tick
+
+    def position(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
+        return ends[0] + unit * (values - ticks[0])
+
+    return position, [(position(tick), level_text(tick)) for tick in ticks]
+
+
+def _log_axis(
+    known: Floats, ends: tuple[float, float]
+) -> tuple[Callable[[Any], Any], list[tuple[float, str]]]:
+    """Return the same for a logarithmic axis of positive values."""
+    length = ends[1] - ends[0]
+    low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
+    steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
+    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
+    candidates = np.outer(decades, steps).ravel()
+    ticks = [tick for tick in candidates if low <= np.log10(tick) <= high]
+
+    def position(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
+        exponents = np.log10(np.maximum(values, 10.0**low))
+        return ends[0] + length * (exponents - low) / (high - low)
+
+    return position, [(float(position(tick)), _short(tick)) for tick in ticks]
 
 
 def _short(value: float) -> str:
-    """Return a tick, large powers of ten as such."""
+    """Return the text of a tick; large powers of ten as `10⁵`."""
     exponent = round(np.log10(value))
     if exponent >= 4 and np.isclose(value, 10.0**exponent):  # noqa: PLR2004 - 1000 is short
         return "10" + str(exponent).translate(str.maketrans("0123456789", "⁰¹²³⁴⁵⁶⁷⁸⁹"))
@@ -375,9 +411,11 @@ def _short(value: float) -> str:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Return the ticks of an axis with zero on it that reaches from a value to another."""
+    """Return the ticks of a linear axis from `low` to `high`: multiples of one step."""
     least = max(high - low, 1e-9) / _MOST_STEPS
     unit = 10.0 ** np.floor(np.log10(least))
-    step = next(one * unit for one in _STEPS if least <= one * unit * (1.0 + 1e-9))
+    step = next(
+        factor * unit for factor in _STEPS if least <= factor * unit * (1.0 + 1e-9)
+    )
     first, last = int(np.floor(low / step + 1e-9)), int(np.ceil(high / step - 1e-9))
-    return [step * place for place in range(first, max(first + 1, last) + 1)]
+    return [step * n for n in range(first, max(first + 1, last) + 1)]

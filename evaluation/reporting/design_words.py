@@ -1,4 +1,4 @@
-"""The answer of `evaluation.design`: words, a table, JSON."""
+"""The answer of `evaluation.design` in words, as a table and as JSON."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,7 +22,7 @@ from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.amounts import percent_cell, sentence_case
-from evaluation.reporting.announcements import scenes_text, wrapped
+from evaluation.reporting.announcements import scenes_text, wrap_lines
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
@@ -32,9 +32,9 @@ from evaluation.reporting.names import (
 )
 from evaluation.reporting.noise_plan import plan_lines
 from evaluation.reporting.notices import few_people
-from evaluation.reporting.table import Cell, Column, Table, shortened
+from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
-from evaluation.store.files import made_of
+from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
 from evaluation.verdict.what_to_share import (
     LIMITS,
@@ -53,30 +53,30 @@ from isac_track.kalman import steady
 from isac_track.privacy import WIDE_TIMES
 
 _NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
-_LINES: Final = 12  # Of the short answer.
-_HEADS, _LEAST_ROWS = 2, 2  # Of its table, in lines.
-_NAME_WIDTH: Final = 28  # Characters of a level in it.
+_LINES: Final = 12  # Lines of the short answer, at most.
+_HEADS: Final = 2  # Lines above the rows of its table.
+_LEAST_ROWS: Final = 2  # Rows of its table, at least.
+_NAME_WIDTH: Final = 28  # Characters of the name of a level in it.
 _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """What `design` answers about a run."""
+    """The answer of `design` about a run."""
 
     out: Path
     manifest: Mapping[str, Any]
     recommendation: Recommendation
 
 
-def answer_of(out: Path, question: Question) -> Answer:
+def answer_question(out: Path, question: Question) -> Answer:
     """Return the answer of a run to a question.
 
-    Raises DataError if there is no run, or a file of it is missing or broken, and
-    SettingsError if it lacks a mechanism, a robot or a family that the question is
-    about.
+    Raises DataError if there is no run, or a file of it is missing or broken. Raises
+    SettingsError if the run lacks a mechanism, a robot or a family of the question.
     """
     manifest = read_manifest(out)
-    table = made_of(out, "levels.csv", columns=COLUMNS)
+    table = read_report_file(out, "levels.csv", columns=COLUMNS)
     identity, dataset = manifest["identity"], manifest["dataset"]["name"]
     scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
     advice = recommend(table, question, dataset=dataset, scenes=scenes)
@@ -90,26 +90,24 @@ def answer_of(out: Path, question: Question) -> Answer:
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
-    """Return the answer as plain values; what is unknown is None."""
+    """Return the answer as plain values; an unknown value is None."""
     advice, manifest = answer.recommendation, answer.manifest
-    identity, dataset, question = (
-        manifest["identity"],
-        manifest["dataset"],
-        advice.question,
-    )
+    identity, dataset = manifest["identity"], manifest["dataset"]
+    question = advice.question
     limits = {name: question.limits.get(name) for name in LIMITS}
+    text = words.answer_text(
+        advice, simulated=dataset["simulated"], epsilon_m=words.epsilon_m(manifest)
+    )
     return {
         "met": advice.met,
-        "answer": words.answer_text(
-            advice, simulated=dataset["simulated"], epsilon_m=words.epsilon_m(manifest)
-        ),
+        "answer": text,
         "out": str(answer.out),
         "dataset": dataset["name"],
         "simulated": bool(dataset["simulated"]),
         "scenes": identity["scenes"],
         "seed": identity["seed"],
         "predictor": advice.robot or None,
-        "predictor_by_half": [*advice.robots] if not question.robot else None,
+        "predictor_by_half": None if question.robot else list(advice.robots),
         "criterion": question.criterion.conflicts,
         "horizon_s": question.criterion.horizon_s,
         "adding": list(question.adding),
@@ -149,17 +147,19 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
 
 
 def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
-    about: dict[str, Any] = {
+    """Return the positions that an adversary knows as plain values."""
+    values: dict[str, Any] = {
         "adversary": side.adversary or None,
         "attack": side.source.consumer if side.source else None,
         "knowledge": side.source.knowledge if side.source else None,
     }
     if limit is not None:
-        about["breaks"] = side.breaks(limit)
-    return about | {name: _number(side.value(name)) for name in _NUMBERS}
+        values["breaks"] = side.breaks(limit)
+    return values | {name: _number(side.value(name)) for name in _NUMBERS}
 
 
 def _linked(linked: Linked) -> dict[str, Any]:
+    """Return the linkage of a task as plain values."""
     return {
         "task": linked.task,
         "attack": linked.source.attack.consumer if linked.source else None,
@@ -172,6 +172,7 @@ def _linked(linked: Linked) -> dict[str, Any]:
 
 
 def _check(check: Check, answer: Answer) -> dict[str, Any]:
+    """Return the check of a limit as plain values."""
     epsilon = words.epsilon_m(answer.manifest)
     return {
         "name": check.name,
@@ -183,8 +184,9 @@ def _check(check: Check, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _number(number: Estimate) -> dict[str, float | None]:
-    return {name: _finite(getattr(number, name)) for name in _ENDS}
+def _number(estimate: Estimate) -> dict[str, float | None]:
+    """Return an estimate as plain values."""
+    return {name: _finite(getattr(estimate, name)) for name in _ENDS}
 
 
 def _finite(value: float) -> float | None:
@@ -192,7 +194,7 @@ def _finite(value: float) -> float | None:
 
 
 def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
-    """Return of every mechanism the level that comes nearest."""
+    """Return the nearest level of every mechanism."""
     nearest: dict[str, Offer] = {}
     for offer in offers:
         nearest.setdefault(offer.where[0], offer)
@@ -200,14 +202,12 @@ def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
 
 
 def notes(answer: Answer) -> list[str]:
-    """Return what else a reader must know of the run and of the question."""
+    """Return further texts that a reader must know about the run and the question."""
     advice, dataset = answer.recommendation, answer.manifest["dataset"]
     epsilon = words.epsilon_m(answer.manifest)
-    texts = (
-        [dataset["notice"] or "The people are simulated."]
-        if dataset["simulated"]
-        else []
-    )
+    texts: list[str] = []
+    if dataset["simulated"]:
+        texts.append(dataset["notice"] or "The people are simulated.")
     if few := few_people(dataset):
         texts.append(few)
     raw = advice.raw.checks if advice.raw else ()
@@ -223,17 +223,18 @@ def notes(answer: Answer) -> list[str]:
             " can be expected to keep within it."
         )
     texts += _closed_form_notes(answer)
-    texts += [
-        f"{sentence_case(words.level_name(offer))} keeps within the limits, but no"
-        f" level of its mechanism does with {adding_phrase(offer.lacks_rule)}: --adding"
-        " leaves that rule out."
-        for offer in [offer for offer in advice.refused if offer.lacks_rule][:1]
-    ]
+    if split := [offer for offer in advice.refused if offer.lacks_rule]:
+        offer = split[0]
+        texts.append(
+            f"{sentence_case(words.level_name(offer))} keeps within the limits, but no"
+            f" level of its mechanism does with {adding_phrase(offer.lacks_rule)}:"
+            " --adding leaves that rule out."
+        )
     return texts
 
 
 def _closed_form_notes(answer: Answer) -> list[str]:
-    """Return which noise the closed forms alone would have named, without a run."""
+    """Return the noise that the closed forms name, which need no run."""
     question = answer.recommendation.question
     limit = question.limits.get(EXPOSURE, 0.0)
     if not 0.0 < limit < 1.0 or question.as_shared:
@@ -241,48 +242,48 @@ def _closed_form_notes(answer: Answer) -> list[str]:
     epsilon_m = words.epsilon_m(answer.manifest)
     dt_s = float(answer.manifest["history"]["interval_s"])
     lines = plan_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
-    both = " ".join(line.strip() for line in lines[:2])
-    return [f"Closed forms alone, without a run: {both}"]
+    text = " ".join(line.strip() for line in lines[:2])
+    return [f"Closed forms alone, without a run: {text}"]
 
 
 def show(
     answer: Answer, *, verbose: bool = False, console: Console | None = None
 ) -> None:
-    """Print the answer and the nearest levels in a few lines, or all that is behind it."""
+    """Print the answer and the nearest levels in a few lines, or with all details."""
     console = console or terminal.standard_output()
-    parts = _whole(answer) if verbose else _brief(answer, width=console.width)
+    width = console.width
+    parts = _full_parts(answer) if verbose else _short_parts(answer, width=width)
     _print(parts, console)
 
 
-def _brief(answer: Answer, *, width: int) -> list[Part]:
+def _short_parts(answer: Answer, *, width: int) -> list[Part]:
     """Return the answer and its levels in at most `_LINES` lines."""
     advice, manifest = answer.recommendation, answer.manifest
     epsilon, dataset = words.epsilon_m(manifest), manifest["dataset"]
     text = words.answer_text(
         advice, simulated=dataset["simulated"], epsilon_m=epsilon, most_failures=1
     )
-    said = wrapped(text, width=width, indent="")
-    few = [f"Doubt: {few_people(dataset)}"] if few_people(dataset) else []
-    untried = words.untried_text(advice)
-    last = [*few, f"{untried}All reasons: --verbose."]
-    rows = _shown_levels(advice)
-    room = _LINES - len(said) - len(last) - _HEADS
-    grid = _level_lines(rows[: max(_LEAST_ROWS, room)], advice, epsilon_m=epsilon)
-    return [*((line, "bold") for line in said), *grid, *last]
+    first = wrap_lines(text, width=width, indent="")
+    doubt = few_people(dataset)
+    last = [f"Doubt: {doubt}"] if doubt else []
+    last.append(f"{words.untried_text(advice)}All reasons: --verbose.")
+    n_rows = max(_LEAST_ROWS, _LINES - len(first) - len(last) - _HEADS)
+    grid = _level_lines(_shown_levels(advice)[:n_rows], advice, epsilon_m=epsilon)
+    return [*((line, "bold") for line in first), *grid, *last]
 
 
 def _shown_levels(advice: Recommendation) -> list[Offer]:
-    """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
-    named = [*filter(None, [advice.raw]), *advice.proposals, *advice.unsettled]
-    return named + [
-        offer for offer in _nearest_levels(advice.refused) if offer not in named
-    ]
+    """Return raw, the proposed levels, and the nearest of every other mechanism."""
+    raw = [advice.raw] if advice.raw else []
+    named = [*raw, *advice.proposals, *advice.unsettled]
+    nearest = _nearest_levels(advice.refused)
+    return named + [offer for offer in nearest if offer not in named]
 
 
 def _level_lines(
     offers: Sequence[Offer], advice: Recommendation, *, epsilon_m: float
 ) -> list[str]:
-    """Return the levels in lines: cost, what an attack knows, and what it re-identifies."""
+    """Return the levels in lines: cost, known positions, and re-identified people."""
     wide_m = WIDE_TIMES * epsilon_m
     rows = []
     for offer in offers:
@@ -290,31 +291,28 @@ def _level_lines(
         linked = offer.linked.share if offer.linked else None
         numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
         name = short_mechanism_name(offer.family, offer.where[1])
-        rows.append([shortened(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
+        rows.append([shorten_name(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
     groups = [
         Group("misses at raw's", ("false alarms, %",)),
         Group(f"known {how}, %", (f"to {epsilon_m:.4g} m", f"to {wide_m:.4g} m")),
         Group("re-identified", ("% of raw",)),
     ]
-    is_marked = any(row[0].endswith(INDEPENDENT_MARK) for row in rows)
-    corner = (
-        f"shared ({INDEPENDENT_MARK.strip()} independent)"
-        if is_marked
-        else "what is shared"
-    )
+    corner = "what is shared"
+    if any(row[0].endswith(INDEPENDENT_MARK) for row in rows):
+        corner = f"shared ({INDEPENDENT_MARK.strip()} independent)"
     return grid_lines(rows, groups, corner=("± half of a 95 % interval", corner))
 
 
 def _limited_side(offer: Offer, advice: Recommendation) -> Attacked:
-    """Return the positions that limits are about: as sent, or after the strongest attack."""
+    """Return the positions under limits: as sent, or after the strongest attack."""
     if advice.question.as_shared or offer.attacked.source is None:
         return offer.shared
     return offer.attacked
 
 
-def _whole(answer: Answer) -> list[Part]:
-    """Return the answer, the levels with intervals, why the others fail, and notes."""
+def _full_parts(answer: Answer) -> list[Part]:
+    """Return the answer, the levels with intervals, the failures, and notes."""
     advice, manifest = answer.recommendation, answer.manifest
     epsilon, identity = words.epsilon_m(manifest), manifest["identity"]
     conflicts = words.conflicts_text(advice.question.criterion)
@@ -345,6 +343,7 @@ def _whole(answer: Answer) -> list[Part]:
 
 
 def _print(parts: Iterable[Part], console: Console) -> None:
+    """Print parts, wrapped to the width of the console."""
     for part in parts:
         if isinstance(part, Table):
             terminal.show([part], console=console)
@@ -355,12 +354,12 @@ def _print(parts: Iterable[Part], console: Console) -> None:
         width = console.width
         lines = [text]
         if len(text) > width:
-            lines = wrapped(text, width=width, indent=below)
+            lines = wrap_lines(text, width=width, indent=below)
         terminal.show([(line, style) for line in lines or [""]], console=console)
 
 
 def robot_text(advice: Recommendation) -> str:
-    """Return whose misses count, and how the robot was chosen."""
+    """Return the robot whose misses count, and how it was chosen."""
     robot = words.chosen_robot(advice)
     if advice.question.robot or not robot:
         return robot or "none"
@@ -368,33 +367,45 @@ def robot_text(advice: Recommendation) -> str:
 
 
 def answer_table(advice: Recommendation) -> Table:
-    """Return raw, the levels that are proposed, and the nearest of every other mechanism."""
+    """Return the table of raw, the proposed levels, and the nearest of the others."""
     columns = [
-        make.said(
+        make.text_column(
             "what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])
         ),
         Column(
             "missed",
-            lambda offer: make.estimated(MISSED_RATE, offer.cost),
+            lambda offer: make.estimate_cell(MISSED_RATE, offer.cost),
             "%",
             above="at raw's alarms",
         ),
         Column(
-            "known", partial(_left, EXPOSURE), METRICS[EXPOSURE].unit, above="attacked"
+            "known",
+            partial(_position_cell, EXPOSURE),
+            METRICS[EXPOSURE].unit,
+            above="attacked",
         ),
-        Column("at 4/3", partial(_left, WIDE), METRICS[WIDE].unit),
-        Column("error", partial(_left, MEDIAN), METRICS[MEDIAN].unit, above="median"),
-        Column("of raw", partial(_link, "share"), "%", above="re-identified"),
+        Column("at 4/3", partial(_position_cell, WIDE), METRICS[WIDE].unit),
+        Column(
+            "error",
+            partial(_position_cell, MEDIAN),
+            METRICS[MEDIAN].unit,
+            above="median",
+        ),
+        Column("of raw", partial(_linkage_cell, "share"), "%", above="re-identified"),
     ]
-    return make.built("levels", "Proposed, or nearest", _shown_levels(advice), columns)
+    return make.build_table(
+        "levels", "Proposed, or nearest", _shown_levels(advice), columns
+    )
 
 
-def _left(metric: str, offer: Offer) -> Cell:
+def _position_cell(metric: str, offer: Offer) -> Cell:
+    """Return a number of the positions after the attack, or as sent without any."""
     side = offer.attacked if offer.attacked.source else offer.shared
-    return make.estimated(metric, side.value(metric))
+    return make.estimate_cell(metric, side.value(metric))
 
 
-def _link(name: str, offer: Offer) -> Cell:
+def _linkage_cell(name: str, offer: Offer) -> Cell:
+    """Return a number of the linkage of a level; an empty cell without any."""
     if offer.linked is None:
         return Cell()
-    return make.estimated(SUCCESS, getattr(offer.linked, name))
+    return make.estimate_cell(SUCCESS, getattr(offer.linked, name))

@@ -1,4 +1,4 @@
-"""What differs, on the terminal and as JSON: two runs, other assumptions, other constants."""
+"""Differences on the terminal and as JSON: of two runs, or under other settings."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from evaluation.estimates import differences as comparing
 from evaluation.estimates.families import with_unit
 from evaluation.estimates.keys import Source, where_text
 from evaluation.estimates.metrics import METRICS
-from evaluation.plan.constants import horizon_of
+from evaluation.plan.constants import world_horizon_s
 from evaluation.plan.variants import BASE
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
@@ -30,14 +30,18 @@ _PAIRED = {
     comparing.PEOPLE: "paired over people, not over draws (other scenes and errors)",
     comparing.NONE: "not paired: intervals of independent estimates",
 }
+# Mark of a difference that is not paired in full.
 _MARKS = {
     comparing.PEOPLE: "~",
     comparing.NONE: "*",
-}  # Of a difference that is not paired in full.
+}
 
 
 def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[str, Any]:
-    """Return a comparison, its headline or `every` number, in plain values; None is unknown."""
+    """Return a comparison as plain values, its headline or `every` number.
+
+    What is unknown is None.
+    """
     rows = comparison.rows if every else comparison.headline
     return {
         "a": comparison.a,
@@ -62,6 +66,7 @@ def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[st
 
 
 def _plain(rows: pd.DataFrame) -> list[dict[Any, Any]]:
+    """Return rows as plain values; NaN and infinity become None."""
     known = rows.replace([math.inf, -math.inf], math.nan).astype(object)
     return known.where(known.notna(), None).to_dict("records")
 
@@ -72,7 +77,7 @@ def show(
     every: bool = False,
     console: Console | None = None,
 ) -> None:
-    """Print what changed, how much of it counts, and the surest differences, or `every` one."""
+    """Print the changes and the surest differences, or `every` difference."""
     console = console or terminal.standard_output()
     rows = comparison.rows if every else comparison.headline
     other = rows[rows["finding"] != comparing.IDENTICAL]
@@ -81,7 +86,7 @@ def show(
     parts += [_lead_table(comparison.lead), ""]
     parts += _change_parts(comparison)
     parts += ["", *_count_parts(comparison)]
-    parts.append(differences(shown, of=len(other), room=console.width))
+    parts.append(difference_table(shown, n_total=len(other), room=console.width))
     if len(shown) < len(other):
         parts.append("(all of them: --all, or --csv FILE)")
     parts += _verdict_parts(comparison.verdicts or {})
@@ -93,7 +98,7 @@ def _bold(text: str) -> Part:
 
 
 def _run_lines(comparison: comparing.Comparison) -> list[str]:
-    """Return which runs are compared."""
+    """Return a line on each of the two runs."""
     return [
         f"{name}: {about['out']} ({about['dataset']}, {about['people']} clusters of"
         f" people, {scenes_text(about)}, seed {about['seed']})"
@@ -102,29 +107,28 @@ def _run_lines(comparison: comparing.Comparison) -> list[str]:
 
 
 def _lead_table(lead: pd.DataFrame) -> Table:
+    """Return the table of the main numbers."""
     title = "The main numbers, B - A with 95 % intervals, p after Holm"
     keys = [
-        make.said(
+        make.text_column(
             "",
             lambda row: f"{METRICS[row['metric']].title}, {_source(row)}{_ahead(row)}",
         ),
-        make.said("", lambda row: where_text(row["mechanism"], row["level"])),
+        make.text_column("", lambda row: where_text(row["mechanism"], row["level"])),
     ]
     return _table("lead", title, lead, keys)
 
 
 def _change_parts(comparison: comparing.Comparison) -> list[Part]:
-    """Return which settings, data and code differ, and what only one run has."""
+    """Return which settings, data and code differ, and which names one run lacks."""
     rows = [
         [f"{kind}:", name, " -> ".join(_shown_value(value) for value in pair)]
         for kind, values in comparison.changed.items()
         for name, pair in values.items()
     ]
-    head = (
-        "What changed, A -> B"
-        if rows
-        else ("Nothing changed in data, settings, code and libraries.")
-    )
+    head = "Nothing changed in data, settings, code and libraries."
+    if rows:
+        head = "What changed, A -> B"
     only = [
         f"{axis} only in {side}: {comparing.short_list(names)}"
         for axis, sides in comparison.only.items()
@@ -135,7 +139,7 @@ def _change_parts(comparison: comparing.Comparison) -> list[Part]:
 
 
 def _shown_value(value: object) -> str:
-    return make.shortened("-" if value is None else str(value), room=_ROOM)
+    return make.shorten_name("-" if value is None else str(value), room=_ROOM)
 
 
 def _count_parts(comparison: comparing.Comparison) -> list[Part]:
@@ -147,7 +151,11 @@ def _count_parts(comparison: comparing.Comparison) -> list[Part]:
         f" A, {only_b} only in B)"
     )
     families = {"headline": comparison.headline, "others": rows[~rows["headline"]]}
-    texts = [_family_text(name, some) for name, some in families.items() if len(some)]
+    texts = [
+        _family_text(name, numbers)
+        for name, numbers in families.items()
+        if len(numbers)
+    ]
     kinds = rows["pairing"].value_counts()
     paired = [
         f"{kinds[kind]} {note}" for kind, note in _PAIRED.items() if kind in kinds
@@ -168,7 +176,7 @@ def _family_text(name: str, rows: pd.DataFrame) -> str:
 
 
 def _verdict_parts(verdicts: Mapping[str, Any]) -> list[Part]:
-    """Return which decisions changed; nothing where none can be compared."""
+    """Return which decisions changed; an empty list if none can be compared."""
     if not any(verdicts.values()):
         return []
     changed = verdicts["changed"]
@@ -183,51 +191,67 @@ def _verdict_parts(verdicts: Mapping[str, Any]) -> list[Part]:
     ]
 
 
-def differences(shown: pd.DataFrame, *, of: int, room: int) -> Table:
-    """Return the table of some differences out of many, for so many characters."""
-    which = "All" if len(shown) == of else f"The {len(shown)} surest of {of}"
-    metrics = {name: f"{one.head} {one.unit}".rstrip() for name, one in METRICS.items()}
+def difference_table(shown: pd.DataFrame, *, n_total: int, room: int) -> Table:
+    """Return the table of the `shown` differences out of `n_total`.
+
+    `room` is the width of the terminal in characters.
+    """
+    selection = "All"
+    if len(shown) < n_total:
+        selection = f"The {len(shown)} surest of {n_total}"
+    metrics = {
+        name: f"{metric.head} {metric.unit}".rstrip()
+        for name, metric in METRICS.items()
+    }
     keys = [
-        make.said("", lambda row: _heading(row, room=room)),
-        Column("level", lambda row: make.level(row["level"])),
-        make.said("metric", lambda row: metrics[row["metric"]]),
+        make.text_column("", lambda row: _heading(row, room=room)),
+        Column("level", lambda row: make.level_cell(row["level"])),
+        make.text_column("metric", lambda row: metrics[row["metric"]]),
     ]
-    title = f"{which} differences, B - A with 95 % intervals, p after Holm"
+    title = f"{selection} differences, B - A with 95 % intervals, p after Holm"
     return _table("differences", title, shown, keys)
 
 
 def _table(name: str, title: str, shown: pd.DataFrame, keys: Sequence[Column]) -> Table:
+    """Return a table of differences: the key columns, A, B, B - A, and p."""
     marks = _MARKS if len(set(shown["pairing"])) > 1 else {}
 
     def change(row: Mapping[Any, Any]) -> Cell:
         ends = (row[name] for name in ("difference", "ci_low", "ci_high"))
-        return make.amount(
+        return make.metric_cell(
             row["metric"], *ends, sign="+", mark=marks.get(row["pairing"], "")
         )
 
     def p_value(row: Mapping[Any, Any]) -> Cell:
         p = row["p_holm"]
-        return Cell(
-            "" if math.isnan(p) else "<0.001" if p < _SURE else f"{p:.3f}", value=p
-        )
+        text = "<0.001" if p < _SURE else f"{p:.3f}"
+        return Cell("" if math.isnan(p) else text, value=p)
 
-    columns = [*keys, make.measured("A", "a"), make.measured("B", "b")]
+    columns = [*keys, make.metric_column("A", "a"), make.metric_column("B", "b")]
     columns += [Column("B - A", change), Column("p", p_value)]
     meaning = {mark: _PAIRED[kind] for kind, mark in _MARKS.items()}
-    options: dict[str, Any] = {"marks": meaning, "n_headings": 1, "n_keys": len(keys)}
-    return make.built(name, title, shown.to_dict("records"), columns, **options)
+    return make.build_table(
+        name,
+        title,
+        shown.to_dict("records"),
+        columns,
+        marks=meaning,
+        n_headings=1,
+        n_keys=len(keys),
+    )
 
 
 def _heading(row: Mapping[Any, Any], *, room: int) -> str:
-    whose = f"{_source(row)}{_ahead(row)}"
-    if len(full := f"{whose}: {with_unit(row['mechanism'])}") <= room:
+    """Return attack or robot and mechanism; the mechanism with its unit, if it fits."""
+    source = f"{_source(row)}{_ahead(row)}"
+    if len(full := f"{source}: {with_unit(row['mechanism'])}") <= room:
         return full
-    return make.shortened(f"{whose}: {row['mechanism']}", room=room)
+    return make.shorten_name(f"{source}: {row['mechanism']}", room=room)
 
 
 def _ahead(row: Mapping[Any, Any]) -> str:
-    """Return at which further horizon a robot is judged; empty at the run's own."""
-    horizon_s = horizon_of(row["world"])
+    """Return the further horizon of a robot's number; empty at the run's own."""
+    horizon_s = world_horizon_s(row["world"])
     return "" if horizon_s is None else f", {horizon_s:g} s ahead"
 
 
@@ -235,54 +259,57 @@ def _source(row: Mapping[Any, Any]) -> str:
     return Source(row["consumer"], row["knowledge"]).label
 
 
-def turned(rows: pd.DataFrame) -> list[str]:
-    """Return every item whose decision changed sign, in words."""
+def sign_changes(rows: pd.DataFrame) -> list[str]:
+    """Return a line on every item whose decision changed sign."""
+    items = rows[rows["changed"] == sensitivity.TURNED].to_dict("records")
     return [
-        f"{one['variant']}: {one['id']}: {one['decision_base']} "
-        f"({_short(one['effect_base'], one['unit'])}) -> {one['decision']} "
-        f"({_short(one['effect'], one['unit'])} "
-        f"[{_short(one['ci_low'], '')}, {_short(one['ci_high'], '')}])"
-        for one in rows[rows["changed"] == sensitivity.TURNED].to_dict("records")
+        f"{item['variant']}: {item['id']}: {item['decision_base']} "
+        f"({_short(item['effect_base'], item['unit'])}) -> {item['decision']} "
+        f"({_short(item['effect'], item['unit'])} "
+        f"[{_short(item['ci_low'], '')}, {_short(item['ci_high'], '')}])"
+        for item in items
     ]
 
 
 def _short(value: float, unit: str) -> str:
-    return f"{value:.3g}{' s' * (unit == 's')}" if math.isfinite(value) else "unknown"
+    """Return an effect with three digits; only seconds have their unit."""
+    if not math.isfinite(value):
+        return "unknown"
+    return f"{value:.3g} s" if unit == "s" else f"{value:.3g}"
 
 
 def variants_json(
     rows: pd.DataFrame, others: list[dict[str, Any]], *, out: Path
 ) -> dict[str, Any]:
-    """Return the table and what became of `others`, the variants, in plain values."""
+    """Return the table and the outcomes of the variants, `others`, as plain values."""
     return {
         "out": str(out),
         "variants": others,
         "counts": sensitivity.counts(rows),
-        "changed_sign": turned(rows),
+        "changed_sign": sign_changes(rows),
         "items": _plain(rows),
     }
 
 
 def show_variants(rows: pd.DataFrame, *, left_out: Mapping[str, str]) -> None:
-    """Print the table, and what changed sign, in words."""
+    """Print how many items changed by variant, and the items that changed sign."""
     shown = [section for section in SECTIONS if section in set(rows["section"])]
-    records = [
-        {"variant": variant}
-        | {
-            name: ", ".join(f"{n} {one}" for one, n in of.get(name, {}).items())
-            for name in shown
-        }
-        for variant, of in sensitivity.counts(rows).items()
-    ]
-    columns = [make.said(name) for name in ("variant", *shown)]
-    items = make.built(
+    records = []
+    for variant, sections in sensitivity.counts(rows).items():
+        record = {"variant": variant}
+        for section in shown:
+            changes = sections.get(section, {})
+            record[section] = ", ".join(f"{n} {name}" for name, n in changes.items())
+        records.append(record)
+    columns = [make.text_column(name) for name in ("variant", *shown)]
+    items = make.build_table(
         "sensitivity", "Items of the verdict, by section", records, columns
     )
     terminal.show([items, "", *_variant_parts(rows, left_out)])
 
 
 def _variant_parts(rows: pd.DataFrame, left_out: Mapping[str, str]) -> list[Part]:
-    """Return which variants were left out, and how many decisions stay or change."""
+    """Return which variants were left out, and how many decisions changed."""
     changes = rows.loc[rows["variant"] != BASE, "changed"].value_counts()
     others = [name for name in sensitivity.CHANGES if name in changes.index]
     counts = [
@@ -290,7 +317,7 @@ def _variant_parts(rows: pd.DataFrame, left_out: Mapping[str, str]) -> list[Part
         for name in others
         if name not in (sensitivity.SAME, sensitivity.TURNED)
     ]
-    lines = turned(rows)
+    lines = sign_changes(rows)
     end = ":" if lines else "."
     head = (
         f"{changes.get(sensitivity.SAME, 0)} items have the same"

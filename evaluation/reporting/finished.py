@@ -6,32 +6,42 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from evaluation.estimates.keys import keys_of
+from evaluation.estimates.keys import row_keys
 from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.estimates.strongest import strongest
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table
-from evaluation.store.files import FRAMES, made_of
+from evaluation.store.files import FRAMES, read_report_file
 from evaluation.store.manifest import read_manifest
 
 
-class _Known(NamedTuple):
+class _Value(NamedTuple):
+    """An estimate without its interval: `Estimate` takes long to import."""
+
     value: float
 
 
 def load(out: Path | str) -> Results:
-    """Return the results of a finished run as its tables hold them, without the gallery of tracks.
+    """Return the results of a finished run from its tables; they have no gallery.
 
-    Nothing is made anew: that does `evaluation.report`, from the cells.
+    Nothing is computed: `evaluation.report` makes the tables anew from the cells.
 
-    Raises DataError if the folder holds no run, or a table is missing or broken, with
-    the way out.
+    Parameters
+    ----------
+    out : Path or str
+        Run folder.
+
+    Raises
+    ------
+    DataError
+        If the folder holds no run, or a table is missing or broken; the message says
+        how to repair that.
     """
     out = Path(out)
     manifest = read_manifest(out)
     files = {**FRAMES, "flags": "flags.json", "verdict": "verdict.json"}
     tables: dict[str, Any] = {
-        field: made_of(out, name) for field, name in files.items()
+        field: read_report_file(out, name) for field, name in files.items()
     }
     flags = tables["flags"]
     tables["flags"] = pd.DataFrame(flags["flags"], columns=flags.get("columns"))
@@ -40,16 +50,16 @@ def load(out: Path | str) -> Results:
     rows = rows[
         rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")
     ]
-    # Their values alone are asked for, and what makes estimates takes long to import.
-    known: Any = dict(zip(keys_of(rows), map(_Known, rows["value"]), strict=True))
-    best = strongest(known, results.families)
-    strongest_of = {task: source.attack for task, source in best.items()}
-    results = replace(results, strongest=strongest_of)
-    return replace(results, first_table_of=_first_table)
+    # The choice reads only the values.
+    values = map(_Value, rows["value"])
+    estimates: Any = dict(zip(row_keys(rows), values, strict=True))
+    best = strongest(estimates, results.families)
+    attacks = {task: source.attack for task, source in best.items()}
+    return replace(results, strongest=attacks, make_first_table=_first_table)
 
 
 def _first_table(results: Results) -> Table:
-    # What makes it takes long to import, and is needed only by who looks at it.
+    """Return the table of the first screen; its module is slow to import, so late."""
     from evaluation.reporting.first_screen import first_table  # noqa: PLC0415 - as said
 
     return first_table(results)

@@ -1,4 +1,4 @@
-"""The first screen of a run, at most 24 lines of 80 columns; all else is in `tables.txt`."""
+"""The first screen of a run: at most 24 lines of 80 columns; the rest: `tables.txt`."""
 
 import math
 import re
@@ -11,19 +11,24 @@ from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import CLEAN
 from evaluation.estimates.keys import Where
 from evaluation.reporting import table as make
-from evaluation.reporting.amounts import PERCENT, counted, listed, percent_cell, whole
-from evaluation.reporting.announcements import WIDTH, near, wrapped
+from evaluation.reporting.amounts import (
+    PERCENT,
+    counted,
+    listed,
+    percent_cell,
+    round_percent,
+)
+from evaluation.reporting.announcements import WIDTH, short_path, wrap_lines
 from evaluation.reporting.answers import (
     answers,
     best_robot,
-    headline_of,
     lead_robot,
     level_phrase,
-    reference,
+    reference_level,
 )
 from evaluation.reporting.grid import Group, grid_lines
-from evaluation.reporting.headline import Headline, Shown, levels_of
-from evaluation.reporting.lookups import HEADLINE, family_of
+from evaluation.reporting.headline import Headline, HeadlineColumn, choose_levels
+from evaluation.reporting.lookups import HEADLINE, find_family
 from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
@@ -44,7 +49,7 @@ from evaluation.reporting.paper_hint import paper_hint
 from evaluation.reporting.recommendation import recommended_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
-from evaluation.reporting.table import Column, Table, printable, shortened
+from evaluation.reporting.table import Column, Table, printable, shorten_name
 from evaluation.store.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
 from isac_track.linkability import LEVEL
@@ -58,9 +63,9 @@ _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
-# Of the mean speed of all tracks: by so much those used differ worth a doubt.
+# Relative difference of mean speed, used tracks to all tracks, that raises a doubt.
 _MUCH: Final = 0.2
-# Of missed conflicts, above what raw costs: what the next question allows.
+# Missed conflicts above those of raw positions that the next command allows.
 _SLACK: Final = 0.05
 _CUTS: Final = ("split", "jump", "clock", "id-reuse")
 """Repairs that make several tracks of one person."""
@@ -72,38 +77,34 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
     `before` lines were printed already: they leave the table less room, but at least a
     few rows.
     """
-    table = headline_of(run)
-    top = [*wrapped(data_line(run.manifest)), *unusual_geometry(run.manifest)]
+    table = run.headline
+    top = [*wrap_lines(data_line(run.manifest)), *unusual_geometry(run.manifest)]
     last = [*_doubt_lines(doubts(run, table)), *_page_lines(run), *_next_lines(run)]
-    texts = [
+    texts = [_level_line(table)]
+    texts += [
         f"{answer.topic}: {answer.sentence}"
         for answer in answers(run, table, names_level=False)
     ]
-    least = _table_lines(run, table, room=0)
-    most = LINES - len([*top, *least, *last])
-    own = [line for text in plugin_lines(run) for line in wrapped(text)]
-    said = [*fitting_lines([_level_line(table), *texts], most=most - len(own)), *own]
-    room = LINES - before - len([*top, *said, *last])
+    own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
+    smallest_grid = _table_lines(run, table, room=0)
+    most = LINES - len([*top, *smallest_grid, *last])
+    sentences = [*fitting_lines(texts, most=most - len(own)), *own]
+    room = LINES - before - len([*top, *sentences, *last])
     grid = _table_lines(run, table, room=room)
-    # Empty lines around the table, where there is room for both.
-    blank = [""] * (bool(grid) and room > len(grid) + 1)
-    return [*top, *blank, *grid, *blank, *said, *last]
+    if grid and room > len(grid) + 1:
+        grid = ["", *grid, ""]
+    return [*top, *grid, *sentences, *last]
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:
-    """Return what was recorded, and how much of it is used; simulated people are named first."""
+    """Return what was recorded or simulated, and how much of it is used."""
     dataset, identity = manifest["dataset"], manifest["identity"]
     is_cut = any(repair["kind"] in _CUTS for repair in dataset["repairs"])
     noun, plural = ("track", "tracks") if is_cut else ("person", "people")
-    title = (
-        f"{dataset_title(dataset['name'])}: {counted(dataset['tracks'], noun, plural)}"
-        " recorded"
-    )
+    tracks = counted(dataset["tracks"], noun, plural)
+    title = f"{dataset_title(dataset['name'])}: {tracks} recorded"
     if dataset.get("simulated"):
-        title = (
-            f"Simulated crowd {dataset['name']}:"
-            f" {counted(dataset['tracks'], noun, plural)}"
-        )
+        title = f"Simulated crowd {dataset['name']}: {tracks}"
     scenes = identity.get("scenes_utility", identity["scenes"])
     return (
         f"{title}, {dataset['tracks_used']:,} long enough to use;"
@@ -112,13 +113,13 @@ def data_line(manifest: Mapping[str, Any]) -> str:
 
 
 def fitting_lines(texts: Sequence[str], *, most: int) -> list[str]:
-    """Return texts in at most `most` lines, if that takes no more than their last sentences.
+    """Return texts in at most `most` lines, without their last sentences if needed.
 
     The last sentence of the longest text goes first: the details of an answer are in
-    its table.
+    its table. The first sentence of a text always stays.
     """
     shown = [re.split(r"(?<=[.:]) (?=[A-Z])", text) for text in texts]
-    lines = [wrapped(" ".join(sentences)) for sentences in shown]
+    lines = [wrap_lines(" ".join(sentences)) for sentences in shown]
     while sum(map(len, lines)) > most:
         # A topic and its first sentence stay.
         longest = max(
@@ -127,32 +128,31 @@ def fitting_lines(texts: Sequence[str], *, most: int) -> list[str]:
         if len(shown[longest]) <= _SHORTEST:
             break
         shown[longest].pop()
-        lines[longest] = wrapped(" ".join(shown[longest]))
-    return [line for some in lines for line in some]
+        lines[longest] = wrap_lines(" ".join(shown[longest]))
+    return [line for text_lines in lines for line in text_lines]
 
 
 def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
-    """Return the first table in lines: heads, levels, chance, and what its marks mean."""
-    robot = lead_robot(table, best=best_robot(run))
-    pairs = screen_columns(table, robot)
+    """Return the first table in lines, with as many levels as fit into `room` lines.
+
+    It has heads, levels, chance, and the meaning of its marks.
+    """
+    pairs = screen_columns(table, lead_robot(table, best=best_robot(run)))
     groups = [group for group, _ in pairs]
-    columns = [column for _, some in pairs for column in some]
+    columns = _flat_columns(pairs)
     known = [
         where
-        for where in table.wheres
+        for where in _known_levels(table, columns)
         if table.known[where[0]].family != CLEAN
-        and any(table.at(where, column) for column in columns)
     ]
-    chance, named = _chance_row(columns), [reference(table), *recommended_levels(run)]
+    chance = _chance_row(columns)
+    named = [reference_level(table), *recommended_levels(run)]
     for most in range(_MOST_ROWS - len(chance), _LEAST_ROWS - 1, -1):
         levels = screen_levels(table, known, most=most, named=named)
-        rows = [
-            [
-                _label(table, where),
-                *(percent_cell(table.at(where, column)) for column in columns),
-            ]
-            for where in levels
-        ]
+        rows = []
+        for where in levels:
+            cells = [percent_cell(table.at(where, column)) for column in columns]
+            rows.append([_label(table, where), *cells])
         grid = grid_lines([*rows, *chance], groups, corner=_CORNER)
         lines = [*grid, *_legend([row[0] for row in rows])]
         if len(lines) <= room:
@@ -160,94 +160,112 @@ def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
     return lines if levels else []
 
 
+def _flat_columns(
+    pairs: Sequence[tuple[Group, Sequence[HeadlineColumn]]],
+) -> list[HeadlineColumn]:
+    """Return the columns of all groups."""
+    return [column for _, columns in pairs for column in columns]
+
+
+def _known_levels(table: Headline, columns: Sequence[HeadlineColumn]) -> list[Where]:
+    """Return the levels that have a number in any of the columns."""
+    return [
+        where
+        for where in table.wheres
+        if any(table.at(where, column) for column in columns)
+    ]
+
+
 def first_table(run: Results) -> Table:
     """Return the table of the first screen with all its columns, for a notebook."""
-    table = headline_of(run)
-    pairs = screen_columns(table, lead_robot(table, best=best_robot(run)))
-    columns = [column for _, some in pairs for column in some]
-    known = [
-        where for where in table.wheres if any(table.at(where, one) for one in columns)
-    ]
-    named = [reference(table), *recommended_levels(run)]
-    levels = screen_levels(table, known, most=_MOST_ROWS, named=named)
-    heads = [
+    table = run.headline
+    robot = lead_robot(table, best=best_robot(run))
+    columns = _flat_columns(screen_columns(table, robot))
+    named = [reference_level(table), *recommended_levels(run)]
+    levels = screen_levels(
+        table, _known_levels(table, columns), most=_MOST_ROWS, named=named
+    )
+    cells = [
         Column(column.title, partial(_estimated, table, column), "%")
         for column in columns
     ]
-    heads.insert(0, make.said("what is shared", table.name))
-    return make.built("first", "", levels, heads)
+    name = make.text_column("what is shared", table.name)
+    return make.build_table("first", "", levels, [name, *cells])
 
 
 def short_table(table: Headline) -> Table:
-    """Return the first table for the README: shares in % with half of their 95 % interval.
+    """Return the first table for the README: `34 ±4`, shares and half-widths in %.
 
-    It has no run at hand: its robot is the one that misses least.
+    Without the run at hand, its robot is the one that misses least.
     """
-    robot = min(
-        table.future or table.robots, key=lambda shown: _mean_missed(table, shown)
+    robot = min(table.future or table.robots, key=partial(_mean_missed, table))
+    columns = _flat_columns(screen_columns(table, robot))
+    levels = screen_levels(
+        table,
+        _known_levels(table, columns),
+        most=_MOST_ROWS,
+        named=[reference_level(table)],
     )
-    columns = [column for _, some in screen_columns(table, robot) for column in some]
-    known = [
-        where for where in table.wheres if any(table.at(where, one) for one in columns)
-    ]
-    levels = screen_levels(table, known, most=_MOST_ROWS, named=[reference(table)])
     heads = [
         f"{robot_name(robot.measure.consumer)} misses (%)",
         "known as sent (%)",
         "attacked (%)",
     ]
-    linked = [
-        f"{column.name.removeprefix('after ')} (%)" for column in columns[len(heads) :]
-    ]
-    heads += [f"linked, {head}" if n == 0 else head for n, head in enumerate(linked)]
+    tasks = [column.name.removeprefix("after ") for column in columns[len(heads) :]]
+    for n, task in enumerate(tasks):
+        heads.append(f"linked, {task} (%)" if n == 0 else f"{task} (%)")
     cells = [
         Column(head, partial(_short_cell, table, column))
         for head, column in zip(heads, columns, strict=True)
     ]
-    names = make.said(
+    names = make.text_column(
         "shared",
-        lambda where: mechanism_name(family_of(table.known, where[0]), where[1]),
+        lambda where: mechanism_name(find_family(table.known, where[0]), where[1]),
     )
-    return make.built("screen", "", levels, [names, *cells])
+    return make.build_table("screen", "", levels, [names, *cells])
 
 
-def _short_cell(table: Headline, column: Shown, where: Where) -> make.Cell:
-    return make.word(percent_cell(table.at(where, column)))
+def _short_cell(table: Headline, column: HeadlineColumn, where: Where) -> make.Cell:
+    """Return a share with half of its interval as a cell of text."""
+    return make.text_cell(percent_cell(table.at(where, column)))
 
 
-def _mean_missed(table: Headline, robot: Shown) -> float:
+def _mean_missed(table: Headline, robot: HeadlineColumn) -> float:
+    """Return the mean missed rate of a robot over all levels; infinite if unknown."""
     missed = [table.at(where, robot) for where in table.wheres]
     values = [rate.value for rate in missed if rate is not None]
     return sum(values) / len(values) if values else math.inf
 
 
-def _estimated(table: Headline, column: Shown, where: Where) -> make.Cell:
-    return make.estimated(column.measure.metric, table.at(where, column))
+def _estimated(table: Headline, column: HeadlineColumn, where: Where) -> make.Cell:
+    """Return the cell of a level in a column, with its interval."""
+    return make.estimate_cell(column.measure.metric, table.at(where, column))
 
 
 def _label(table: Headline, where: Where) -> str:
-    name = short_mechanism_name(family_of(table.known, where[0]), where[1])
-    return shortened(name, room=_LABEL_WIDTH)
+    """Return the name of a level in the first column."""
+    name = short_mechanism_name(find_family(table.known, where[0]), where[1])
+    return shorten_name(name, room=_LABEL_WIDTH)
 
 
 def _legend(labels: Sequence[str]) -> list[str]:
-    """Return what the mark of a label means, in a line; none without a mark."""
+    """Return the meaning of the mark of a label in a line; no line without a mark."""
     is_marked = any(label.endswith(INDEPENDENT_MARK) for label in labels)
     mark = INDEPENDENT_MARK.strip()
     return [f"{mark} noise independent of the sensing error"] if is_marked else []
 
 
 def _level_line(table: Headline) -> str:
-    """Return which level the sentences are about, with what its abbreviation stands for."""
-    where = reference(table)
+    """Return the level of the sentences, with the meaning of its abbreviation."""
+    where = reference_level(table)
     meaning = " (Fisher information density)" if "fid" in where[0] else ""
     return f"With {level_phrase(table, where)}{meaning}:"
 
 
 def screen_columns(
-    table: Headline, robot: Shown | None
-) -> list[tuple[Group, list[Shown]]]:
-    """Return the columns of the first screen: one robot, known positions, two linkage tasks."""
+    table: Headline, robot: HeadlineColumn | None
+) -> list[tuple[Group, list[HeadlineColumn]]]:
+    """Return the columns in groups: one robot, known positions, two linkage tasks."""
     groups = []
     if robot is not None:
         head = "future, %" if robot.is_later else "all, %"
@@ -258,7 +276,7 @@ def screen_columns(
     heads = tuple(column.name for column in known)
     groups.append((Group(f"{table.shared.above}, %", heads), known))
     if linked := list(table.linked[:_MOST_LINKED]):
-        # What both heads start with is said once.
+        # Both heads start with `after`: only the first of them says so.
         first, *others = [column.name for column in linked]
         heads = (first, *(name.removeprefix("after ") for name in others))
         groups.append((Group(f"{linked[0].above}, %", heads), linked))
@@ -270,42 +288,43 @@ def screen_levels(
 ) -> list[Where]:
     """Return at most `most` levels, in the order of the run.
 
-    Raw positions and the `named` levels come first, then one level of each mechanism of
-    the paper, one of each other mechanism, and the further levels that the paper gives
-    numbers for. Noise that is independent of the sensing error comes last where the
-    same noise stands without it.
+    Raw positions and the `named` levels come first. Then follow one level of each
+    mechanism of the paper, one of each other mechanism, and the further levels that the
+    paper gives numbers for. Independent noise comes last if the same noise has a row
+    under the other adding rule.
     """
     without_level = [where for where in known if where[1] is None]
     lead: dict[str, Where] = {}
     for where in known:
         if (table.known[where[0]].name, where[1]) in HEADLINE:
             lead.setdefault(where[0], where)
-    others, _ = levels_of(table)
-    every = dict.fromkeys([*without_level, *named, *lead.values(), *others])
-    wanted = [where for where in every if where in known]
+    candidates = dict.fromkeys(
+        [*without_level, *named, *lead.values(), *choose_levels(table)]
+    )
+    wanted = [where for where in candidates if where in known]
+    always = [*without_level, *named]
     first = {
         (table.known[where[0]].name, where[1]): where for where in reversed(wanted)
     }
-    always = [*without_level, *named]
-    # Sorting keeps the order of equals.
-    wanted.sort(
-        key=lambda where: (
-            where not in always and first[table.known[where[0]].name, where[1]] != where
-        )
-    )
+
+    def repeats_noise(where: Where) -> bool:
+        same_noise = table.known[where[0]].name, where[1]
+        return where not in always and first[same_noise] != where
+
+    wanted.sort(key=repeats_noise)  # Sorting keeps the order of equals.
     return sorted(wanted[:most], key=lambda where: _order(table, where))
 
 
 def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
-    """Return where a level stands in the table: families as in the run, both rules together."""
+    """Return the sort key of a level: families as in the run, both rules together."""
     families = list(dict.fromkeys(family.family for family in table.known.values()))
     family = table.known[where[0]]
     level = -math.inf if where[1] is None else where[1]
     return families.index(family.family), family.name, level, family.mechanism
 
 
-def _chance_row(columns: Sequence[Shown]) -> list[list[str]]:
-    """Return the row of guessing; none where nobody is linked."""
+def _chance_row(columns: Sequence[HeadlineColumn]) -> list[list[str]]:
+    """Return the row of guessing; an empty list without a linkage task."""
     sizes = [
         column.candidates for column in columns if math.isfinite(column.candidates)
     ]
@@ -315,17 +334,17 @@ def _chance_row(columns: Sequence[Shown]) -> list[list[str]]:
     if len({round(size) for size in sizes}) > 1:
         among += f" to {max(sizes):.0f}"
     chances = [
-        whole(PERCENT * column.chance) if math.isfinite(column.chance) else ""
+        round_percent(PERCENT * column.chance) if math.isfinite(column.chance) else ""
         for column in columns
     ]
     return [[f"guessing{among}", *chances]]
 
 
 def doubts(run: Results, table: Headline) -> list[str]:
-    """Return what speaks against believing the numbers, the gravest first."""
+    """Return the reasons to doubt the numbers, the gravest first."""
     manifest = run.manifest
-    linked = manifest.get("linkage") or {}
-    skipped = [*linked.get("skipped", ())]
+    linkage = manifest.get("linkage") or {}
+    skipped = list(linkage.get("skipped", ()))
     n_units = sum(
         repair["kind"] == "doubt" for repair in manifest["dataset"]["repairs"]
     )
@@ -334,22 +353,20 @@ def doubts(run: Results, table: Headline) -> list[str]:
     )
     n_weak = len(weak_attacks.lines(run.flags))
     n_frozen = max(
-        (task.get("frozen", 0) for task in linked.get("tasks", {}).values()), default=0
+        (task.get("frozen", 0) for task in linkage.get("tasks", {}).values()), default=0
     )
-    failed = [*run.failed["why"]]
+    failures = list(run.failed["why"])
+    controls = f"{counted(n_controls, 'positive control')} of the descriptors failed"
+    weak = f"{counted(n_weak, 'sign')} that an attack is too weak"
     texts = [
-        f"{counted(len(failed), 'cell')} FAILED ({failed[0]})" if failed else "",
+        f"{counted(len(failures), 'cell')} FAILED ({failures[0]})" if failures else "",
         *plugin_doubts(run),
         few_people(manifest["dataset"]).partition(" (")[0],
         _untried_text(run),
         "units of the recording may be wrong" if n_units else "",
         _no_interval_text(table),
-        (
-            f"{counted(n_controls, 'positive control')} of the descriptors failed"
-            if n_controls
-            else ""
-        ),
-        f"{counted(n_weak, 'sign')} that an attack is too weak" if n_weak else "",
+        controls if n_controls else "",
+        f"{weak} (leaks may be larger)" if n_weak else "",
         _invalid_text(run),
         _control_text(run),
         f"not linked: {listed(skipped)}" if skipped else "",
@@ -361,7 +378,7 @@ def doubts(run: Results, table: Headline) -> list[str]:
 
 
 def _untried_text(run: Results) -> str:
-    """Return that no adversary that knows more was tried on the level that is proposed."""
+    """Return that no further adversary was tried on the proposal; empty if any was."""
     proposals = run.recommendation().proposals[:1]
     is_untried = any(
         all(side.source is None for side in offer.beyond) for offer in proposals
@@ -397,64 +414,62 @@ def _invalid_text(run: Results) -> str:
 
 
 def _control_text(run: Results) -> str:
-    """Return how many controls link people, where more do than by chance."""
+    """Return how many controls link people; empty if no more than chance explains."""
     tests = [
         is_linked
         for task in run.tasks
         for control in control_tests(task).values()
         for is_linked in control
     ]
-    expected = LEVEL * len(tests)
-    if not sum(tests) > expected:
+    n_linked, expected = sum(tests), LEVEL * len(tests)
+    if not n_linked > expected:
         return ""
-    return (
-        f"{sum(tests)} of {len(tests)} controls link people ({expected:.0f} expected)"
-    )
+    return f"{n_linked} of {len(tests)} controls link people ({expected:.0f} expected)"
 
 
 def _doubt_lines(texts: Sequence[str]) -> list[str]:
-    """Return the doubts in one line, or more for a first one that is long."""
+    """Return as many doubts as fit into one line, but at least the first."""
     if not texts:
         return ["Doubts: none."]
     for n in range(len(texts), 0, -1):
-        rest = len(texts) - n
-        more = f"; {rest} more: {TABLES}" if rest else ""
-        lines = wrapped(f"Doubts: {'; '.join(texts[:n])}{more}.")
+        n_rest = len(texts) - n
+        more = f"; {n_rest} more in {TABLES}" if n_rest else ""
+        lines = wrap_lines(f"Doubts: {'; '.join(texts[:n])}{more}.")
         if len(lines) == 1:
             return lines
     return lines
 
 
 def _page_lines(run: Results) -> list[str]:
-    """Return where to read on: no path is broken, since it is there to be copied."""
-    page, tables = run.out / PAGE, near(run.out / TABLES)
+    """Return a line on the page and the tables; a path is never broken."""
+    page, tables = run.out / PAGE, short_path(run.out / TABLES)
     if not page.exists():
         return [printable(f"Tables: {tables}")]
-    line = printable(f"Page: {near(page)}; all numbers: {TABLES}")
-    return [line] if len(line) <= WIDTH else [printable(f"Page: {near(page)}")]
+    line = printable(f"Page: {short_path(page)}; all numbers: {TABLES}")
+    return [line] if len(line) <= WIDTH else [printable(f"Page: {short_path(page)}")]
 
 
 def _next_lines(run: Results) -> list[str]:
-    """Return the next commands: which noise a site may choose, and of `quick` the whole sweep."""
-    out, answer = shlex.quote(str(near(run.out))), run.recommendation()
+    """Return the next commands: `design`, and after `quick` the sweep of the paper."""
+    out, answer = shlex.quote(str(short_path(run.out))), run.recommendation()
     if not (answer.raw and math.isfinite(answer.raw.cost.ci_high)):
         return command_lines("Next", "python -m evaluation.report --verbose", out)
     missed = min(1.0, math.ceil(20.0 * (answer.raw.cost.ci_high + _SLACK)) / 20.0)
     rules = answer.question.adding
-    # By default both must hold, and a run of one has no answer.
+    # Both adding rules must hold by default: a run of one rule must name it.
     rest = f"--adding {rules[0]} {out}" if len(rules) == 1 else out
     design = f"python -m evaluation.design --max-missed {missed:.2f}"
     return [*command_lines("Next", design, rest), *_paper_lines(run.manifest)]
 
 
 def command_lines(label: str, command: str, rest: str) -> list[str]:
-    """Return a command in a line, or in two that a shell joins."""
+    """Return a command in one line, or in two lines that a shell joins."""
     line = f"{label}: {command} {rest}"
     return [line] if len(line) <= WIDTH else [f"{label}: {command} \\", f"  {rest}"]
 
 
 def _paper_lines(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the command of the whole sweep of the paper and its time, of a run of `quick`."""
+    """Return the command and the time of the paper's sweep, after a run of `quick`."""
     hint = paper_hint(manifest)
     if hint is None:
         return []

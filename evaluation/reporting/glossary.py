@@ -1,6 +1,6 @@
-"""The glossary: one plain sentence for each name that a screen, a table or a figure shows.
+"""The glossary: a plain sentence for each name that a screen, table or figure shows.
 
-Its one home. The page takes hover text and its section from here, `docs/glossary.md` is
+The page takes its hover texts and its section of words from here. `docs/reference/glossary.md` is
 made of it.
 """
 
@@ -241,7 +241,7 @@ GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "Metrics": _METRICS,
     }
 )
-"""By section: names as a file, table or figure has them, and what each is."""
+"""By section: names as a file, table or figure has them, each with its sentence."""
 
 _PLAIN: Final[Mapping[str, str]] = MappingProxyType(
     {**FAMILY_NAMES, **ATTACK_NAMES, **ROBOT_NAMES}
@@ -250,17 +250,18 @@ _PLAIN: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def plain_name(name: str) -> str:
-    """Return the name that people read for a name in a file; empty where both are the same."""
+    """Return the name that people read for a name in a file; empty if equal."""
     plain = _PLAIN.get(name, "")
     return "" if plain == name else plain
 
 
 def _definitions() -> dict[str, str]:
     """Return every known name, as in files and as people read it, with its sentence."""
-    own = {
-        name: text for section in GLOSSARY.values() for name, text in section.items()
-    }
-    return {plain: own[name] for name, plain in _PLAIN.items()} | own
+    sentences: dict[str, str] = {}
+    for section in GLOSSARY.values():
+        sentences |= section
+    plain_names = {plain: sentences[name] for name, plain in _PLAIN.items()}
+    return plain_names | sentences
 
 
 DEFINITIONS: Final[Mapping[str, str]] = MappingProxyType(_definitions())
@@ -269,11 +270,11 @@ DEFINITIONS: Final[Mapping[str, str]] = MappingProxyType(_definitions())
 _COMMON: Final = frozenset(
     {"true", "shared", "level", "law", "linear", "split", "shape", "profile", "control"}
 )
-"""Names that are everyday words as well: they get no hover text inside a sentence."""
+"""Names that are everyday words: they get no hover text inside a sentence."""
 
 
 def _pattern() -> re.Pattern[str]:
-    """Return what matches any name that stands as a word of its own, the longest first."""
+    """Return the pattern of a name as a word of its own; longer names come first."""
     names = sorted(set(DEFINITIONS) - _COMMON, key=len, reverse=True)
     return re.compile(rf"(?<![\w:])(?:{'|'.join(map(re.escape, names))})(?![\w:])")
 
@@ -282,7 +283,7 @@ _NAMES: Final = _pattern()
 
 
 def definition(name: str) -> str:
-    """Return the sentence of a name; of a mechanism with a level or an attack that of its kind.
+    """Return the sentence of a name, or of its kind: a level has that of its mechanism.
 
     Parameters
     ----------
@@ -297,22 +298,24 @@ def definition(name: str) -> str:
     """
     bare = name.strip()
     linker = bare.rpartition("/")[2].partition("@")[0]
-    kinds = (
+    candidates = (
+        bare,
         bare.partition(" (")[0],
         bare.partition(",")[0],
         linker,
         re.split(r"[,: ]", linker)[0],
     )
-    return next(
-        (DEFINITIONS[kind] for kind in (bare, *kinds) if kind in DEFINITIONS), ""
-    )
+    for candidate in candidates:
+        if candidate in DEFINITIONS:
+            return DEFINITIONS[candidate]
+    return ""
 
 
 def hinted(text: str) -> Markup:
-    """Return a text as HTML, each known name in it once with its sentence as hover text."""
+    """Return a text as HTML, with hover text at the first use of each known name."""
     seen: set[str] = set()
 
-    def marked(match: re.Match[str]) -> str:
+    def mark(match: re.Match[str]) -> str:
         name = match.group()
         if name in seen:
             return str(escape(name))
@@ -321,13 +324,14 @@ def hinted(text: str) -> Markup:
 
     parts, end = [], 0
     for match in _NAMES.finditer(text):
-        parts += [str(escape(text[end : match.start()])), marked(match)]
+        parts += [str(escape(text[end : match.start()])), mark(match)]
         end = match.end()
-    return Markup("".join([*parts, str(escape(text[end:]))]))  # noqa: S704 - each part is escaped
+    parts.append(str(escape(text[end:])))
+    return Markup("".join(parts))  # noqa: S704 - each part is escaped
 
 
 def glossary_page() -> str:
-    """Return `docs/glossary.md`: a table for each section."""
+    """Return `docs/reference/glossary.md`: a table for each section."""
     lines = [
         "# Glossary",
         "",

@@ -9,7 +9,7 @@ _GAP: Final = "  "
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Heads of neighbouring columns, and what stands above them all."""
+    """Heads of neighbouring columns, and the title above them all."""
 
     title: str
     heads: tuple[str, ...]
@@ -18,7 +18,7 @@ class Group:
 def grid_lines(
     rows: Sequence[Sequence[str]], groups: Sequence[Group], *, corner: tuple[str, str]
 ) -> list[str]:
-    """Return a table in lines, its first column to the left and all others to the right.
+    """Return a table in lines: the first column left-aligned, all others right-aligned.
 
     `rows` have a label and a text for each head of the groups; `corner` stands above
     the labels. A title that is wider than its columns makes the first of them wider.

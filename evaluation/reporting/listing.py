@@ -1,6 +1,6 @@
-"""`--list`: all that can be named, with what it is and its unit, a line each.
+"""`--list`: a line for everything that can be named, with its meaning and its unit.
 
-No plug-in is imported: that takes seconds, and what strangers wrote may fail. Their
+No plug-in is imported: that takes seconds, and the code of strangers may fail. Their
 sources are read instead.
 """
 
@@ -27,7 +27,7 @@ _LEVEL_UNITS: Final = {
     "every": "samples",
     "seconds": "s",
 }
-"""Units of levels whose names do not end in theirs."""
+"""Units of levels whose names do not end in their unit."""
 _UNITS: Final = {
     "_mps": "m/s",
     "_ghz": "GHz",
@@ -39,8 +39,8 @@ _UNITS: Final = {
     "_m": "m",
     "_s": "s",
 }
-"""By the end of a name."""
-_CLAUSES: Final = ("; ", ": ", ". ", " (")  # Before these a text may be cut.
+"""Units by the end of a name."""
+_CLAUSES: Final = ("; ", ": ", ". ", " (")  # A text may be cut before any of these.
 SETTINGS: Final = {
     "resample.rate_min_hz": "lowest sampling rate of a track",
     "resample.rate_max_hz": "highest sampling rate of a track",
@@ -104,19 +104,19 @@ SETTINGS: Final = {
     "patrol.segment_s": "length of the recording that is walked (the same)",
     "patrol.grid_s": "step of the instants that are judged (the same)",
 }
-"""What a stage setting is. One that is not here is listed by its name, value and unit."""
+"""The meaning of each stage setting; others are listed with name, value and unit."""
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
-    """What the source of a class tells about it."""
+class ClassSummary:
+    """The description and the first parameter of a class, read from its source."""
 
     about: str = ""  # First line of its docstring.
     parameter: str = ""  # Name of its first parameter.
 
 
 def listing() -> list[str]:
-    """Return all that can be named, in sections, by what it is; a plug-in or setting is a line."""
+    """Return everything that can be named, in lines by section, with its meaning."""
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - needed for a list alone
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - as above
 
@@ -129,47 +129,42 @@ def listing() -> list[str]:
     }
     lines: list[str] = []
     for title, entries in sections.items():
-        is_line = title not in ("presets", "data sets")
+        is_short = title not in ("presets", "data sets")
         width = max(map(len, entries), default=0)
         lines.append(f"{title}:")
         for name, text in entries.items():
-            lines += _entry(f"  {name:<{width}}  ", text, is_line=is_line)
+            lines += _entry(f"  {name:<{width}}  ", text, is_short=is_short)
         lines.append("")
     return lines
 
 
-def broken() -> list[str]:
-    """Return discovered plug-ins that cannot be used, and why."""
+def broken_plugins() -> list[str]:
+    """Return a line for each discovered plug-in that cannot be used, with its fault."""
     from isac_track import plugins  # noqa: PLC0415 - names alone need none
 
     faults = chain.from_iterable(plugins.broken(kind).items() for kind in _KINDS)
     return [f"skipped {name}: {fault}" for name, fault in faults]
 
 
-def source_of(origin: str) -> Source:
-    """Return what the source of `module:Class` tells; nothing where it cannot be read."""
+def read_class_summary(origin: str) -> ClassSummary:
+    """Return the summary of `module:Class`; it is empty if the source is unreadable."""
     module, _, name = origin.partition(":")
     try:
         spec = find_spec(module)
-        tree = (
-            ast.parse(Path(spec.origin).read_bytes()) if spec and spec.origin else None
-        )
-    except (
-        ImportError,
-        OSError,
-        SyntaxError,
-        ValueError,
-    ):  # a run that names it says why
-        return Source()
-    for node in tree.body if tree else ():
+        if spec is None or not spec.origin:
+            return ClassSummary()
+        tree = ast.parse(Path(spec.origin).read_bytes())
+    except (ImportError, OSError, SyntaxError, ValueError):
+        return ClassSummary()  # A run with this class reports the fault.
+    for node in tree.body:
         if isinstance(node, ast.ClassDef) and node.name == name:
             about = (ast.get_docstring(node) or "").partition("\n")[0].strip()
-            return Source(about, _first_parameter(node))
-    return Source()
+            return ClassSummary(about, _first_parameter(node))
+    return ClassSummary()
 
 
 def _first_parameter(node: ast.ClassDef) -> str:
-    """Return the first annotated name of a class that is a parameter; empty without one."""
+    """Return the name of the first parameter of a class; empty without any."""
     for item in node.body:
         if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
             is_constant = "ClassVar" in ast.unparse(item.annotation)
@@ -179,24 +174,28 @@ def _first_parameter(node: ast.ClassDef) -> str:
 
 
 def _plugins(kind: "Kind") -> dict[str, str]:
-    """Return what the plug-ins of a kind are, by name; mechanisms with their level and its unit."""
+    """Return the descriptions of a kind's plug-ins by name.
+
+    The name of a mechanism includes its level and the unit of that.
+    """
     from isac_track import plugins  # noqa: PLC0415 - needed for a list alone
 
     entries = {}
     for name, origin in plugins.names(kind).items():
-        source = source_of(origin)
+        summary = read_class_summary(origin)
         shown = name
-        if kind == "mechanisms" and source.parameter not in ("", "adding", "law"):
-            unit = _LEVEL_UNITS.get(source.parameter) or _unit(source.parameter)
-            shown = f"{name}:{source.parameter.upper()}" + (
-                f" ({unit})" if unit else ""
-            )
-        entries[shown] = source.about or origin
+        level = summary.parameter
+        if kind == "mechanisms" and level not in ("", "adding", "law"):
+            unit = _LEVEL_UNITS.get(level) or _unit(level)
+            shown = f"{name}:{level.upper()}"
+            if unit:
+                shown += f" ({unit})"
+        entries[shown] = summary.about or origin
     return entries
 
 
 def _settings() -> dict[str, str]:
-    """Return the value of every setting with its unit, and what it is."""
+    """Return every setting by name: its value with the unit, and its meaning."""
     values = {
         name: f"{value} {_unit(name)}".rstrip()
         for name, value in StageSettings().flat().items()
@@ -209,20 +208,21 @@ def _settings() -> dict[str, str]:
 
 
 def _unit(name: str) -> str:
+    """Return the unit at the end of a name; empty without any."""
     return next((unit for end, unit in _UNITS.items() if name.endswith(end)), "")
 
 
-def _entry(start: str, text: str, *, is_line: bool) -> list[str]:
-    """Return an entry in lines, or shortened to one."""
+def _entry(start: str, text: str, *, is_short: bool) -> list[str]:
+    """Return an entry in lines, or shortened to a single line."""
     room = WIDTH - len(start)
-    if not is_line:
+    if not is_short:
         first, *more = textwrap.wrap(text, room) or [""]
         return [f"{start}{first}", *(f"{'':{len(start)}}{line}" for line in more)]
-    return [f"{start}{shortened(text, room=room)}"]
+    return [f"{start}{shorten_text(text, room=room)}"]
 
 
-def shortened(text: str, *, room: int) -> str:
-    """Return a text that fits: whole, or up to the last clause or word for which there is room."""
+def shorten_text(text: str, *, room: int) -> str:
+    """Return a text cut to `room` characters, at the end of a clause or a word."""
     if len(text) <= room:
         return text
     ends = [text.rfind(mark, 0, room) for mark in _CLAUSES]

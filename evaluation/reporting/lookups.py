@@ -1,4 +1,4 @@
-"""The rows of a summary by what they are about, and what is known of a mechanism."""
+"""The estimates of a summary by key, and the family of a mechanism."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 import pandas as pd
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Key, keys_of
+from evaluation.estimates.keys import Key, row_keys
 
 if TYPE_CHECKING:
     from isac_track.intervals import Estimate
@@ -18,23 +18,18 @@ HEADLINE: Final = (
     ("fixed", 0.7),
     ("fixed", 1.0),
 )
-"""The few levels that tell the story: mechanism without its adding rule, and level."""
+"""The few main levels: mechanism without its adding rule, and level."""
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 
 
-def family_of(known: Mapping[str, Family], mechanism: str) -> Family:
-    """Return what is known of a mechanism; of one that is not, its name."""
+def find_family(known: Mapping[str, Family], mechanism: str) -> Family:
+    """Return the family of a mechanism; for an unknown mechanism, one with its name."""
     return known.get(mechanism, Family(mechanism, mechanism, ""))
 
 
 def estimates(rows: pd.DataFrame) -> "dict[Key, Estimate]":
-    """Return the rows of a summary by what they are about."""
+    """Return the estimates of a summary by key."""
     from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
 
-    return dict(
-        zip(
-            keys_of(rows),
-            map(Estimate, *(rows[one] for one in (*ENDS, "n"))),
-            strict=True,
-        )
-    )
+    columns = (rows[name] for name in (*ENDS, "n"))
+    return dict(zip(row_keys(rows), map(Estimate, *columns), strict=True))

@@ -1,6 +1,6 @@
-"""Tables as LaTeX (a booktabs tabular) and as Markdown, and the environment of the page."""
+"""Tables as LaTeX (booktabs) and as Markdown, and the page's template environment."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
@@ -18,16 +18,20 @@ _OPTIONS: dict[str, Any] = {
     "lstrip_blocks": True,
 }
 HTML: Final = Environment(autoescape=True, **_OPTIONS)
-HTML.filters["plain"] = printable
-# The path of lines through places; one alone is a dot.
-HTML.filters["path"] = lambda strokes: "".join(
-    "M" + ("L".join(f"{x:.1f} {y:.1f}" for x, y in line) + "h0" * (len(line) == 1))
-    for line in strokes
-)
+
+
+def _path(strokes: Iterable[Sequence[Sequence[float]]]) -> str:
+    """Return the SVG path of lines through points; a single point is a dot."""
+    lines = []
+    for stroke in strokes:
+        points = "L".join(f"{x:.1f} {y:.1f}" for x, y in stroke)
+        dot = "h0" if len(stroke) == 1 else ""
+        lines.append(f"M{points}{dot}")
+    return "".join(lines)
 
 
 def _hinted(text: str) -> Markup:
-    """Return a text as HTML, its known names with hover text; a number stays with its %."""
+    """Return a text as HTML: known names get hover text; % never starts a line."""
     from evaluation.reporting.glossary import (  # noqa: PLC0415 - words alone need none
         hinted,
     )
@@ -36,14 +40,19 @@ def _hinted(text: str) -> Markup:
 
 
 def _defined(text: str) -> str:
-    """Return the sentence of the glossary on a name; empty for other texts."""
+    """Return the glossary's definition of a name; empty for other texts."""
     from evaluation.reporting.glossary import DEFINITIONS  # noqa: PLC0415 - as said
 
     return DEFINITIONS.get(text, "")
 
 
-HTML.filters |= {"hinted": _hinted, "defined": _defined}
-_LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `tex`
+HTML.filters |= {
+    "plain": printable,
+    "path": _path,
+    "hinted": _hinted,
+    "defined": _defined,
+}
+_LATEX = Environment(  # noqa: S701 - LaTeX needs another escape: `tex`
     **_OPTIONS,
     block_start_string="<%",
     block_end_string="%>",
@@ -54,12 +63,18 @@ _LATEX = Environment(  # noqa: S701 - what is not HTML needs another escape: `te
     keep_trailing_newline=True,
 )
 PREAMBLE: Final = "% Needs \\usepackage{booktabs}. Values with 95 % intervals.\n"
-_MOST_COLUMNS = 10  # Beside the keys: what a page has room for.
+_MOST_COLUMNS = 10  # Columns beside the keys for which a page has room.
 _MOST_BESIDE = 6  # With more columns of intervals, these stand below their values.
-_WORDS = {"\\": "textbackslash", "~": "textasciitilde", "^": "textasciicircum"}
-_WORDS |= {"<": "textless", ">": "textgreater", "|": "textbar"}
-_SPECIAL = {one: f"\\{one}" for one in "{}$&%#_"}
-_SPECIAL |= {one: f"\\{word}{{}}" for one, word in _WORDS.items()}
+_COMMANDS = {
+    "\\": "textbackslash",
+    "~": "textasciitilde",
+    "^": "textasciicircum",
+    "<": "textless",
+    ">": "textgreater",
+    "|": "textbar",
+}
+_SPECIAL = {character: f"\\{character}" for character in "{}$&%#_"}
+_SPECIAL |= {character: f"\\{command}{{}}" for character, command in _COMMANDS.items()}
 
 
 def escape(text: str) -> str:
@@ -68,7 +83,7 @@ def escape(text: str) -> str:
 
 
 def latex(tables: Iterable[Table]) -> str:
-    """Return a file of tabulars, several of a table that is too wide for a page."""
+    """Return a file of tabulars; a table that is too wide for a page is split."""
     _LATEX.filters["tex"] = escape
     template = _LATEX.get_template("table.tex.j2")
     parts = []

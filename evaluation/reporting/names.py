@@ -1,4 +1,4 @@
-"""Plain names of mechanisms, robots, attacks and tasks: one home for screen, page and figures.
+"""Plain names of mechanisms, robots, attacks and tasks, for screen, page and figures.
 
 Files, columns and options keep the SPEC (`fid:1,adding=independent`); a person reads
 these names.
@@ -10,7 +10,7 @@ from typing import Final
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import level_text
-from evaluation.reporting.table import spoken
+from evaluation.reporting.table import plugin_label
 
 _MECHANISMS: Final = {
     "raw": "raw positions",
@@ -109,7 +109,7 @@ _SHORTCUTS: Final = {"duration": "track length", "noise_level": "noise level"}
 
 _ISOTROPIC: Final = "law=isotropic"
 INDEPENDENT_MARK: Final = " *"
-"""Behind a level whose noise is independent of the sensing error, where room is short."""
+"""Marks a level whose noise is independent of the sensing error, if room is short."""
 INDEPENDENT_NOTE: Final = "* Noise is independent of the sensing error."
 
 
@@ -128,8 +128,8 @@ FAMILY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
 
 
 def family_name(family: Family) -> str:
-    """Return what a mechanism is called whatever its level: `FID noise (independent)`."""
-    name = FAMILY_NAMES.get(family.family, spoken(family.family))
+    """Return the name of a mechanism without its level: `FID noise (independent)`."""
+    name = FAMILY_NAMES.get(family.family, plugin_label(family.family))
     if _ISOTROPIC in family.parameters:
         name = f"isotropic {name}"
     details = _other_parameters(family)
@@ -139,10 +139,9 @@ def family_name(family: Family) -> str:
 
 
 def short_family_name(family: Family) -> str:
-    """Return the same where room is short: a mark says that noise is independent."""
-    name = (
-        family_name(family).replace(" (independent)", "").replace(", independent)", ")")
-    )
+    """Return a short name of a mechanism; a mark says that noise is independent."""
+    name = family_name(family)
+    name = name.replace(" (independent)", "").replace(", independent)", ")")
     return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
 
 
@@ -156,7 +155,7 @@ def spec_text(family: Family, level: float | None) -> str:
 
 
 def mechanism_name(family: Family, level: float | None) -> str:
-    """Return what a level of a mechanism is called.
+    """Return the name of a level of a mechanism.
 
     Parameters that are not the default follow in brackets, the adding rule last if it
     is not the paper's: `FID noise, eta 1 (independent)`.
@@ -165,13 +164,13 @@ def mechanism_name(family: Family, level: float | None) -> str:
 
 
 def short_mechanism_name(family: Family, level: float | None) -> str:
-    """Return the same where room is short: a mark says that noise is independent."""
+    """Return a short name of a level; a mark says that noise is independent."""
     name = _with_details(_plain_name(family, level), _other_parameters(family))
     return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
 
 
 def mechanism_phrase(family: Family, level: float | None) -> str:
-    """Return the same in the middle of a sentence: `FID noise at eta 1`, `slow noise of 0.4 m`."""
+    """Return a level in the middle of a sentence: `slow noise of 0.4 m`."""
     name = _plain_name(family, level)
     if family.family in _MECHANISMS:
         name = name.replace(", eta", " at eta").replace(", ", " of ")
@@ -184,7 +183,7 @@ def is_independent(family: Family) -> bool:
 
 
 def _details(family: Family) -> list[str]:
-    """Return what stands in brackets behind a name."""
+    """Return the details in brackets behind a name."""
     rule = ["independent"] if is_independent(family) else []
     return [*_other_parameters(family), *rule]
 
@@ -197,24 +196,22 @@ def _plain_name(family: Family, level: float | None) -> str:
     """Return the name of a level without its parameters, but for an isotropic law."""
     pattern = _MECHANISMS.get(family.family)
     if pattern is None:
-        return f"{spoken(family.family)}:{level_text(level)}".rstrip(":")
+        return f"{plugin_label(family.family)}:{level_text(level)}".rstrip(":")
     name = pattern.format(level=level_text(level))
     return f"isotropic {name}" if _ISOTROPIC in family.parameters else name
 
 
 def _other_parameters(family: Family) -> list[str]:
-    """Return parameters that neither the name nor the adding rule tells."""
+    """Return the parameters beside the level, the adding rule and an isotropic law."""
     given = [text for text in family.parameters.split(",") if text]
-    return (
-        given
-        if family.family not in _MECHANISMS
-        else [x for x in given if x != _ISOTROPIC]
-    )
+    if family.family not in _MECHANISMS:
+        return given
+    return [text for text in given if text != _ISOTROPIC]
 
 
 def robot_name(consumer: str) -> str:
-    """Return what a robot's predictor is called."""
-    return _ROBOTS.get(consumer, spoken(consumer))
+    """Return the name of a robot's predictor."""
+    return _ROBOTS.get(consumer, plugin_label(consumer))
 
 
 def is_built_in_robot(consumer: str) -> bool:
@@ -228,12 +225,12 @@ def robot_subject(consumer: str) -> str:
 
 
 def attack_name(consumer: str) -> str:
-    """Return what a reconstruction attack is called."""
-    return _ATTACKS.get(consumer, spoken(consumer))
+    """Return the name of a reconstruction attack."""
+    return _ATTACKS.get(consumer, plugin_label(consumer))
 
 
 def task_phrase(task: str) -> str:
-    """Return when or where a linkage task finds people again: `after 1 s of silence`."""
+    """Return time or place of a linkage task's second log: `after 1 s of silence`."""
     return _TASKS.get(task, f"in {task}")
 
 
@@ -243,7 +240,7 @@ def task_head(task: str) -> str:
 
 
 def adversary_name(adversary: str) -> str:
-    """Return an adversary as the subject of a sentence: `an adversary with one true position`."""
+    """Return an adversary as the subject of a sentence."""
     return _ADVERSARIES.get(adversary, f"the adversary {adversary}")
 
 
@@ -258,10 +255,10 @@ def descriptor_name(metric: str) -> str:
 
 
 def shortcut_name(shortcut: str) -> str:
-    """Return what a control of the linkage tasks tells people apart by."""
+    """Return the property by which a control of linkage tells people apart."""
     return _SHORTCUTS.get(shortcut, shortcut.replace("_", " "))
 
 
 def dataset_title(name: str) -> str:
-    """Return a data set as the start of a sentence; a path is left as it is."""
+    """Return a data set as the start of a sentence; a path stays as it is."""
     return name if "/" in name or "." in name else name[:1].upper() + name[1:]

@@ -1,10 +1,14 @@
-"""The noise that a privacy limit takes by closed forms, without a run; imports nothing heavy."""
+"""Noise that keeps a privacy limit, by closed forms without a run.
+
+Imports nothing heavy.
+"""
 
 import math
 
 from isac_track.kalman import steady
 
-_TAU_S, _SEEN_S = 5.0, 30.0  # Time constant of slow noise, and how long a walk is seen.
+_TAU_S = 5.0  # Time constant of slow noise.
+_SEEN_S = 30.0  # Duration of a walk in view.
 _MOST_M = 1e5  # Noise per axis beyond which nothing is proposed.
 
 
@@ -20,7 +24,7 @@ def plan_lines(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[s
             raise ValueError(f"--{name} must be positive, got {value:g}")
     try:
         needed = steady.variance_for(plr=plr, dt_s=dt_s, q=q, epsilon_m=epsilon_m)
-    except ArithmeticError:  # beyond what a number can hold
+    except ArithmeticError:  # overflow
         needed = math.inf
     if not 0.0 < needed <= _MOST_M**2:
         raise ValueError(
@@ -31,8 +35,7 @@ def plan_lines(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[s
     shared = steady.plr_of_variance(variance_m2=needed, epsilon_m=epsilon_m)
     # The motion-free bound, solved for its standard deviation.
     slow = epsilon_m * math.sqrt((2.0 + _SEEN_S / _TAU_S) / (-4.0 * math.log1p(-plr)))
-    # Up to the next centimetre: what is proposed must not leave more than was asked
-    # for.
+    # Rounded up to the next centimetre: the proposal must keep the limit.
     slow = math.ceil(100.0 * slow) / 100.0
     total_m, known_m = math.sqrt(needed), math.sqrt(filtered)
     return [
@@ -53,7 +56,7 @@ def plan_lines(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[s
         ),
         (
             "  A map, a known position, repeats or companions void this:"
-            " docs/mechanisms.md."
+            " docs/explanation/mechanisms.md."
         ),
         "Only a run tells how many conflicts a robot then misses:",
         f"  python -m evaluation.matrix --mechanism raw --mechanism ou:{slow:.2f} \\",

@@ -16,15 +16,15 @@ if TYPE_CHECKING:
 
     from evaluation.plan.plan import Plan
 
-USUAL_DISTANCE_M: Final = (
-    20.0,
-    40.0,
-)  # From the station: the constants were fitted at 30 m.
-USUAL_AT_CAP: Final = 0.3  # At most, of the tracks: there 13 %.
+# Distances from the base station; the constants were fitted at 30 m.
+USUAL_DISTANCE_M: Final = (20.0, 40.0)
+# Largest share of tracks with the largest error; 13 % where the constants were fitted.
+USUAL_AT_CAP: Final = 0.3
 _WHOLE_DETAILS: Final = ("header", "unit", "frame-clock", "crs", "doubt")
 """Repairs that a notice gives in full, instead of their number."""
-_LARGE_GALLERY: Final = 3000  # People, above which it is proposed to score some alone.
-_MINUTES_FROM_S: Final = 120.0  # Costs beyond it are told in minutes.
+# Number of people above which a notice proposes to score only some candidates.
+_LARGE_GALLERY: Final = 3000
+_MINUTES_FROM_S: Final = 120.0  # Longer costs are given in minutes.
 _REPAIRS: Final = {
     "gap": ("gap bridged", "gaps bridged"),
     "split": ("track split at a long gap", "tracks split at a long gap"),
@@ -70,11 +70,11 @@ _REPAIRS: Final = {
     "ignored-column": ("column not used", "columns not used"),
     "too-short": ("track too short for a scene", "tracks too short for a scene"),
 }
-"""Repairs by their kind, in the order in which they are told: of a single case, and of several."""
+"""Texts for repairs by kind, in order: for a single case, and for several."""
 
 
 def data_notices(dataset: Mapping[str, Any]) -> list[str]:
-    """Return how a recording was read, repaired and cut, as the manifest of its run has it."""
+    """Return how a recording was read, repaired and cut; `dataset` is of a manifest."""
     counts: Counter[str] = Counter()
     for repair in dataset["repairs"]:
         counts[repair["kind"]] += repair["count"]
@@ -89,12 +89,14 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
         for kind, words in _REPAIRS.items()
         if counts[kind] > 0
     ]
-    told = [f"{dataset['name']}: {listed(repairs)}."] if repairs else []
-    return [*filter(None, [few_people(dataset)]), *details, *told]
+    texts = [*filter(None, [few_people(dataset)]), *details]
+    if repairs:
+        texts.append(f"{dataset['name']}: {listed(repairs)}.")
+    return texts
 
 
 def few_people(dataset: Mapping[str, Any]) -> str:
-    """Return that a recording has too few people to decide, and the way out; empty if enough."""
+    """Return a text if a recording has too few people to decide anything, else none."""
     if not (way_out := dataset.get("would_help")):
         return ""
     tracks = counted(dataset["tracks_used"], "usable track")
@@ -104,13 +106,13 @@ def few_people(dataset: Mapping[str, Any]) -> str:
 def plan_notices(
     ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]
 ) -> list[str]:
-    """Return what a plan leaves out, and what may take long.
+    """Return notices on the parts that a plan leaves out and on slow parts.
 
     `slow_costs` has an entry for each slow attack: its SPEC, the number of its
     adversaries, and the time that it takes in one process, s, NaN if it does not say.
     """
     from evaluation.store.manifest import (  # noqa: PLC0415 - names alone need none
-        about_data,
+        describe_data,
     )
     from isac_track.datasets.registry import (  # noqa: PLC0415 - names alone need none
         KNOWN,
@@ -125,9 +127,9 @@ def plan_notices(
         )
     if dataset.notice:
         texts.append(f"notice: {dataset.notice}")
-    if dataset.name not in KNOWN:  # Of a known recording docs/data.md tells.
-        texts += [f"notice: {text}" for text in data_notices(about_data(ready))]
-    texts += [f"notice: left out: {why}" for why in ready.axes.skipped.values()]
+    if dataset.name not in KNOWN:  # Of a known recording docs/how-to/data.md tells.
+        texts += [f"notice: {text}" for text in data_notices(describe_data(ready))]
+    texts += [f"notice: left out: {reason}" for reason in ready.axes.skipped.values()]
     texts += _gallery_notices(ready)
     texts += [
         f"notice: the attack {spec} is slow: {cost_text(cost_s)} for"
@@ -158,7 +160,7 @@ def _gallery_notices(ready: Plan) -> list[str]:
 
 
 def cost_text(cost_s: float) -> str:
-    """Return a duration as people say it: `about 25 s`, `about 3 min`."""
+    """Return a rounded duration: `about 25 s`, `about 3 min`."""
     if cost_s < _MINUTES_FROM_S:
         return f"about {cost_s:.0f} s"
     if cost_s >= _MINUTES_FROM_S:
@@ -167,7 +169,7 @@ def cost_text(cost_s: float) -> str:
 
 
 def notices(manifest: Mapping[str, Any]) -> list[str]:
-    """Return what a reader of a finished run must know."""
+    """Return what a reader of a finished run must know about it."""
     linked = (manifest.get("linkage") or {}).get("tasks", {})
     texts = [
         f"{spec} asked for {listed(asked)}, which a robot does not have by default."
@@ -200,14 +202,14 @@ def notices(manifest: Mapping[str, Any]) -> list[str]:
     lost = {task: approximation(manifest, task) for task in linked}
     texts += [f"{task}: {text}" for task, text in lost.items() if text]
     texts += [
-        f"The gallery of tracks lacks {why}."
-        for why in manifest.get("gallery_without", ())
+        f"The gallery of tracks lacks {reason}."
+        for reason in manifest.get("gallery_without", ())
     ]
     return texts
 
 
 def _horizon_notices(seconds: Any, horizon: Mapping[str, Any]) -> list[str]:  # noqa: ANN401 - a key of JSON
-    """Return what a further horizon leaves out; `seconds` is the horizon."""
+    """Return notices on the people and conflicts that a further horizon leaves out."""
     texts = []
     if not horizon["tracks_used"]:
         texts.append(
@@ -230,15 +232,16 @@ def _redraw_text(n: int) -> str:
 
 
 def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
-    """Return how fast the tracks used are beside all; empty where they differ by less than `least`.
+    """Compare the mean speed of the used tracks with that of all tracks.
 
-    `least` is a share of the mean speed of all.
+    The text is empty if they differ by less than `least`, a share of the mean speed of
+    all tracks.
     """
     speeds = manifest["dataset"].get("speed_mps")
-    if (
-        speeds is None
-        or not abs(speeds["used"] - speeds["recorded"]) > least * speeds["recorded"]
-    ):
+    if speeds is None:
+        return ""
+    difference = abs(speeds["used"] - speeds["recorded"])
+    if not difference > least * speeds["recorded"]:
         return ""
     min_s = manifest["settings"]["stages"]["resample.min_duration_s"]
     slower = "slower" if speeds["used"] < speeds["recorded"] else "faster"
@@ -249,7 +252,7 @@ def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
 
 
 def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
-    """Return in a line that people are oddly near or far, or their errors large; else none."""
+    """Return a line if distances or errors of people are unusual, else none."""
     known = manifest.get("geometry")
     if not known:
         return []
@@ -267,7 +270,7 @@ def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
 
 
 def geometry(manifest: Mapping[str, Any]) -> list[str]:
-    """Return how far people are from the station, in a line; none of a run that does not say."""
+    """Return the distances from the base station in a line; none if unknown."""
     known = manifest.get("geometry")
     if not known:
         return []
@@ -292,22 +295,22 @@ def geometry(manifest: Mapping[str, Any]) -> list[str]:
     return [text]
 
 
-def who_is_linked(manifest: Mapping[str, Any]) -> list[str]:
-    """Return a line on how many people each task rests on, and why others are out."""
+def linked_people(manifest: Mapping[str, Any]) -> list[str]:
+    """Return a line on the number of people in each task, and why others are out."""
     texts = []
     for name, counts in ((manifest.get("linkage") or {}).get("tasks", {})).items():
-        why = []
+        reasons = []
         if counts.get("too_short"):
-            why.append(f"{counts['too_short']:,} not there for long enough")
+            reasons.append(f"{counts['too_short']:,} not there for long enough")
         if counts.get("not_drawn"):
-            why.append(f"{counts['not_drawn']:,} beyond linkage.most_people")
-        others = f" ({listed(why)})" if why else ""
+            reasons.append(f"{counts['not_drawn']:,} beyond linkage.most_people")
+        others = f" ({listed(reasons)})" if reasons else ""
         texts.append(f"{name} {counts['people']:,}{others}")
     return [f"people in linkage tasks: {'; '.join(texts)}"] if texts else []
 
 
 def approximation(manifest: Mapping[str, Any], task: str) -> str:
-    """Return what `linkage.candidates` cost a task; nothing where every pair was scored."""
+    """Return the cost of `linkage.candidates` to a task; empty if it had none."""
     lost = (manifest.get("linkage") or {}).get("candidates", {}).get(task)
     if not lost:
         return ""

@@ -1,4 +1,4 @@
-"""The picture of the README: one simulated walk as it was, as shared, and as rebuilt."""
+"""The picture of the README: a simulated walk as it was, as shared, and as rebuilt."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -15,12 +15,12 @@ from isac_track.types import Bools, Floats
 PANEL: Final = (400.0, 300.0)  # Width and height of a panel, in px of a README.
 _MARGIN: Final = 24.0
 _BAR_M: Final = (1.0, 2.0, 5.0, 10.0)
-_WIDEST_BAR: Final = 0.3  # Of the width of a panel.
+_WIDEST_BAR: Final = 0.3  # Share of the width of a panel.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Walk:
-    """A walk of L samples under a mechanism, turned so that it runs from left to right."""
+    """A walk of L samples under a mechanism, turned to run from left to right."""
 
     mechanism: str  # SPEC with the level.
     attack: str
@@ -42,23 +42,23 @@ def longest_walk(gallery: pd.DataFrame) -> Walk | None:
         return None
     rows = noisy[noisy["mechanism"] == noisy["mechanism"].iloc[0]]
     walks = [part for _, part in rows.groupby("track", sort=False)]
-    return _walk(max(walks, key=_way))
+    return _walk(max(walks, key=_walk_distance))
 
 
-def _way(rows: pd.DataFrame) -> float:
+def _walk_distance(rows: pd.DataFrame) -> float:
     """Return the distance between the first and the last true position, m."""
     true = rows[["x_true", "y_true"]].to_numpy(dtype=np.float64)
     return float(np.hypot(*(true[-1] - true[0])))
 
 
 def _walk(rows: pd.DataFrame) -> Walk:
-    """Return the walk of some rows, its way from start to end along the x axis."""
+    """Return the walk of some rows, turned so that it ends on the positive x axis."""
     places = {
         name: rows[[f"x_{name}", f"y_{name}"]].to_numpy(dtype=np.float64)
         for name in ("true", "shared", "rec")
     }
     start = places["true"][0]
-    x, y = (places["true"][-1] - start) / max(_way(rows), 1e-9)
+    x, y = (places["true"][-1] - start) / max(_walk_distance(rows), 1e-9)
     turn = np.array([[x, -y], [y, x]])
     return Walk(
         mechanism=str(rows["mechanism"].iloc[0]),
@@ -73,7 +73,7 @@ def _walk(rows: pd.DataFrame) -> Walk:
 
 
 def caption(walk: Walk, *, level_name: str) -> str:
-    """Return how much of the walk is known as shared and as rebuilt."""
+    """Return the shares of the walk that are known as shared and as rebuilt."""
     sent = PERCENT * float(walk.leaks_shared.mean())
     rebuilt = PERCENT * float(walk.leaks_rebuilt.mean())
     return (
@@ -83,13 +83,13 @@ def caption(walk: Walk, *, level_name: str) -> str:
     )
 
 
-def one_walk(walk: Walk, *, level_name: str) -> str:
+def draw_walk(walk: Walk, *, level_name: str) -> str:
     """Return the picture as SVG, readable at 830 px and in print."""
     corner, unit = _window(walk)
 
     def placed(points: Floats) -> Floats:
-        at: Floats = (points - corner) * unit * [1.0, -1.0] + [0.0, PANEL[1]]
-        return at
+        places: Floats = (points - corner) * unit * [1.0, -1.0] + [0.0, PANEL[1]]
+        return places
 
     bar_m = max(
         (m for m in _BAR_M if m * unit < _WIDEST_BAR * PANEL[0]), default=_BAR_M[0]
@@ -111,10 +111,10 @@ def one_walk(walk: Walk, *, level_name: str) -> str:
 
 
 def _window(walk: Walk) -> tuple[Floats, float]:
-    """Return the lower left corner in m, and the px of a metre: all but far samples fit."""
+    """Return the lower left corner in m, and px per metre; far samples stick out."""
     inner = np.percentile(walk.shared, [2.0, 98.0], axis=0)
-    every = np.concatenate([walk.true, walk.rebuilt, inner])
-    low, high = every.min(axis=0), every.max(axis=0)
+    places = np.concatenate([walk.true, walk.rebuilt, inner])
+    low, high = places.min(axis=0), places.max(axis=0)
     room = np.array(PANEL) - 2.0 * _MARGIN
     unit = float(np.min(room / np.maximum(high - low, 1.0)))
     corner: Floats = 0.5 * (low + high) - 0.5 * np.array(PANEL) / unit

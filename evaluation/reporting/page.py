@@ -1,4 +1,4 @@
-"""`report.html`: the whole run in a file without requests, for phone and print, light and dark."""
+"""`report.html`: a run in a single file, for phone and print, light and dark."""
 
 import re
 from collections.abc import Sequence
@@ -10,8 +10,12 @@ from evaluation.estimates.keys import Source, is_attack
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.pool.pieces import failed_lines
 from evaluation.reporting.amounts import counted
-from evaluation.reporting.announcements import changed_settings, command, scenes_text
-from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.announcements import (
+    changed_settings,
+    rerun_command,
+    scenes_text,
+)
+from evaluation.reporting.answers import answers
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.glossary import GLOSSARY, plain_name
 from evaluation.reporting.headline import Headline
@@ -21,14 +25,17 @@ from evaluation.reporting.notices import data_notices, geometry, used_are_slower
 from evaluation.reporting.pictures import panels, pictures, planes, walks_takeaway
 from evaluation.reporting.protection_record import OPINION, protection_record
 from evaluation.reporting.rows import Results
-from evaluation.reporting.table import decision
+from evaluation.reporting.table import decision_cell
 from evaluation.reporting.tables import page_tables
 from evaluation.reporting.takeaways import level_name
 from evaluation.store.files import PAGE, write_whole
 
 
 def write(run: Results, *, figures: Sequence[Figure]) -> Path:
-    """Write `report.html` with the figures of a run; return its path. DataError if it cannot be."""
+    """Write `report.html` with the figures of a run, and return its path.
+
+    Raises DataError if it cannot be written.
+    """
     path = run.out / PAGE
     write_whole(path, render(run, figures=figures).encode())
     return path
@@ -36,7 +43,7 @@ def write(run: Results, *, figures: Sequence[Figure]) -> Path:
 
 def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
     """Return the page."""
-    flags, table = weak_attacks.lines(run.flags), headline_of(run)
+    flags, table = weak_attacks.lines(run.flags), run.headline
     walks = [] if run.gallery is None else panels(run.gallery)
     text = HTML.get_template("report.html.j2").render(
         run=run,
@@ -52,7 +59,7 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
             "" if run.gallery is None else attack_name(run.gallery.iloc[0]["attack"])
         ),
         epsilon_m=f"{table.epsilon_m:g}",
-        decision=decision,
+        decision=decision_cell,
         figures=figures,
         tables=page_tables(run),
         glossary=GLOSSARY,
@@ -62,26 +69,24 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
             line.removeprefix("flag: ").removesuffix(": flags.json") for line in flags
         ],
         failed_lines=failed_lines(run.failed),
-        command=command(run.manifest),
+        command=rerun_command(run.manifest),
         scenes=scenes_text(run.manifest["identity"]),
         data_notices=data_notices(run.manifest["dataset"]),
         slower=used_are_slower(run.manifest),
         changed=changed_settings(run.manifest),
         geometry=geometry(run.manifest),
     )
-    return re.sub(
-        r">\n+<", "><", text
-    )  # a line's end between two elements would be a node
+    # A line's end between two elements would be a node of its own.
+    return re.sub(r">\n+<", "><", text)
 
 
 def title(run: Results) -> str:
-    """Return what was run on which recording, in a line."""
+    """Return recording, levels and attacks of a run, in a line."""
     shared = run.ours[run.ours["consumer"] == SHARED]
     levels = len(shared[["mechanism", "level"]].drop_duplicates())
     consumers = run.summary.loc[is_attack(run.summary), "consumer"].unique()
-    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers} - {
-        IDENTITY
-    }
+    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers}
+    attacks.discard(IDENTITY)
     parts = [
         f"{counted(run.manifest['dataset']['tracks_used'], 'pedestrian track')}",
         f"shared with robots at {counted(levels, 'noise level')}",

@@ -1,4 +1,4 @@
-"""What a run of preset `quick` leaves to preset `paper`, and how long that would take."""
+"""The hint after a run of preset `quick`: command and time of preset `paper`."""
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -7,7 +7,7 @@ from typing import Any, Final, NamedTuple
 from evaluation.plan.axes import usual_jobs
 from evaluation.plan.presets import DEFAULT
 from evaluation.pool.duration import wall_s
-from evaluation.reporting.announcements import command
+from evaluation.reporting.announcements import rerun_command
 
 PAPER: Final = "paper"
 _SCENES_S: Final = 27.9  # For each million samples in the scenes.
@@ -15,8 +15,11 @@ _RERELEASE_S: Final = 703.0  # For each million pairs of the task `rerelease`.
 _HANDOVER_S: Final = 1650.0  # For each million pairs of the task `handover-1s`.
 # The people of the simulated sessions are the same in every run.
 _TRAVERSAL_S: Final = 7.5
-"""CPU seconds of all cells of `paper`. To lay out its cells would take seconds; these factors give
-the estimate of `--dry-run` to a twentieth on Students03, Zara01 and plaza."""
+"""CPU seconds of the cells of `paper`, by their sizes.
+
+To lay out these cells would take seconds. The factors give the estimate of `--dry-run`
+to a twentieth on Students03, Zara01 and plaza.
+"""
 _WITH_VALUE: Final = ("--preset", "--out")
 _FLAGS: Final = ("--fresh",)
 _USUAL_SEED: Final = " --seed 0"
@@ -30,15 +33,15 @@ class PaperHint(NamedTuple):
 
 
 def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
-    """Return how to run preset `paper` on the same data; None for a run of another preset.
+    """Return how to run preset `paper` on the same data; None after another preset.
 
-    The time is that on idle cores, with as many workers as the run had. It goes by the
+    The time holds for idle cores, with as many workers as the run had. It goes by the
     sizes of the run: samples in its scenes, and pairs that it linked. Plug-ins of a
     user's own cost more.
     """
     if manifest["settings"]["preset"] != DEFAULT:
         return None
-    again = command(manifest).removesuffix(_USUAL_SEED)
+    again = rerun_command(manifest).removesuffix(_USUAL_SEED)
     words = iter(shlex.split(again))
     options = []
     for word in words:
@@ -53,23 +56,21 @@ def paper_hint(manifest: Mapping[str, Any]) -> PaperHint | None:
 
 
 def _cells_cpu_s(manifest: Mapping[str, Any]) -> float:
-    """Return about how many CPU seconds the cells of preset `paper` take on the data of a run."""
+    """Estimate the CPU seconds of the cells of preset `paper` on the data of a run."""
     identity = manifest["identity"]
     scenes = identity.get("scenes_utility", identity["scenes"])
     samples = float(scenes * identity["scenes.agents"] * manifest["history"]["points"])
     tasks = (manifest.get("linkage") or {}).get("tasks", {})
     cpu_s = _SCENES_S * samples / 1e6 + (_TRAVERSAL_S if tasks else 0.0)
-    for task, million_pairs_s in (
-        ("rerelease", _RERELEASE_S),
-        ("handover-1s", _HANDOVER_S),
-    ):
+    costs = {"rerelease": _RERELEASE_S, "handover-1s": _HANDOVER_S}
+    for task, million_pairs_s in costs.items():
         sizes = tasks.get(task, {}).get("candidates", {}).values()
         cpu_s += million_pairs_s * sum(size**2 for size in sizes) / 1e6
     return cpu_s
 
 
 def _workers(options: Sequence[str]) -> int:
-    """Return how many workers a command starts: those that it names, or one for each core."""
+    """Return the number of workers of a command: by its option, else one a core."""
     words = [word for option in options for word in option.split("=", 1)]
     if "--jobs" in words[:-1]:
         return int(words[words.index("--jobs") + 1])

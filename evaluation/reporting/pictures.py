@@ -1,4 +1,4 @@
-"""The pictures of the page: one for each question, the plane of privacy and utility, and tracks."""
+"""Pictures of the page: answers, planes of privacy and utility, and tracks."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Final, NamedTuple
@@ -10,19 +10,19 @@ from evaluation.estimates.families import RAW
 from evaluation.estimates.keys import Measure, Where
 from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.reporting import takeaways
-from evaluation.reporting.answers import reference
+from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
     LOOKS,
     PERCENT,
     Chart,
     Look,
     Point,
-    looks_of,
+    mechanism_looks,
     plane_chart,
     rows_chart,
 )
 from evaluation.reporting.glossary import definition
-from evaluation.reporting.headline import Headline, Shown, levels_of
+from evaluation.reporting.headline import Headline, HeadlineColumn, choose_levels
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
     INDEPENDENT_NOTE,
@@ -45,18 +45,18 @@ _BAR_M: Final = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0)
 
 
 class Picture(NamedTuple):
-    """A chart, and what stands around it."""
+    """A chart with its title, caption, key and note."""
 
-    title: str  # What it shows: a phrase.
-    caption: str  # What its numbers say: a sentence.
+    title: str  # Its subject: a phrase.
+    caption: str  # Its finding: a sentence.
     chart: Chart
-    key: Mapping[str, Look]  # What each mark is of.
-    note: str = ""  # What a sign in it means.
+    key: Mapping[str, Look]  # Look of each named mark.
+    note: str = ""  # Meaning of a sign in it.
 
 
 def pictures(table: Headline) -> list[Picture | None]:
-    """Return the picture of each of the five answers; None where a run has nothing to draw."""
-    where = reference(table)
+    """Return the picture of each of the five answers; None for an empty picture."""
+    where = reference_level(table)
     known = {"as sent": table.shared}
     if table.attacked:
         known["after attack"] = table.attacked
@@ -83,13 +83,13 @@ def pictures(table: Headline) -> list[Picture | None]:
             x_label=_REIDENTIFIED,
             caption=takeaways.linked(table, where),
         ),
-        _telling(table),
-        _chosen(table),
+        _linkage_plane(table),
+        _choice_plane(table),
     ]
 
 
-def _telling(table: Headline) -> Picture | None:
-    """Return re-identification over PLR as shared, at all levels; None without linkage."""
+def _linkage_plane(table: Headline) -> Picture | None:
+    """Return re-identification over PLR as shared; None without linkage."""
     if not table.linked:
         return None
     linked = table.linked[-1]
@@ -107,13 +107,17 @@ def _telling(table: Headline) -> Picture | None:
     )
 
 
-def _chosen(table: Headline) -> Picture | None:
-    """Return PLR after attack over what a robot misses, with the limit; None without both."""
+def _choice_plane(table: Headline) -> Picture | None:
+    """Return PLR after attack over missed conflicts, with the limit on PLR.
+
+    None without attacks or robots.
+    """
     if not (table.attacked and table.robots):
         return None
     robot = table.robots[0]
-    curves = _curves(table, robot, table.attacked, among=levels_of(table)[0])
-    noisy = [point for point in _points(curves) if point.look != looks_of([])[RAW]]
+    curves = _curves(table, robot, table.attacked, among=choose_levels(table))
+    raw = mechanism_looks([])[RAW]
+    noisy = [point for point in _points(curves) if point.look != raw]
     name = robot_name(robot.measure.consumer)
     return _plane(
         table,
@@ -129,22 +133,24 @@ def _chosen(table: Headline) -> Picture | None:
 
 
 def planes(table: Headline) -> dict[str, list[Picture]]:
-    """Return missed conflicts against privacy, by the name of each robot: all levels of the run."""
+    """Return the planes of missed conflicts and privacy, by the name of each robot."""
     robots = dict.fromkeys(
         key.consumer for key in table.numbers if key.metric == MISSED_RATE
     )
-    privacy = [shown for shown in (table.attacked, *table.linked[-1:]) if shown]
-    return {
-        robot_name(robot): drawn
-        for robot in robots
-        if (drawn := [x for shown in privacy if (x := _front(table, robot, shown))])
-    }
+    metrics = [column for column in (table.attacked, *table.linked[-1:]) if column]
+    by_robot: dict[str, list[Picture]] = {}
+    for robot in robots:
+        drawn = [_front(table, robot, column) for column in metrics]
+        if any(drawn):
+            by_robot[robot_name(robot)] = [picture for picture in drawn if picture]
+    return by_robot
 
 
-def _front(table: Headline, robot: str, privacy: Shown) -> Picture | None:
-    """Return all levels in the plane of a robot's misses and a privacy metric, with the front."""
+def _front(table: Headline, robot: str, privacy: HeadlineColumn) -> Picture | None:
+    """Return all levels over a robot's misses and a privacy metric, with the front."""
     task = privacy.measure.source.task
-    curves = _curves(table, Shown("", "", Measure(robot, MISSED_RATE)), privacy)
+    missed = HeadlineColumn("", "", Measure(robot, MISSED_RATE))
+    curves = _curves(table, missed, privacy)
     points = _points(curves)
     noun = "share of re-identified people" if task else "PLR after attack"
     title = (
@@ -166,33 +172,36 @@ def _front(table: Headline, robot: str, privacy: Shown) -> Picture | None:
 def _levels(
     table: Headline,
     title: str,
-    shown: Mapping[str, Shown],
+    shown: Mapping[str, HeadlineColumn],
     *,
     x_label: str,
     caption: str,
-    law: Shown | None = None,
+    law: HeadlineColumn | None = None,
 ) -> Picture | None:
     """Return the levels of the first table as rows, a mark for each number.
 
     With `law` its number under the isotropic error law stands beside it, where the run
     has it.
     """
-    every, _ = levels_of(table)
+    chosen = choose_levels(table)
     levels = [
-        where for where in every if any(table.at(where, one) for one in shown.values())
+        where
+        for where in chosen
+        if any(table.at(where, column) for column in shown.values())
     ]
     if not levels:
         return None
-    found = {
-        name: [table.at(where, one) for where in levels] for name, one in shown.items()
+    series = {
+        name: [table.at(where, column) for where in levels]
+        for name, column in shown.items()
     }
     if law and table.other_law:
         isotropic = [table.at(where, law, other_law=True) for where in levels]
-        found["after attack, isotropic errors"] = isotropic
-    looks = dict(zip(found, _SERIES, strict=False))
+        series["after attack, isotropic errors"] = isotropic
+    looks = dict(zip(series, _SERIES, strict=False))
     chart = rows_chart(
         [short_mechanism_name(table.known[where[0]], where[1]) for where in levels],
-        {name: (look, found[name]) for name, look in looks.items()},
+        {name: (look, series[name]) for name, look in looks.items()},
         x_label=x_label,
         across=[
             (look, shown[name].chance) for name, look in looks.items() if name in shown
@@ -212,21 +221,24 @@ def _levels(
 
 
 def _curves(
-    table: Headline, x: Shown, y: Shown, *, among: Collection[Where] = ()
+    table: Headline,
+    x: HeadlineColumn,
+    y: HeadlineColumn,
+    *,
+    among: Collection[Where] = (),
 ) -> list[list[Point]]:
-    """Return the levels, all or those `among` them, at which both are known: by mechanism."""
+    """Return a curve for each mechanism, of the levels at which both numbers are known.
+
+    `among` are the levels to draw, by default all.
+    """
     ordered = sorted(among or table.wheres, key=lambda where: where[1] or 0.0)
     curves = list[list[Point]]()
-    for mechanism, look in looks_of(table.known.values()).items():
-        of_mechanism = [where for where in ordered if where[0] == mechanism]
-        pairs = [
-            (where, table.at(where, x), table.at(where, y)) for where in of_mechanism
-        ]
-        points = [
-            Point(look, level_name(table, where), left, right)
-            for where, left, right in pairs
-            if left and right
-        ]
+    for mechanism, look in mechanism_looks(table.known.values()).items():
+        points = []
+        for where in ordered:
+            x_value, y_value = table.at(where, x), table.at(where, y)
+            if where[0] == mechanism and x_value and y_value:
+                points.append(Point(look, level_name(table, where), x_value, y_value))
         if points:
             curves.append(points)
     return curves
@@ -256,7 +268,7 @@ def _plane(
     drawn = {curve[0].look for curve in curves}
     key = {
         family_name(table.known[mechanism]): look
-        for mechanism, look in looks_of(table.known.values()).items()
+        for mechanism, look in mechanism_looks(table.known.values()).items()
         if look in drawn
     }
     return Picture(title, caption, chart, key)
@@ -269,14 +281,16 @@ class Panel(NamedTuple):
     mechanism: str
     shared: float
     rebuilt: float  # Shares of samples that leak.
-    paths: Sequence[
-        tuple[str, Sequence[Floats]]
-    ]  # Class and lines, (L, 2) each, of each layer.
-    bar: tuple[float, str]  # How long a metre or a few are.
+    # Class and lines, (L, 2) each, of each layer.
+    paths: Sequence[tuple[str, Sequence[Floats]]]
+    bar: tuple[float, str]  # Length and text of the scale bar.
 
 
 def walks_takeaway(walks: Sequence[Panel]) -> str:
-    """Return how much of the walks leaks as sent and rebuilt, under noise; empty without noise."""
+    """Return the leaked shares of the walks under noise, as sent and as rebuilt.
+
+    Empty without noise.
+    """
     noisy = [walk for walk in walks if walk.mechanism != RAW]
     if not noisy:
         return ""
@@ -289,7 +303,7 @@ def walks_takeaway(walks: Sequence[Panel]) -> str:
 
 
 def panels(rows: pd.DataFrame) -> list[Panel]:
-    """Return a panel for each person and mechanism of `gallery.parquet`, person by person."""
+    """Return a panel for each person and mechanism of `gallery.parquet`, by person."""
     drawn = []
     for person, walks in rows.groupby("track", sort=False):
         low, unit = _window(walks)
@@ -313,15 +327,16 @@ def panels(rows: pd.DataFrame) -> list[Panel]:
 def _paths(
     walk: pd.DataFrame, low: Floats, unit: float
 ) -> list[tuple[str, Sequence[Floats]]]:
-    """Return the layers of a panel from below: the class of each, and its lines in its units."""
-    true, shared, rebuilt = (
-        (walk[[f"x_{name}", f"y_{name}"]].to_numpy() - low) * unit * [1.0, -1.0]
-        + [0.0, SIZE[1]]
-        for name in ("true", "shared", "rec")
-    )
-    leaks_shared, leaks_rebuilt = (
-        walk[f"leaked_{name}"].to_numpy() for name in ("shared", "rec")
-    )
+    """Return the layers of a panel from below: class and lines, in its units."""
+
+    def positions(name: str) -> Floats:
+        places = walk[[f"x_{name}", f"y_{name}"]].to_numpy() - low
+        scaled: Floats = places * unit * [1.0, -1.0] + [0.0, SIZE[1]]
+        return scaled
+
+    true, shared, rebuilt = positions("true"), positions("shared"), positions("rec")
+    leaks_shared = walk["leaked_shared"].to_numpy()
+    leaks_rebuilt = walk["leaked_rec"].to_numpy()
     return [
         ("shared", [*shared[~leaks_shared, None]]),
         ("rebuilt leak", _runs(rebuilt, leaks_rebuilt)),
@@ -332,7 +347,7 @@ def _paths(
 
 
 def _window(walks: pd.DataFrame) -> tuple[Floats, float]:
-    """Return the lower left corner in m, and units of a panel in a metre."""
+    """Return the lower left corner in m, and units of a panel per metre."""
     # Not all shared samples: a few far ones would make the walk tiny.
     ends = [
         np.percentile(walks[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)

@@ -1,4 +1,4 @@
-"""How far a run is: what is under way, how long it took, and how long it will take."""
+"""Progress of a run: the current step, the time that it took, and the time left."""
 
 import contextlib
 import sys
@@ -8,31 +8,32 @@ from datetime import timedelta
 from importlib import import_module
 from typing import Final
 
-# What the report takes of the time of the cells, measured: 11 to 13 %.
+# Time of the report as a share of that of the cells; measured: 11 to 13 %.
 _REPORT: Final = 0.12
-_LEAST_S, _LEAST_SHARE = 3.0, 0.03  # Before, nobody can say how long it will take.
-_MARKS: Final = (
-    0.1,
-    0.5,
-    1.0,
-)  # Shares at which a line is written where there is no terminal.
+# Time and share of cells before which there is no estimate.
+_LEAST_S, _LEAST_SHARE = 3.0, 0.03
+# Shares at which a line is written if there is no terminal.
+_MARKS: Final = (0.1, 0.5, 1.0)
 _DISPLAY_S: Final = 0.2  # Between two updates of a notebook's display.
-_BAR, _WHAT = 10, 34  # Characters: with the times they fill 80 columns.
+# Characters of the bar and of the step: with the times they fill 80 columns.
+_BAR, _STEP = 10, 34
 
 
 class Clock:
-    """What is left of a run, from how fast its cells, scenes and links by turns, were finished."""
+    """The time left of a run, from the speed at which its cells were finished.
+
+    Cells of scenes and of linkage are computed by turns.
+    """
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
         self._now = now
         self._begin, self._first, self._end = now(), (0.0, 0), 0.0
 
     def text(self, done: int, total: int) -> str:
-        """Return how long it took, and how long it will take if that can be said."""
+        """Return the time since the start, and the time left if it can be estimated."""
         now = self._now()
-        if (
-            done and not self._first[1]
-        ):  # what comes before, compiling for one, happens once
+        # The time before the first cell does not count: compiling happens once.
+        if done and not self._first[1]:
             self._first = now, done
         since, n_first = self._first
         is_known = (
@@ -42,9 +43,8 @@ class Clock:
             rest = (now - since) * (total - done) / (done - n_first)
             self._end = now + rest + _REPORT * (now - self._begin + rest)
         left = self._end - now
-        return f"{_clock(now - self._begin)}" + f", about {_clock(left)} left" * (
-            left >= 1.0
-        )
+        text = _clock(now - self._begin)
+        return f"{text}, about {_clock(left)} left" if left >= 1.0 else text
 
 
 def _clock(seconds: float) -> str:
@@ -54,18 +54,19 @@ def _clock(seconds: float) -> str:
 
 @contextlib.contextmanager
 def progress_bar(
-    said: list[str], *, heading: Sequence[str] = ()
+    lines: list[str], *, heading: Sequence[str] = ()
 ) -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show how far a run is, below the lines of a heading; lines that stay are added to `said`.
+    """Show the progress of a run below the lines of a heading.
 
-    That is on standard error, and in a notebook in a display of its own.
+    It is on standard error, and in a notebook in a display of its own. Lines that stay
+    on the screen are added to `lines`.
     """
     if is_notebook():
         with _display(heading) as update:
             yield update
     else:
         sys.stderr.writelines(f"{line}\n" for line in heading)
-        with _bar(said) as update:
+        with _bar(lines) as update:
             yield update
 
 
@@ -80,17 +81,17 @@ def is_notebook() -> bool:
 def _display(
     heading: Sequence[str],
 ) -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show how far a run is in an output of a notebook that is updated in place."""
+    """Show the progress of a run in an output of a notebook, updated in place."""
     show = import_module("IPython.display").display
     clock, last_s = Clock(), float("-inf")
     line = "starting"
     shown = show(_as_text([*heading, line]), raw=True, display_id=True)
 
-    def update(done: int, total: int | None, what: str) -> None:
+    def update(done: int, total: int | None, step: str) -> None:
         nonlocal last_s, line
         text = clock.text(done, total or 0)
         filled = "#" * round(_BAR * done / total) if total else ""
-        line = f"{what:<{_WHAT}.{_WHAT}} {filled:.<{_BAR}} {text}"
+        line = f"{step:<{_STEP}.{_STEP}} {filled:.<{_BAR}} {text}"
         # A message for each of thousands of cells would keep the browser busy.
         if time.monotonic() - last_s >= _DISPLAY_S:
             last_s = time.monotonic()
@@ -108,16 +109,13 @@ def _as_text(lines: Sequence[str]) -> dict[str, str]:
 
 
 @contextlib.contextmanager
-def _bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
-    """Show a bar on a terminal, and a few lines where standard error is none."""
-    from rich import progress  # noqa: PLC0415 - the user knows sooner what is under way
+def _bar(lines: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
+    """Show a bar on a terminal, or a few lines if standard error is no terminal."""
+    from rich import progress  # noqa: PLC0415 - the user sees the first line sooner
     from rich.console import Console  # noqa: PLC0415 - as said
 
-    console, clock, marks = (
-        Console(stderr=True, force_jupyter=False),
-        Clock(),
-        list(_MARKS),
-    )
+    console = Console(stderr=True, force_jupyter=False)
+    clock, marks = Clock(), list(_MARKS)
     with progress.Progress(
         progress.TextColumn("{task.description}", markup=False),
         progress.BarColumn(bar_width=_BAR),
@@ -128,22 +126,27 @@ def _bar(said: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
     ) as bar:
         task = bar.add_task("starting", total=None, clock="")
 
-        def update(done: int, total: int | None, what: str) -> None:
+        def update(done: int, total: int | None, step: str) -> None:
             text = clock.text(done, total or 0)
-            told = f"{what:<{_WHAT}.{_WHAT}}"
-            bar.update(task, completed=done, total=total, description=told, clock=text)
+            bar.update(
+                task,
+                completed=done,
+                total=total,
+                description=f"{step:<{_STEP}.{_STEP}}",
+                clock=text,
+            )
             share = done / total if total else 0.0
             is_due = (
                 marks
                 and share >= marks[0]
-                and (share < 1.0 or what.startswith("report"))
+                and (share < 1.0 or step.startswith("report"))
             )
             if is_due and not console.is_terminal:
                 while marks and share >= marks[0]:
                     del marks[0]
-                said.append(
-                    f"{100 * share:.0f} % after {text} ({what.partition(':')[0]})"
-                )
-                sys.stderr.write(f"{said[-1]}\n")
+                part = "all cells" if share >= 1.0 else f"{100 * share:.0f} %"
+                line = f"{part} after {text} ({step.partition(':')[0]})"
+                lines.append(line)
+                sys.stderr.write(f"{line}\n")
 
         yield update

@@ -13,9 +13,9 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import RAW
 from evaluation.estimates.keys import Where
 from evaluation.reporting.amounts import counted, listed, sentence_case
-from evaluation.reporting.answers import reference
-from evaluation.reporting.charts import share
-from evaluation.reporting.headline import Headline, Shown
+from evaluation.reporting.answers import reference_level
+from evaluation.reporting.charts import share_text
+from evaluation.reporting.headline import Headline, HeadlineColumn
 from evaluation.reporting.names import adversary_name, family_name, task_phrase
 from evaluation.reporting.rows import Results
 from evaluation.reporting.takeaways import level_name
@@ -24,10 +24,8 @@ OPINION: Final = (
     "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
 )
 _RAW: Final[Where] = (RAW, None)
-_SAME_STEPS: Final = (
-    "rerelease",
-    "rerelease-framed",
-)  # The second log isolates a known walk.
+# Tasks whose second log isolates a known walk.
+_SAME_STEPS: Final = ("rerelease", "rerelease-framed")
 _MOST_NAMED: Final = 6
 
 
@@ -46,7 +44,7 @@ def protection_record(run: Results, table: Headline) -> list[Entry]:
     Numbers are those of the level that the answers are about; raw positions stand
     beside them.
     """
-    where = reference(table)
+    where = reference_level(table)
     singled = [task for task in table.linked if task.measure.source.task in _SAME_STEPS]
     linked = [task for task in table.linked if task not in singled]
     return [
@@ -79,12 +77,11 @@ def protection_record(run: Results, table: Headline) -> list[Entry]:
 
 
 def _processed(run: Results, table: Headline) -> tuple[str, ...]:
-    """Return what is recorded and what a release contains."""
+    """Return the recorded data and the contents of a release."""
     data = run.manifest["dataset"]
     people = "simulated people" if data.get("simulated") else "people"
-    names = list(
-        dict.fromkeys(family_name(one) for one in table.known.values() if one.is_added)
-    )
+    added = [family for family in table.known.values() if family.is_added]
+    names = list(dict.fromkeys(family_name(family) for family in added))
     rest = len(names) - _MOST_NAMED
     shown = [*names[:_MOST_NAMED], f"{rest} more"] if rest > 0 else names
     mechanisms = f"Mechanisms compared: {listed(shown)}." if names else ""
@@ -100,7 +97,7 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
 
 
 def _recipients(run: Results) -> tuple[str, ...]:
-    """Return who gets a release, and with which knowledge attacks were run."""
+    """Return the recipients of a release, and the adversaries that were tried."""
     known = [name for name in run.summary["knowledge"].dropna().unique() if name]
     if not known:
         return (
@@ -111,28 +108,30 @@ def _recipients(run: Results) -> tuple[str, ...]:
     return ("Every recipient of a release, robots among them.", f"Tried: {tried}.")
 
 
-def _reidentified(table: Headline, where: Where, tasks: list[Shown]) -> tuple[str, ...]:
+def _reidentified(
+    table: Headline, where: Where, tasks: list[HeadlineColumn]
+) -> tuple[str, ...]:
     """Return the share of people that the strongest attack links in each task."""
     sentences = []
     for task in tasks:
-        found, raw = table.at(where, task), table.at(_RAW, task)
-        if found is None:
+        linked, raw = table.at(where, task), table.at(_RAW, task)
+        if linked is None:
             continue
         phrase = task_phrase(task.measure.source.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
         text = (
-            f"{level_name(table, where)}: {share(found)} of people linked"
+            f"{level_name(table, where)}: {share_text(linked)} of people linked"
             f" {phrase}{among}"
         )
-        beside = f"; raw positions {share(raw)}" if raw and where != _RAW else ""
+        beside = f"; raw positions {share_text(raw)}" if raw and where != _RAW else ""
         sentences.append(
-            f"{sentence_case(text)}{beside}. {_against_chance(task, found.ci_low)}"
+            f"{sentence_case(text)}{beside}. {_against_chance(task, linked.ci_low)}"
         )
     return tuple(sentence.strip() for sentence in sentences)
 
 
-def _against_chance(task: Shown, low: float) -> str:
-    """Return whether the lower end of an interval lies above chance; empty where that is open."""
+def _against_chance(task: HeadlineColumn, low: float) -> str:
+    """Compare the lower end of an interval with chance; empty if either is unknown."""
     if not (np.isfinite(low) and np.isfinite(task.chance)):
         return ""
     chance = f"chance, {100 * task.chance:.1f} %"
@@ -142,25 +141,25 @@ def _against_chance(task: Shown, low: float) -> str:
 
 
 def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
-    """Return how many positions are known as sent and after the strongest attack."""
+    """Return the share of positions known as sent and after the strongest attack."""
     sent = table.at(where, table.shared)
     attacked = table.at(where, table.attacked) if table.attacked else None
     name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
     sentences = []
     if sent:
         sentences.append(
-            f"{sentence_case(name)}: {share(sent)} of positions are sent within"
+            f"{sentence_case(name)}: {share_text(sent)} of positions are sent within"
             f" {distance}."
         )
     if attacked:
         sentences.append(
-            f"The strongest attack infers {share(attacked)} to {distance}."
+            f"The strongest attack infers {share_text(attacked)} to {distance}."
         )
     return (*sentences, "Names, homes and habits of people are not inferred here.")
 
 
 def _limits(run: Results) -> tuple[str, ...]:
-    """Return what the numbers rest on."""
+    """Return the assumptions behind the numbers."""
     law = run.manifest["settings"]["stages"]["sensing.law"]
     simulated = run.manifest["dataset"].get("simulated")
     return (
@@ -178,7 +177,7 @@ def _limits(run: Results) -> tuple[str, ...]:
 
 
 def _untested(run: Results) -> tuple[str, ...]:
-    """Return the data, attackers and tasks that no number here is about."""
+    """Return the data, adversaries and tasks that the numbers do not cover."""
     ran = {task.name for task in run.tasks}
     left_out = [task_phrase(name) for name in TASKS if name not in ran]
     skipped = f"Linkage {listed(left_out, 'or')}." if left_out else ""

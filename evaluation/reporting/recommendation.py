@@ -1,4 +1,4 @@
-"""What may be shared, in words: the same answer for first screen, page, notebook and `design`."""
+"""What may be shared, in words, for first screen, page, notebook and `design`."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -14,8 +14,8 @@ from evaluation.reporting.amounts import (
     half_width,
     listed,
     percent,
+    round_percent,
     sentence_case,
-    whole,
 )
 from evaluation.reporting.names import (
     adding_phrase,
@@ -43,7 +43,7 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES
 
 _MOST_NAMED: Final = 2  # Levels that a sentence names.
-# From here on, how many times as many is told without decimals.
+# Factors from here on have no decimals.
 _MANY_TIMES: Final = 9.5
 _FEW_TIMES: Final = 1.1
 _FALSE_ALARMS: Final = "false_alarm"
@@ -96,7 +96,7 @@ def levels_text(offers: Sequence[Offer]) -> str:
 
 
 def share_answer(run: Results) -> str:
-    """Return what to share, what that costs and what breaks it, for the first screen."""
+    """Return the level to share, its cost and its weakness, for the first screen."""
     dataset = run.manifest["dataset"]
     if not few_people(dataset):
         return _share_text(run)
@@ -105,7 +105,7 @@ def share_answer(run: Results) -> str:
 
 
 def _share_text(run: Results) -> str:
-    """Return the same, however many people there are."""
+    """Return the answer on a run, whatever its number of people."""
     answer, epsilon = run.recommendation(), epsilon_m(run.manifest)
     if answer.proposals:
         offer = answer.proposals[0]
@@ -117,17 +117,18 @@ def _share_text(run: Results) -> str:
         return " ".join([*sentences, *_screen_standing(offer, answer)])
     if answer.unsettled:
         missing = "; ".join(missing_texts(answer))
-        held = levels_text(answer.unsettled)
-        return f"The run cannot say: {missing}. All other limits hold with {held}."
+        names = levels_text(answer.unsettled)
+        return f"The run cannot say: {missing}. All other limits hold with {names}."
     if not answer.refused:
         return "Not answerable: the run has no level that claims to protect."
     nearest = answer.refused[0]
     known = [check for check in nearest.failing if not check.unknown]
     failing = [reason(check, answer, epsilon_m=epsilon) for check in known]
     failing = failing or failures(nearest, answer, epsilon_m=epsilon)
-    name = level_name(nearest)
+    limits = " and ".join(_short_limits(answer))
     sentences = [
-        f"No level keeps within the limits. The nearest is {name}: {failing[0]}."
+        f"No level has {limits}; the nearest is {level_name(nearest)}.",
+        f"{sentence_case(failing[0])}.",
     ]
     if answer.robot:
         sentences.append(_brief_cost(answer, nearest))
@@ -135,10 +136,9 @@ def _share_text(run: Results) -> str:
 
 
 def _short_limits(answer: Recommendation) -> list[str]:
-    """Return the limits of the first screen: those that are asked where nobody names others."""
-    known, linked = (
-        answer.question.limits.get(name, 1.0) for name in (EXPOSURE, LINKED)
-    )
+    """Return the limits of the first screen: the default ones."""
+    limits = answer.question.limits
+    known, linked = limits.get(EXPOSURE, 1.0), limits.get(LINKED, 1.0)
     return [
         f"at most {PERCENT * known:.4g} % of positions known",
         f"{PERCENT * linked:.4g} % of the raw re-identification",
@@ -157,12 +157,12 @@ def _brief_cost(answer: Recommendation, offer: Offer) -> str:
 
 
 def chosen_robot(answer: Recommendation) -> str:
-    """Return the robot whose misses count, or both that the halves of the people chose."""
+    """Return the robot whose misses count, or both that the people's halves chose."""
     return " or ".join(dict.fromkeys(map(robot_subject, answer.robots)))
 
 
 def _screen_standing(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return which adversaries break a proposal, or else hold; none where none was tried."""
+    """Return the standing of a proposal; none if no adversary was tried."""
     was_tried = any(side.source is not None for side in offer.beyond)
     return standing_sentences(offer, answer)[:1] if was_tried else []
 
@@ -186,9 +186,9 @@ def answer_text(
     epsilon_m: float,
     most_failures: int | None = None,
 ) -> str:
-    """Return the answer of `design`: yes, no or why the run cannot say, and against whom.
+    """Return the answer of `design`: yes, no or unknown, with adversaries and limits.
 
-    At most `most_failures` limits are told that the nearest level exceeds.
+    It lists at most `most_failures` of the limits that the nearest level exceeds.
     """
     people = " (simulated people)" if simulated else ""
     limits = f"Limits: {'; '.join(limit_texts(answer, epsilon_m=epsilon_m)) or 'none'}."
@@ -200,8 +200,8 @@ def answer_text(
     if answer.unsettled:
         names = levels_text(answer.unsettled)
         missing = "; ".join(missing_texts(answer))
-        held = f"All other limits hold with {names}."
-        return f"The run cannot say{people}: {missing}. {held} {limits}"
+        others = f"All other limits hold with {names}."
+        return f"The run cannot say{people}: {missing}. {others} {limits}"
     if answer.nearest is None:
         return f"No{people}: the run has no level that claims to protect."
     texts = failures(answer.nearest, answer, epsilon_m=epsilon_m)
@@ -214,11 +214,11 @@ def answer_text(
 
 
 def _against(answer: Recommendation) -> str:
-    """Return against which adversaries the answer holds, and which break every proposal."""
+    """Return the adversaries that the answer withstands, and those that break it."""
     asked = [adversary_name(name) for name in answer.question.against]
-    held = "against one release"
+    text = "against one release"
     if asked:
-        held += f" and {listed(asked)}"
+        text += f" and {listed(asked)}"
     limit = _plr_limit(answer)
     broken = set.intersection(
         *(
@@ -227,15 +227,13 @@ def _against(answer: Recommendation) -> str:
         )
     )
     if not broken:
-        return held
-    return (
-        f"{held}, but not"
-        f" {listed([adversary_name(name) for name in sorted(broken)], 'or')}"
-    )
+        return text
+    names = [adversary_name(name) for name in sorted(broken)]
+    return f"{text}, but not {listed(names, 'or')}"
 
 
 def _break_sentences(answer: Recommendation) -> list[str]:
-    """Return which adversary that was not asked for breaks which proposal, and how to ask."""
+    """Return the adversaries that break a proposal, and the option to count them."""
     sentences = []
     for offer in answer.proposals:
         for side in offer.beyond:
@@ -250,7 +248,7 @@ def _break_sentences(answer: Recommendation) -> list[str]:
 
 
 def cost_sentence(answer: Recommendation, offer: Offer) -> str:
-    """Return what a robot misses at a level, beside raw positions."""
+    """Return missed conflicts at a level, beside raw positions."""
     if not answer.robot:
         return "The run does not say what a robot misses."
     raw = f" (raw positions: {bare_percent(answer.raw.cost)})" if answer.raw else ""
@@ -264,18 +262,15 @@ def cost_sentence(answer: Recommendation, offer: Offer) -> str:
 
 
 def conflicts_text(criterion: Criterion) -> str:
-    """Return which conflicts levels are chosen by."""
-    conflicts = (
-        "future conflicts"
-        if criterion.conflicts == "missed_future"
-        else "all conflicts"
-    )
+    """Return the conflicts by which levels are chosen."""
+    is_future = criterion.conflicts == "missed_future"
+    conflicts = "future conflicts" if is_future else "all conflicts"
     seconds = criterion.horizon_s
     return conflicts if seconds is None else f"{conflicts} within {seconds:g} s"
 
 
 def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return which adversaries break a level, which do not, and which were not tried."""
+    """Return the adversaries that break a level, that do not, and the untried ones."""
     limit = _plr_limit(answer)
     tried = [side for side in offer.beyond if side.breaks(limit) is not None]
     broken = [
@@ -283,21 +278,23 @@ def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
         for side in tried
         if side.breaks(limit)
     ]
-    held = [adversary_name(side.adversary) for side in tried if not side.breaks(limit)]
+    withstood = [
+        adversary_name(side.adversary) for side in tried if not side.breaks(limit)
+    ]
     untried = [side.adversary for side in offer.beyond if side.breaks(limit) is None]
     sentences = []
     if broken:
         verb = "breaks" if len(broken) == 1 else "break"
         sentences.append(f"{sentence_case(listed(broken))} {verb} it.")
-    if held:
-        sentences.append(f"It holds against {listed(held)}.")
+    if withstood:
+        sentences.append(f"It holds against {listed(withstood)}.")
     if untried:
         sentences.append(f"Not tried: --adversary {listed(untried, 'or')}.")
     return sentences
 
 
 def untried_text(answer: Recommendation) -> str:
-    """Return which adversaries the shown levels were not tried against; empty if against all."""
+    """Return the adversaries that were not tried on the shown levels; empty if none."""
     shown = answer.proposals or answer.unsettled or answer.refused[:1]
     untried = dict.fromkeys(
         side.adversary
@@ -313,13 +310,16 @@ def _plr_limit(answer: Recommendation) -> float:
 
 
 def _worse(side: Attacked, limit: float) -> Estimate:
-    """Return the share of positions that an adversary knows: at 4/3 epsilon if only that breaks."""
+    """Return the share of positions that an adversary knows.
+
+    It is the share at 4/3 epsilon if only that exceeds the limit.
+    """
     near, wide = side.value(EXPOSURE), side.value(WIDE)
     return wide if near.ci_high <= limit < wide.ci_high else near
 
 
 def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:
-    """Return what a level costs and leaves, and who breaks it."""
+    """Return the cost and the privacy of a level, and the adversaries that break it."""
     side = offer.attacked if offer.attacked.source else offer.shared
     is_attacked = side.source is not None and side.source.knowledge
     subject = "an attack" if is_attacked else "without an attack, an adversary"
@@ -398,15 +398,16 @@ def reason(check: Check, answer: Recommendation, *, epsilon_m: float) -> str:
     name = EXPOSURE if check.name == WIDE else check.name.partition("/")[0]
     limit = _amount(name, check.limit)
     text = f"{_excess(check, answer, epsilon_m)} (limit {limit})"
-    return f"{text}; {more}" if (more := _more_data(check)) else text
+    more_data = _more_data(check)
+    return f"{text}; {more_data}" if more_data else text
 
 
 def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
-    """Return what exceeds a limit, up to the upper end of its interval."""
+    """Return the excess over a limit, up to the upper end of its interval."""
     name, _, task = check.name.partition("/")
     upper = check.measured.ci_high
-    rounded = whole(PERCENT * upper)
-    is_close = rounded == whole(PERCENT * check.limit)
+    rounded = round_percent(PERCENT * upper)
+    is_close = rounded == round_percent(PERCENT * check.limit)
     share = f"just over {rounded} %" if is_close else f"up to {rounded} %"
     if name == LINKED:
         return (
@@ -429,7 +430,7 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
 
 
 def _adversary(check: Check) -> str:
-    """Return who knows what a check is about."""
+    """Return the adversary of a check."""
     if check.source is None or not check.source.knowledge:
         return "an adversary without an attack"
     return adversary_name(check.adversary) if check.adversary in BEYOND else "an attack"
@@ -454,7 +455,7 @@ def _more_data(check: Check) -> str:
 
 
 def cause(check: Check, answer: Recommendation) -> str:
-    """Return why something cannot be said, and which option adds it; empty if it can be."""
+    """Return why a check is unknown, and the option that adds it; empty if known."""
     if check.unknown is None:
         return ""
     seconds = answer.question.criterion.horizon_s
@@ -467,7 +468,7 @@ def cause(check: Check, answer: Recommendation) -> str:
 
 
 def _why(check: Check, answer: Recommendation) -> str:
-    """Return the same after what it is about, where the reason does not name it."""
+    """Return why a check is unknown, after its subject if the reason names none."""
     if check.unknown in _RUN_LACKS:
         return cause(check, answer)
     return f"{_subject(check, answer)}: {cause(check, answer)}"
@@ -488,7 +489,7 @@ def _subject(check: Check, answer: Recommendation) -> str:
 
 
 def missing_texts(answer: Recommendation) -> list[str]:
-    """Return what the run cannot say of any level, each with the option that adds it."""
+    """Return what the run cannot say of any level, with the options that add it."""
     checks = (check for offer in answer.refused for check in offer.failing)
     by_code = {
         (check.unknown, check.adversary): check for check in checks if check.unknown

@@ -1,4 +1,4 @@
-"""A finished run as frames, and what is picked from them: mechanisms, levels, sources, sweeps."""
+"""A finished run as data frames, and selections of levels, sources and sweeps."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from evaluation.estimates.keys import Source, Where, level_text
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
 from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, family_of
+from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family
 from evaluation.reporting.names import FAMILY_NAMES
-from evaluation.reporting.table import Column, level, said, spoken
+from evaluation.reporting.table import Column, level_cell, text_column
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.types import Floats
 
@@ -35,33 +35,83 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.estimates.linkability import LinkedTask
+    from evaluation.reporting.charts import Look
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
     from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
-"""Families that are there to tear a descriptor and linkability apart."""
-# The axis of a mechanism that we do not know is logarithmic from there on.
+"""Families of controls: they separate a descriptor from linkability."""
+# Ratio of the levels' ends from which an unknown mechanism has a logarithmic axis.
 _LOG_SPAN = 30.0
-_LEVELS: Final = {FID: "eta {}", FIXED: "{} m"}
-_KNOWN: Final = {
+_LEVEL_PATTERNS: Final = {FID: "eta {}", FIXED: "{} m"}
+# By mechanism: title, label of the axis, and whether it is logarithmic.
+_PAPER_AXES: Final = {
     FID: ("FID noise", "eta (1/(m² s))", True),
     FIXED: ("fixed noise", "added noise (m)", False),
 }
 STRONGEST: Final = "strongest"
-AFTER: Final = "_after"  # Ends the name of a descriptor after the strongest attack.
-SHORT: Final = {
-    "missed": MISSED_RATE,
-    "false_alarm": "false_alarm_rate",
-}  # Long to type.
-_AT: Final = ["family", "level", "adding"]
-_CURVE = 3  # Levels that make one.
+# Suffix of the name of a descriptor after the strongest attack.
+AFTER: Final = "_after"
+SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
+"""Metrics by a name that is quick to type."""
+_LEVEL_KEYS: Final = ["family", "level", "adding"]
+_LEAST_LEVELS = 3  # Levels that make a curve.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Results:
-    """A finished run as data frames; the columns are those of the files in `out`."""
+    """A finished run as data frames; the columns are those of the files in `out`.
+
+    Attributes
+    ----------
+    out : Path
+        Run folder.
+    manifest : dict
+        Settings, versions and data of the run, and its cells: `manifest.json`.
+    summary : DataFrame
+        Every metric with its interval: `summary.csv`.
+    paper_table : DataFrame
+        Numbers of the paper beside ours: `paper_table.csv`.
+    claims : DataFrame
+        Claims of the paper, and what the run says of them: `paper_claims.csv`.
+    matched : DataFrame
+        Mechanisms at equal cost or equal PLR: `matched.csv`.
+    frontier : DataFrame
+        Privacy at a target of utility: `frontier.csv`.
+    levels : DataFrame
+        Privacy and cost at each level that a site could choose: `levels.csv`.
+    decisions : DataFrame
+        Misses of each predictor at equal false alarms: `decisions.csv`.
+    curves : DataFrame
+        Misses over false alarms: `curves.csv`.
+    flags : DataFrame
+        Attacks that are weaker than they should be: `flags.json`.
+    linkability : DataFrame
+        Outcome of every linkage attack: `linkability.csv`.
+    galleries : DataFrame
+        Rank 1 and expected rank over the number of candidates: `gallery.csv`.
+    speeds : DataFrame
+        PLR over net speed: `by_speed.csv`.
+    verdict : dict
+        Decisions of the run: `verdict.json`.
+    failed : DataFrame
+        Cells that could not be computed, and why: `failed.csv`. No other table holds
+        them.
+    strongest : mapping
+        By linkage task the attack of the verdict; under ``""`` that of reconstruction.
+    conflict_times : DataFrame
+        Share of conflicts in which an agent is inside by a time, at every horizon:
+        `conflict_times.csv`.
+    attacked : DataFrame
+        The strongest attack against each mechanism, cross-fitted: `strongest.csv`.
+    make_first_table : callable or None
+        Makes the table of the first screen, for a notebook.
+    gallery : DataFrame or None
+        A few walks to be drawn: `gallery.parquet`. None without them, and always after
+        `load`.
+    """
 
     out: Path
     manifest: dict[str, Any]
@@ -70,49 +120,42 @@ class Results:
     claims: pd.DataFrame
     matched: pd.DataFrame
     frontier: pd.DataFrame
-    levels: (
-        pd.DataFrame
-    )  # What a site gets and pays at each level that it could choose.
+    levels: pd.DataFrame
     decisions: pd.DataFrame
     curves: pd.DataFrame
     flags: pd.DataFrame
     linkability: pd.DataFrame
-    galleries: pd.DataFrame  # Rank 1 and expected rank over the number of candidates.
-    speeds: pd.DataFrame  # PLR over net speed.
-    verdict: dict[str, Any]  # As in `verdict.json`.
-    failed: (
-        pd.DataFrame
-    )  # Cells that could not be computed, and why; no other table holds them.
+    galleries: pd.DataFrame
+    speeds: pd.DataFrame
+    verdict: dict[str, Any]
+    failed: pd.DataFrame
     strongest: Mapping[str, Source] = field(default_factory=dict)
-    """Of every linkage task the attack that the verdict is about; under "" the reconstruction."""
     conflict_times: pd.DataFrame = field(default_factory=pd.DataFrame)
-    """The share of conflicts in which somebody is inside by a time, at every horizon."""
     attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
-    """Numbers of the strongest attack against each mechanism, cross-fitted: `strongest.csv`."""
-    first_table_of: Callable[[Results], Table] | None = None
-    """What makes the table of the first screen, for a notebook."""
-    # As in `gallery.parquet`; None without, and of `load`.
+    make_first_table: Callable[[Results], Table] | None = None
     gallery: pd.DataFrame | None = None
 
     @property
     def measured(self) -> pd.DataFrame:
-        """The summary without other assumptions, such as another law: data sets named after it."""
+        """The summary without worlds, such as another error law.
+
+        The data sets of worlds are named `DATASET:WORLD`.
+        """
         return self.summary[~self.summary["dataset"].str.startswith(f"{self.dataset}:")]
 
     def __repr__(self) -> str:
-        """Return what run it is, and the table of the first screen in lines."""
+        """Return the title of the run, and the table of the first screen in lines."""
         from evaluation.reporting.terminal import aligned  # noqa: PLC0415 - see `load`
 
-        table = self.first_table_of(self) if self.first_table_of else None
+        table = self.make_first_table(self) if self.make_first_table else None
         rows = [[cell.full for cell in row] for row in table.rows] if table else []
         heads = [column.head for column in table.columns] if table else []
-        return "\n".join(
-            [f"<{self._title()}>", *(aligned([heads, *rows], left={0}) if rows else [])]
-        )
+        lines = aligned([heads, *rows], left={0}) if rows else []
+        return "\n".join([f"<{self._title()}>", *lines])
 
     def _repr_html_(self) -> str:
         """Return the table of the first screen, and the sentences below it."""
-        table = self.first_table_of(self) if self.first_table_of else None
+        table = self.make_first_table(self) if self.make_first_table else None
         columns, records = (table.columns, table.rows) if table else ([], [])
         heads = "".join(f"<th>{escape(column.head)}</th>" for column in columns)
         rows = "".join(
@@ -120,29 +163,29 @@ class Results:
             for row in records
         )
         grid = f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>"
-        said = "".join(
-            f"<li>{escape(str(one))}</li>" for one in self.verdict.get("answer", ())
+        sentences = "".join(
+            f"<li>{escape(str(sentence))}</li>"
+            for sentence in self.verdict.get("answer", ())
         )
-        return f"<p>{escape(self._title())}</p>{grid if rows else ''}<ul>{said}</ul>"
+        title = f"<p>{escape(self._title())}</p>"
+        return f"{title}{grid if rows else ''}<ul>{sentences}</ul>"
 
     def _title(self) -> str:
-        """Return what run it is, in a line."""
-        identity, what = self.manifest["identity"], self.dataset
-        what += " (simulated people)" * bool(self.manifest["dataset"].get("simulated"))
+        """Return folder, data set and size of the run, in a line."""
+        identity, people = self.manifest["identity"], self.dataset
+        if self.manifest["dataset"].get("simulated"):
+            people += " (simulated people)"
         shared = self.ours[self.ours["consumer"] == SHARED]
         n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
-        failed = f", {len(self.failed)} cells failed" * bool(len(self.failed))
-        told = (
-            f"{what}, {scenes_text(identity)}, seed {identity['seed']}, {n_levels}"
-            " levels"
-        )
-        return f"Results {self.out}: {told}{failed}"
+        failed = f", {len(self.failed)} cells failed" if len(self.failed) else ""
+        size = f"{scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
+        return f"Results {self.out}: {people}, {size}{failed}"
 
     def recommendation(self, question: Question | None = None) -> Recommendation:
         """Return which levels may be shared, by default as the first screen asks.
 
-        It is what `evaluation.design` answers: levels that hold, what each costs, who
-        breaks it.
+        `evaluation.design` gives the same answer: the levels that hold, the cost of
+        each, and the adversaries that break it.
         """
         from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
             recommend,
@@ -156,9 +199,10 @@ class Results:
 
     @cached_property
     def _usual_recommendation(self) -> Recommendation:
-        """The answer to what the first screen asks: a report reads it about twenty times.
+        """The answer to the question of the first screen.
 
-        Like the other cached properties it lives as long as these results do.
+        Cached, as a report reads it about twenty times. It lives as long as these
+        results do, like the other cached properties.
         """
         from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
             default_question,
@@ -168,14 +212,17 @@ class Results:
 
     @property
     def _n_scenes(self) -> tuple[int, int]:
-        """How many scenes were attacked, and how many robots were in."""
+        """Numbers of scenes: attacked ones, and ones with robots."""
         identity = self.manifest["identity"]
         return identity["scenes"], identity.get("scenes_utility", identity["scenes"])
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""
     ) -> pd.DataFrame:
-        """Return a metric at every level: family, level, adding, attack, knowledge, value, ci_*.
+        """Return a metric at every level, as a frame.
+
+        Its columns are family, level, adding, attack, knowledge, value, ci_low and
+        ci_high.
 
         Parameters
         ----------
@@ -190,8 +237,8 @@ class Results:
         robot : str
             Predictor whose utility it is; by default the first of the run.
 
-        What adds nothing (raw, clean) has level 0. SettingsError for what the run does
-        not have.
+        Mechanisms that add nothing (raw, clean) have level 0. Raises SettingsError for
+        a metric, attack, task or robot that the run does not have.
         """
         name = SHORT.get(metric, metric)
         if name not in METRICS:
@@ -201,48 +248,46 @@ class Results:
         rows = self.measured
         rows = rows[rows["metric"] == name]
         place = METRICS[name].measured
-        tasks = rows["consumer"].map(lambda one: Source(one).task)
-        task = task or next(iter(tasks), "")
-        rows = rows[tasks == task]
+        row_tasks = rows["consumer"].map(lambda consumer: Source(consumer).task)
+        task = task or next(iter(row_tasks), "")
+        rows = rows[row_tasks == task]
         if place == "predictor":
-            who = robot or next(iter(rows["consumer"]), "")
+            consumer = robot or next(iter(rows["consumer"]), "")
         elif place == "descriptor" and not after:
-            who = SHARED
+            consumer = SHARED
         else:
-            who = after
+            consumer = after
             if after in ("", STRONGEST):
-                who, knows = self.strongest.get(task, Source(""))
-                rows = rows[rows["knowledge"] == knows]
-            who = f"{task}/{who}" if task else who
-        found = rows[rows["consumer"] == who]
-        if found.empty:
+                consumer, knowledge = self.strongest.get(task, Source(""))
+                rows = rows[rows["knowledge"] == knowledge]
+            consumer = f"{task}/{consumer}" if task else consumer
+        values = rows[rows["consumer"] == consumer]
+        if values.empty:
             has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
             raise SettingsError(
-                f"the run has no {name} of {who or after!r}; it has that of {has}"
+                f"the run has no {name} of {consumer or after!r}; it has that of {has}"
             )
-        known = found["mechanism"].map(self.families)
-        levels = found["level"].where(known.map(lambda one: one.is_added), 0.0)
-        adding = [one.adding for one in known]
+        table = self._level_frame(values, task=task)
+        table.attrs["title"] = (
+            f"{METRICS[name].title}, {_positions_label(values, place)}"
+        )
+        return table
+
+    def _level_frame(self, rows: pd.DataFrame, *, task: str) -> pd.DataFrame:
+        """Return rows of a summary with the columns that `frame` promises."""
+        known = rows["mechanism"].map(self.families)
+        is_attack = rows["knowledge"] != ""
+        attack = rows["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
         columns = {
-            "family": [one.name for one in known],
-            "level": levels,
-            "adding": adding,
+            "family": [family.name for family in known],
+            "level": rows["level"].where(
+                known.map(lambda family: family.is_added), 0.0
+            ),
+            "adding": [family.adding for family in known],
+            "attack": attack,
         }
-        is_attack = found["knowledge"] != ""
-        columns["attack"] = (
-            found["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
-        )
-        table = pd.DataFrame(
-            columns | {one: found[one] for one in ("knowledge", *ENDS)}
-        )
-        knowledge = found["knowledge"].unique()
-        label = Source(who, knowledge[0] if len(knowledge) == 1 else "").label
-        if who == SHARED:
-            label = "as shared"
-        elif place in ("descriptor", "reconstruction", "distance"):
-            label = f"after {label}"
-        table.attrs["title"] = f"{METRICS[name].title}, {label}"
-        return table.reset_index(drop=True)
+        columns |= {column: rows[column] for column in ("knowledge", *ENDS)}
+        return pd.DataFrame(columns).reset_index(drop=True)
 
     def plot(
         self, *, x: str, y: str, task: str = "", robot: str = "", ax: Axes | None = None
@@ -258,61 +303,50 @@ class Results:
             pyplot as plt,
         )
 
-        from evaluation.reporting.charts import (  # noqa: PLC0415 - see `load`
-            INKS,
-            MARKERS,
-            looks_of,
-        )
+        from evaluation.reporting.charts import INKS, mechanism_looks  # noqa: PLC0415 - see `load`
 
-        of_y = self._scaled(y, task=task, robot=robot)
-        of_x = of_y.assign(value=of_y["level"], ci_low=math.nan, ci_high=math.nan)
-        units = (f"{name} {unit}" for name, unit in LEVEL_UNITS.items())
-        of_x.attrs["title"] = "; ".join(["level", *units])
-        if x != "level":
-            of_x = self._scaled(x, task=task, robot=robot)
-        both = of_x.merge(of_y, on=_AT, suffixes=("_x", "_y"))
+        y_rows = self._scaled(y, task=task, robot=robot)
+        if x == "level":
+            x_rows = y_rows.assign(
+                value=y_rows["level"], ci_low=math.nan, ci_high=math.nan
+            )
+            units = (f"{name} {unit}" for name, unit in LEVEL_UNITS.items())
+            x_rows.attrs["title"] = "; ".join(["level", *units])
+        else:
+            x_rows = self._scaled(x, task=task, robot=robot)
+        points = x_rows.merge(y_rows, on=_LEVEL_KEYS, suffixes=("_x", "_y"))
         if ax is None:
             ax = plt.subplots(figsize=(8.0, 4.5), layout="constrained")[1]
         if x == "level":
             ax.set_xscale("log")
-        known = {
-            (one.name, one.adding): one.mechanism for one in self.families.values()
+        mechanisms = {
+            (family.name, family.adding): family.mechanism
+            for family in self.families.values()
         }
-        looks = looks_of(self.families.values())
-        for (family, adding), rows in both.groupby(["family", "adding"], sort=False):
+        looks = mechanism_looks(self.families.values())
+        for (name, adding), rows in points.groupby(["family", "adding"], sort=False):
             ordered = rows.sort_values("level")
-            (x_at, x_error), (y_at, y_error) = (_bars(ordered, one) for one in "xy")
-            mechanism = known[str(family), str(adding)]
-            look = looks.get(mechanism, looks["raw"]._replace(hollow=True))  # clean
-            name = f"{family} {adding}".rstrip()
-            ink: dict[str, Any] = {"color": INKS[look.place], "label": name}
-            if x == "level" and not x_at.any():  # raw has none
-                ax.axhline(y_at[0], linestyle="--" if look.hollow else ":", **ink)
-                (below,), (above,) = y_error
-                ax.axhspan(
-                    y_at[0] - below, y_at[0] + above, color=ink["color"], alpha=0.1
-                )
-                continue
-            shape: dict[str, Any] = {
-                "marker": MARKERS[look.shape],
-                "capsize": 2,
-                "linewidth": 0.8,
-            }
-            face = "none" if look.hollow else ink["color"]
-            ax.errorbar(
-                x_at, y_at, y_error, x_error, markerfacecolor=face, **shape, **ink
-            )
-        ax.set(xlabel=of_x.attrs["title"], ylabel=of_y.attrs["title"])
+            mechanism = mechanisms[str(name), str(adding)]
+            # Without a look of its own: clean.
+            look = looks.get(mechanism, looks["raw"]._replace(hollow=True))
+            ink = {"color": INKS[look.place], "label": f"{name} {adding}".rstrip()}
+            if (
+                x == "level" and not ordered["value_x"].to_numpy().any()
+            ):  # raw has no level
+                _draw_line(ax, ordered, look, ink)
+            else:
+                _draw_points(ax, ordered, look, ink)
+        ax.set(xlabel=x_rows.attrs["title"], ylabel=y_rows.attrs["title"])
         ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
         return ax
 
     def _scaled(self, name: str, *, task: str = "", robot: str = "") -> pd.DataFrame:
-        """Return a metric as it is shown; after the strongest attack if it ends in `AFTER`."""
+        """Return a metric as it is shown, by a name that may end in `AFTER`."""
         metric = name.removesuffix(AFTER)
         after = STRONGEST if metric != name else ""
-        found = self.frame(metric, after=after, task=task, robot=robot)
-        found[ENDS] *= METRICS[SHORT.get(metric, metric)].scale
-        return found
+        rows = self.frame(metric, after=after, task=task, robot=robot)
+        rows[ENDS] *= METRICS[SHORT.get(metric, metric)].scale
+        return rows
 
     @cached_property
     def dataset(self) -> str:
@@ -332,16 +366,16 @@ class Results:
 
     @cached_property
     def families(self) -> dict[str, Family]:
-        """The mechanisms of the run by name; the manifest says which claim to protect."""
-        said = families_in(self.manifest.get("cells", ()))
-        return {
-            name: replace(one, protects=said[name].protects) if name in said else one
-            for name, one in families_in(self.summary).items()
-        }
+        """The mechanisms of the run by name; the manifest knows which protect."""
+        families = families_in(self.summary)
+        for name, declared in families_in(self.manifest.get("cells", ())).items():
+            if name in families:
+                families[name] = replace(families[name], protects=declared.protects)
+        return families
 
     @cached_property
     def headline(self) -> Headline:
-        """The numbers of the first table, which terminal, tables and page read."""
+        """The numbers of the first table, for terminal, tables and page."""
         from evaluation.reporting.headline import headline  # noqa: PLC0415 - see `load`
 
         return headline(
@@ -354,88 +388,135 @@ class Results:
 
     @cached_property
     def tasks(self) -> list[LinkedTask]:
-        """The tasks in which somebody links, of the run's data set or of their own."""
+        """The linkage tasks, on the run's data set or on their own."""
         from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
-            dataset_of,
             linked_tasks,
+            row_dataset,
         )
 
         expected = self.linkability["consumer"].map(
-            partial(dataset_of, dataset=self.dataset)
+            partial(row_dataset, dataset=self.dataset)
         )
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
 
-def _bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
-    """Return values, (R,), and what the ends of their intervals lie below and above, (2, R)."""
-    at, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
-    return at, np.maximum([at - low, high - at], 0.0)
+def _positions_label(rows: pd.DataFrame, place: str) -> str:
+    """Return which positions the rows of a consumer are about.
+
+    `place` is the stage that measures their metric.
+    """
+    consumer, knowledge = str(rows["consumer"].iloc[0]), rows["knowledge"].unique()
+    if consumer == SHARED:
+        return "as shared"
+    label = Source(consumer, knowledge[0] if len(knowledge) == 1 else "").label
+    if place in ("descriptor", "reconstruction", "distance"):
+        return f"after {label}"
+    return label
 
 
-def short_name(known: Mapping[str, Family], where: Where) -> str:
-    """Return a level as it is asked for, its rule short and last."""
-    one = family_of(known, where[0])
-    values = ",".join(filter(None, [level_text(where[1]), one.parameters]))
-    name = f"{spoken(one.family)}:{values}".rstrip(":")
-    return name + " ind." * (one.adding == "independent")
+def _draw_line(
+    ax: Axes, rows: pd.DataFrame, look: Look, ink: Mapping[str, Any]
+) -> None:
+    """Draw a single value as a line across the axes, in the band of its interval."""
+    values, ((below,), (above,)) = _error_bars(rows, "y")
+    ax.axhline(values[0], linestyle="--" if look.hollow else ":", **ink)
+    ax.axhspan(values[0] - below, values[0] + above, color=ink["color"], alpha=0.1)
+
+
+def _draw_points(
+    ax: Axes, rows: pd.DataFrame, look: Look, ink: Mapping[str, Any]
+) -> None:
+    """Draw the levels of a mechanism as a line of marks with their intervals."""
+    from evaluation.reporting.charts import MARKERS  # noqa: PLC0415 - see `load`
+
+    (x, x_error), (y, y_error) = _error_bars(rows, "x"), _error_bars(rows, "y")
+    shape: dict[str, Any] = {
+        "marker": MARKERS[look.shape],
+        "capsize": 2,
+        "linewidth": 0.8,
+        "markerfacecolor": "none" if look.hollow else ink["color"],
+    }
+    ax.errorbar(x, y, y_error, x_error, **shape, **ink)
+
+
+def _error_bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
+    """Return values, (R,), and lengths of the bars below and above them, (2, R)."""
+    values, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
+    return values, np.maximum([values - low, high - values], 0.0)
 
 
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
-    """Return the columns mechanism, adding rule and level of records that have them."""
+    """Return the columns mechanism, adding rule and level of a table."""
+
+    def family(record: Mapping[str, Any]) -> Family:
+        return find_family(known, record["mechanism"])
+
     return [
-        said("mechanism", lambda record: family_of(known, record["mechanism"]).name),
-        said("adding", lambda record: family_of(known, record["mechanism"]).adding),
-        Column("level", lambda record: level(record["level"])),
+        text_column("mechanism", lambda record: family(record).name),
+        text_column("adding", lambda record: family(record).adding),
+        Column("level", lambda record: level_cell(record["level"])),
     ]
 
 
-def by_level(frame: pd.DataFrame) -> dict[Where, dict[Source, dict[str, Estimate]]]:
-    """Return the rows of a summary by level, rising, by whose positions, and by metric."""
-    found: dict[Where, dict[Source, dict[str, Estimate]]] = {}
+def estimates_by_level(
+    frame: pd.DataFrame,
+) -> dict[Where, dict[Source, dict[str, Estimate]]]:
+    """Return the estimates of a summary by level, rising, then source, then metric."""
+    by_level: dict[Where, dict[Source, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
-    for key, one in estimates(ordered).items():
-        found.setdefault(key.where, {}).setdefault(key.measure.source, {})[
-            key.metric
-        ] = one
+    for key, estimate in estimates(ordered).items():
+        by_source = by_level.setdefault(key.where, {})
+        by_source.setdefault(key.measure.source, {})[key.metric] = estimate
     place = {name: n for n, name in enumerate(frame["mechanism"].unique())}
-    return dict(sorted(found.items(), key=lambda one: place[one[0][0]]))
+    return dict(sorted(by_level.items(), key=lambda item: place[item[0][0]]))
 
 
-def of_source(frame: pd.DataFrame, source: Source) -> pd.DataFrame:
-    """Return the rows of a summary that are of some positions."""
+def source_rows(frame: pd.DataFrame, source: Source) -> pd.DataFrame:
+    """Return the rows of a summary about the positions of a source."""
     is_same = frame["knowledge"].fillna("") == source.knowledge
     return frame[is_same & (frame["consumer"] == source.consumer)]
 
 
-def telling(
+def representative_levels(
     wheres: Iterable[Where], known: Mapping[str, Family], *, controls: bool = True
 ) -> list[Where]:
-    """Return the levels that tell the story, all of them where a run has none of these.
+    """Return the few levels that represent a run; all of them if it has none of these.
 
-    Those are what has no level, the headline levels of FID and fixed noise, both ends
-    of every other mechanism, and all levels of the controls if these are wanted.
+    Those are mechanisms without levels, the headline levels of FID and fixed noise,
+    both ends of every other mechanism, and all levels of the controls if these are
+    wanted.
     """
     levels: dict[str, list[float | None]] = {}
-    for mechanism, at in wheres:
-        levels.setdefault(mechanism, []).append(at)
-    of = {mechanism: family_of(known, mechanism) for mechanism in levels}
-    named = {name for name, _ in HEADLINE}
-    told = {
-        name: list(dict.fromkeys([ats[0], ats[-1]])) for name, ats in levels.items()
-    }
-    for mechanism, ats in levels.items():
-        if of[mechanism].name in named:
-            told[mechanism] = [at for at in ats if (of[mechanism].name, at) in HEADLINE]
-        elif of[mechanism].family in CONTROLS:
-            told[mechanism] = [at for at in ats if controls or at is None]
-    if not any(set(told[name]) - {None} for name in told if of[name].name in named):
-        told = levels
-    # What adds nothing comes first, what declares no rule last.
-    rules = [*ADDING_RULES, ""]
-    order = sorted(
-        told, key=lambda name: of[name].is_added and 1 + rules.index(of[name].adding)
+    for mechanism, level in wheres:
+        levels.setdefault(mechanism, []).append(level)
+    families = {mechanism: find_family(known, mechanism) for mechanism in levels}
+    headline_names = {name for name, _ in HEADLINE}
+    chosen: dict[str, list[float | None]] = {}
+    for mechanism, own in levels.items():
+        family = families[mechanism]
+        if family.name in headline_names:
+            chosen[mechanism] = [x for x in own if (family.name, x) in HEADLINE]
+        elif family.family in CONTROLS:
+            chosen[mechanism] = [x for x in own if controls or x is None]
+        else:
+            chosen[mechanism] = list(dict.fromkeys([own[0], own[-1]]))
+    has_headline_level = any(
+        set(chosen[name]) - {None}
+        for name in chosen
+        if families[name].name in headline_names
     )
-    return [(name, at) for name in order for at in told[name]]
+    if not has_headline_level:
+        chosen = levels
+    # First mechanisms that add nothing; last those that declare no rule.
+    rules = [*ADDING_RULES, ""]
+
+    def rank(name: str) -> int:
+        family = families[name]
+        return 1 + rules.index(family.adding) if family.is_added else 0
+
+    return [
+        (name, level) for name in sorted(chosen, key=rank) for level in chosen[name]
+    ]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -444,57 +525,79 @@ class Scheme:
 
     mechanism: str
     name: str  # Family and parameters, without the adding rule.
-    rules: Sequence[
-        str
-    ]  # Under which it is shown: its own, or all where it declares none.
+    # Adding rules under which it is shown: its own, or all if it declares none.
+    rules: Sequence[str]
     title: str
     label: str  # Of the axis.
     log: bool
-    place: int  # Of the name among all: what it looks like.
+    place: int  # Of the name among all: it decides the look.
 
     @property
     def rule_text(self) -> str:
         """Its adding rule in words."""
         return f"{self.rules[0] if len(self.rules) == 1 else 'any'} adding"
 
-    def at(self, level: float) -> str:
-        """Return a level with what it is."""
-        return _LEVELS.get(self.name, "{}").format(level_text(level))
+    def describe_level(self, level: float) -> str:
+        """Return a level with its symbol or unit."""
+        return _LEVEL_PATTERNS.get(self.name, "{}").format(level_text(level))
 
-    def of(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows of its levels that its axis can show, levels rising."""
+    def select_rows(self, frame: pd.DataFrame) -> pd.DataFrame:
+        """Return the rows of the levels that its axis can show, levels rising."""
         rows = frame[frame["mechanism"] == self.mechanism]
         rows = rows[rows["level"] > 0 if self.log else rows["level"].notna()]
         return rows.sort_values("level")
 
 
 def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
-    """Return what is swept in a run: every mechanism with levels but the controls.
+    """Return the swept mechanisms of a run: every mechanism with levels but controls.
 
-    Of others than FID and fixed noise a few levels, beside what has enough for a curve,
-    are no sweep: those are among them only `as_points`. FID and fixed noise come first,
-    the others in the order of the run; adding rules of one stand together.
+    A mechanism with too few levels for a curve, beside others with enough, is no sweep,
+    unless it is FID or fixed noise: `as_points` includes it. FID and fixed noise come
+    first, the others in the order of the run; the adding rules of a mechanism stand
+    together.
     """
     by_mechanism = summary.dropna(subset="level").groupby("mechanism")
     levels = by_mechanism["level"].agg(["min", "max", "nunique"])
     swept = [
-        one for one in families_in(summary).values() if one.mechanism in levels.index
+        family
+        for family in families_in(summary).values()
+        if family.mechanism in levels.index
+        and family.is_added
+        and family.family not in CONTROLS
     ]
-    swept = [one for one in swept if one.is_added and one.family not in CONTROLS]
-    most = min(_CURVE, levels["nunique"].max()) if swept else 0
+    most = min(_LEAST_LEVELS, levels["nunique"].max()) if swept else 0
     if not as_points:
         enough = set(levels.index[levels["nunique"] >= most])
-        swept = [one for one in swept if one.name in _KNOWN or one.mechanism in enough]
-    names = list(dict.fromkeys([*_KNOWN, *(one.name for one in swept)]))
+        swept = [
+            family
+            for family in swept
+            if family.name in _PAPER_AXES or family.mechanism in enough
+        ]
+    names = list(dict.fromkeys([*_PAPER_AXES, *(family.name for family in swept)]))
     swept.sort(
-        key=lambda one: (names.index(one.name), ADDING_RULES.index(one.rules[0]))
+        key=lambda family: (
+            names.index(family.name),
+            ADDING_RULES.index(family.rules[0]),
+        )
     )
-    found = []
-    for one in swept:
-        own = levels.loc[[other.mechanism for other in swept if other.name == one.name]]
+    swept_schemes = []
+    for family in swept:
+        own = levels.loc[
+            [other.mechanism for other in swept if other.name == family.name]
+        ]
         low, high = own["min"].min(), own["max"].max()
-        title = FAMILY_NAMES.get(one.name, one.name)
-        usual = title, f"level of {title}", bool(0 < low <= high / _LOG_SPAN)
-        place, axis = names.index(one.name), _KNOWN.get(one.name, usual)
-        found.append(Scheme(one.mechanism, one.name, one.rules, *axis, place))
-    return found
+        title = FAMILY_NAMES.get(family.name, family.name)
+        usual_axis = title, f"level of {title}", bool(0 < low <= high / _LOG_SPAN)
+        title, label, is_log = _PAPER_AXES.get(family.name, usual_axis)
+        swept_schemes.append(
+            Scheme(
+                mechanism=family.mechanism,
+                name=family.name,
+                rules=family.rules,
+                title=title,
+                label=label,
+                log=is_log,
+                place=names.index(family.name),
+            )
+        )
+    return swept_schemes

@@ -25,15 +25,18 @@ class Forest(NamedTuple):
 
 
 def render(
-    of: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[str]
+    answers: Sequence[Answered], *, simulated: frozenset[str], runs: Iterable[str]
 ) -> str:
     """Return the page; `runs` are the folders of the runs."""
+    answered = {answer.question for answer in answers}
     questions = {
-        text: [_forest(one, simulated) for one in of if one.question == name]
+        text: [
+            _forest(answer, simulated) for answer in answers if answer.question == name
+        ]
         for name, text in QUESTIONS.items()
-        if not name.endswith(OWN_GALLERY) or name in {one.question for one in of}
+        if not name.endswith(OWN_GALLERY) or name in answered
     }
-    rows = [row for answer in of for row in answer.rows]
+    rows = [row for answer in answers for row in answer.rows]
     return HTML.get_template("study.html.j2").render(
         questions=questions,
         runs=list(runs),
@@ -46,33 +49,37 @@ def render(
     )
 
 
-def _forest(one: Answered, simulated: frozenset[str]) -> Forest:
-    """Return a row for each recording with its value and interval, fractions shown in points."""
-    rows = {
-        row["recording"]
-        + " (simulated)" * (row["recording"] in simulated)
-        + " *" * (row["recording"] == SET_CONSTANTS): [row[end] for end in ENDS]
-        for row in one.rows
-    }
-    if pooled := one.pooled:
+def _forest(answer: Answered, simulated: frozenset[str]) -> Forest:
+    """Return the chart of an answer: a row for each recording, in points."""
+    rows: dict[str, list[float]] = {}
+    for row in answer.rows:
+        name = row["recording"]
+        if row["recording"] in simulated:
+            name += " (simulated)"
+        if row["recording"] == SET_CONSTANTS:
+            name += " *"
+        rows[name] = [row[end] for end in ENDS]
+    if pooled := answer.pooled:
         rows["pooled"] = [pooled.value, pooled.ci_low, pooled.ci_high]
         rows[_PREDICTED] = [pooled.value, pooled.predicted_low, pooled.predicted_high]
     left = min(150.0, 10.0 + CHARACTER * max(map(len, rows)))
     chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
     values = PERCENT * np.array([*rows.values()], dtype=np.float64)
-    at = chart.x_axis(values)
-    chart.lines.append(("across k6", [chart.down(at(0.0))]))
-    for place, (name, of) in enumerate(zip(rows, values, strict=True)):
+    to_x = chart.x_axis(values)
+    chart.lines.append(("across k6", [chart.down(to_x(0.0))]))
+    for place, (name, numbers) in enumerate(zip(rows, values, strict=True)):
         y = 8.0 + _STEP * (place + 0.5)
         look = Look(
             1 if name in ("pooled", _PREDICTED) else 0,
             hollow=name.endswith("(simulated)"),
         )
         chart.y_ticks.append((y, name))
-        x, *ends = at(of)
+        x, *ends = to_x(numbers)
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-        interval = " [{:.1f}, {:.1f}]".format(*of[1:])
-        if not np.isfinite(of).all():
+        value, low, high = numbers
+        interval = f" [{low:.1f}, {high:.1f}]"
+        if not np.isfinite(numbers).all():
             interval = ", too few people for an interval"
-        chart.marks.append((look, [(x, y)], f"{name}: {of[0]:+.1f}{interval}"))
-    return Forest(f"{one.adding} adding, {one.law} error", one.sentence, chart)
+        chart.marks.append((look, [(x, y)], f"{name}: {value:+.1f}{interval}"))
+    title = f"{answer.adding} adding, {answer.law} error"
+    return Forest(title, answer.sentence, chart)

@@ -1,4 +1,4 @@
-"""A table of results: built once, rendered by `terminal`, `markup`, and the templates of a page."""
+"""A table of results, rendered by `terminal`, `markup` and the page's templates."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ _SIGNS = (
     ("·", "open", ("between", "not testable")),
 )
 SYMBOLS: Final = {text: (sign, tone) for sign, tone, texts in _SIGNS for text in texts}
-"""Of a decision: the sign that says the same without colour, and its tone."""
+"""By decision: the sign that says the same without colour, and its tone."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A value with its interval as text, and the number that it is sorted by if it is one."""
+    """A value with its interval as text, and the number that it is sorted by."""
 
     text: str = ""
     low: str = ""
     high: str = ""
     unit: str = ""  # Only where the cells of a column differ in it.
     mark: str = ""  # Stands behind the value; `Table.marks` says what it means.
-    value: float | None = None
+    value: float | None = None  # None for text.
     tone: str = ""  # Name of a colour.
 
     @property
@@ -58,10 +58,10 @@ class Cell:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column: what its numbers are, in which unit, and what makes the cell of a record."""
+    """A column: its name and unit, and the function from a record to its cell."""
 
     name: str
-    of: Callable[[Any], Cell] = lambda _: Cell()
+    make_cell: Callable[[Any], Cell] = lambda _: Cell()
     unit: str = ""
     align: Literal["left", "right"] = "right"
     above: str = ""  # What stands above the name, such as an adding rule.
@@ -69,21 +69,24 @@ class Column:
 
     @property
     def head(self) -> str:
-        """In one line."""
+        """The heading in one line."""
         unit = f" ({self.unit})" if self.unit else ""
         return f"{self.above} {self.name}{unit}".strip()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """Rows of cells below named columns; ValueError where a row has not a cell for each column."""
+    """Rows of cells below named columns.
+
+    `numeric` raises ValueError if rows differ in their number of cells.
+    """
 
     name: str  # Unique in a report.
     title: str
     columns: Sequence[Column]
     rows: Sequence[Sequence[Cell]]
     notes: Sequence[str] = ()
-    # Of every mark that may be used: what it means.
+    # The meaning of every mark that a cell may carry.
     marks: Mapping[str, str] | None = None
     n_headings: int = 0  # Leading columns: LaTeX has a rule where they change.
     # Leading columns that say what a row is of: repeated where a table is split.
@@ -92,74 +95,83 @@ class Table:
     @property
     def numeric(self) -> list[bool]:
         """Which columns hold numbers."""
-        of = zip(*self.rows, strict=True)
-        return [any(cell.value is not None for cell in cells) for cells in of]
+        columns = zip(*self.rows, strict=True)
+        return [any(cell.value is not None for cell in cells) for cells in columns]
 
     @property
     def legend(self) -> str:
-        """What the marks mean that are used; empty without any."""
+        """The meaning of the marks in use; empty without any."""
         used = {mark for row in self.rows for cell in row for mark in cell.mark}
         known = (self.marks or {}).items()
         return "; ".join(f"{mark} {text}" for mark, text in known if mark in used)
 
 
-def built(
+def build_table(
     name: str,
     title: str,
     records: Iterable[Any],
     columns: Sequence[Column],
     **options: Any,  # noqa: ANN401 - the other fields of `Table`
 ) -> Table:
-    """Return a table with a row for each record; `options` are the other fields of a table."""
-    rows = [[one.of(record) for one in columns] for record in records]
+    """Build a table with a row for each record; `options` are the other fields."""
+    rows = [[column.make_cell(record) for column in columns] for record in records]
     return Table(name, title, columns, rows, **options)
 
 
-def said(name: str, of: str | Callable[[Any], object] = "") -> Column:
-    """Return a column of words: what a record has under its name, under a key, or by a function."""
-    take = of if callable(of) else itemgetter(of or name)
-    return Column(name, lambda record: word(take(record)), align="left")
+def text_column(name: str, source: str | Callable[[Any], object] = "") -> Column:
+    """Return a column of text, aligned left.
+
+    `source` is the key of a record's text, by default `name`, or a function of the
+    record.
+    """
+    take = source if callable(source) else itemgetter(source or name)
+    return Column(name, lambda record: text_cell(take(record)), align="left")
 
 
-def held(name: str, key: str = "", **more: Any) -> Column:  # noqa: ANN401 - see `Column`
-    """Return a column of cells that records have ready; empty where one has none."""
-    return Column(name, lambda record: record.get(key or name, Cell()), **more)
+def cell_column(name: str, key: str = "", **options: Any) -> Column:  # noqa: ANN401 - see `Column`
+    """Return a column of the cells that records hold; empty where a record has none."""
+    return Column(name, lambda record: record.get(key or name, Cell()), **options)
 
 
-def decided(name: str) -> Column:
+def decision_column(name: str) -> Column:
     """Return a column of decisions."""
-    return Column(name, lambda record: decision(record[name]), align="left")
+    return Column(name, lambda record: decision_cell(record[name]), align="left")
 
 
-def counted(name: str, unit: str, *keys: str, **shown: Any) -> Column:  # noqa: ANN401 - see `number`
-    """Return a column of numbers: keys of value and, if there is one, both ends of the interval."""
-    return Column(
-        name, lambda record: number(*(record[key] for key in keys), **shown), unit
-    )
+def number_column(name: str, unit: str, *keys: str, **style: Any) -> Column:  # noqa: ANN401 - see `number_cell`
+    """Return a column of numbers.
+
+    `keys` name the value and, if there is an interval, both of its ends.
+    """
+
+    def make_cell(record: Mapping[str, Any]) -> Cell:
+        return number_cell(*(record[key] for key in keys), **style)
+
+    return Column(name, make_cell, unit)
 
 
-def measured(name: str, *keys: str, sign: str = "-") -> Column:
+def metric_column(name: str, *keys: str, sign: str = "-") -> Column:
     """Return a column of the metric that each record names, as it is shown."""
-    return Column(
-        name, lambda one: amount(one["metric"], *(one[key] for key in keys), sign=sign)
-    )
+
+    def make_cell(record: Mapping[str, Any]) -> Cell:
+        values = (record[key] for key in keys)
+        return metric_cell(record["metric"], *values, sign=sign)
+
+    return Column(name, make_cell)
 
 
-def word(text: object) -> Cell:
+def text_cell(text: object) -> Cell:
     """Return a cell of text; empty where it is missing."""
-    return Cell(
-        ""
-        if text is None or (isinstance(text, float) and math.isnan(text))
-        else str(text)
-    )
+    is_missing = text is None or (isinstance(text, float) and math.isnan(text))
+    return Cell("" if is_missing else str(text))
 
 
-def decision(text: object) -> Cell:
+def decision_cell(text: object) -> Cell:
     """Return a cell with a decision."""
     return Cell(str(text), tone=SYMBOLS.get(str(text), ("", ""))[1])
 
 
-def number(
+def number_cell(
     value: float | None,
     *interval: float | None,
     scale: float = 1.0,
@@ -168,50 +180,59 @@ def number(
     unit: str = "",
     mark: str = "",
 ) -> Cell:
-    """Return a cell with a number and its interval times `scale`; `sign` is "+" of a difference."""
+    """Return a cell with a number and its interval times `scale`.
+
+    `sign` is "+" for a difference.
+    """
     if value is None or not math.isfinite(value):
         return Cell()
     known = [
-        scale * one
-        for one in (value, *interval)
-        if one is not None and math.isfinite(one)
+        scale * bound
+        for bound in (value, *interval)
+        if bound is not None and math.isfinite(bound)
     ]
-    text, *ends = (f"{one:{sign}.{digits}f}" for one in known)
+    text, *ends = (f"{bound:{sign}.{digits}f}" for bound in known)
     low, high = ends if len(ends) > 1 else ("", "")
     return Cell(text, low, high, unit, mark, value=known[0])
 
 
-def amount(metric: str, *values: float | None, sign: str = "-", mark: str = "") -> Cell:
-    """Return a cell with a metric and its interval, in the unit and digits in which it is shown."""
-    shown = METRICS[metric]
-    return number(*values, scale=shown.scale, digits=shown.digits, sign=sign, mark=mark)
-
-
-def estimated(metric: str, one: Estimate | None, *, mark: str = "") -> Cell:
-    """Return the cell of an estimate of a metric; empty without one."""
-    return (
-        amount(metric, one.value, one.ci_low, one.ci_high, mark=mark) if one else Cell()
+def metric_cell(
+    metric: str, *values: float | None, sign: str = "-", mark: str = ""
+) -> Cell:
+    """Return a cell with a metric and its interval, in the metric's unit and digits."""
+    style = METRICS[metric]
+    return number_cell(
+        *values, scale=style.scale, digits=style.digits, sign=sign, mark=mark
     )
 
 
-def level(value: float | None) -> Cell:
-    """Return a level; empty for a mechanism without one."""
-    return replace(word(level_text(value)), value=number(value).value)
+def estimate_cell(metric: str, estimate: Estimate | None, *, mark: str = "") -> Cell:
+    """Return the cell of an estimate of a metric; empty without an estimate."""
+    if not estimate:
+        return Cell()
+    return metric_cell(
+        metric, estimate.value, estimate.ci_low, estimate.ci_high, mark=mark
+    )
 
 
-def shortened(name: str, *, room: int) -> str:
-    """Return a name without its middle if it is too long: its settings are at the end."""
+def level_cell(value: float | None) -> Cell:
+    """Return a cell with a level; empty for a mechanism without levels."""
+    return replace(text_cell(level_text(value)), value=number_cell(value).value)
+
+
+def shorten_name(name: str, *, room: int) -> str:
+    """Cut the middle out of a name that is too long: its settings are at the end."""
     if len(name) <= room:
         return name
     end = (room - 3) // 2
     return f"{name[: room - 3 - end]}...{name[-end:]}"
 
 
-def spoken(name: str) -> str:
-    """Return the name of a plug-in, a class in a module by the class alone."""
+def plugin_label(name: str) -> str:
+    """Return the name of a plug-in; a class in a module goes by the class alone."""
     return re.sub(r"^[\w.]*\.\w+:(?=[A-Za-z])", "", name)
 
 
 def printable(text: str) -> str:
-    """Return a name without what could move a cursor or break a line."""
+    """Replace characters that could move a cursor or break a line."""
     return "".join(character if character.isprintable() else "?" for character in text)

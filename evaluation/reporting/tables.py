@@ -1,4 +1,4 @@
-"""Which tables of a run are shown where: terminal, text file, page, LaTeX, README and docs.
+"""Choice of tables for terminal, text file, page, LaTeX, README and docs.
 
 In README and docs a block is ``<!-- table: NAME RUN -->`` ... ``<!-- end -->``: table
 NAME of `docs/results/RUN.csv`, the rows of a run's `summary.csv` that are shown, of the
@@ -20,19 +20,18 @@ from rich.text import Text
 
 from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import families_in
-from evaluation.estimates.keys import INFORMED, Source, keys_of, worlds_of
+from evaluation.estimates.keys import INFORMED, Source, row_keys, row_worlds
 from evaluation.estimates.metrics import (
     RECONSTRUCTION,
     SUCCESS,
     SUCCESS_OF_100,
     UTILITY,
 )
-from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.pool.pieces import failed_lines
-from evaluation.reporting import answer_tables, terminal
-from evaluation.reporting import result_tables as measured
+from evaluation.reporting import answer_tables, result_tables, terminal
 from evaluation.reporting.announcements import changed_settings
-from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.answers import answers
 from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.first_screen import (
     TABLES,
@@ -48,12 +47,18 @@ from evaluation.reporting.names import mechanism_name
 from evaluation.reporting.notices import (
     data_notices,
     geometry,
+    linked_people,
     notices,
     used_are_slower,
-    who_is_linked,
 )
-from evaluation.reporting.rows import Results, by_level, telling
-from evaluation.reporting.table import Table, built, estimated, held, said
+from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
+from evaluation.reporting.table import (
+    Table,
+    build_table,
+    cell_column,
+    estimate_cell,
+    text_column,
+)
 from evaluation.reporting.terminal import Part
 from evaluation.store.files import to_csv, write_whole
 from isac_track.errors import DataError
@@ -66,7 +71,10 @@ _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
 
 
 def show(run: Results, *, before: int = 0, verbose: bool = False) -> None:
-    """Print the first screen, of which `before` lines were printed already, or all tables."""
+    """Print the first screen, or all tables if `verbose`.
+
+    `before` lines of the screen were printed already.
+    """
     console = terminal.standard_output()
     if verbose:
         terminal.show(_everything(run), console=console)
@@ -76,7 +84,7 @@ def show(run: Results, *, before: int = 0, verbose: bool = False) -> None:
 
 
 def write_text(run: Results) -> None:
-    """Write `tables.txt`: all that is not on the first screen. DataError if it cannot be."""
+    """Write `tables.txt`: all tables and notices. DataError if it cannot be written."""
     sink = io.StringIO()
     # In a notebook's kernel rich would write into the cell instead of the file.
     console = Console(file=sink, width=_WIDE, highlight=False, force_jupyter=False)
@@ -96,29 +104,32 @@ def _everything(run: Results) -> Iterator[Part]:
     ):
         yield f"NOTICE: {notice}", "yellow"
     yield from geometry(run.manifest)
-    yield from who_is_linked(run.manifest)
+    yield from linked_people(run.manifest)
     yield from _answer_lines(run)
     yield from plugin_lines(run)
-    yield from measured.sweep_tables(run.ours, n_reports=run.n_reports)
-    yield from measured.horizon_tables(run.summary)
-    yield measured.standing_table(run.verdict.get("robots", ()))
-    yield measured.exposure_table(
+    yield from result_tables.sweep_tables(run.ours, n_reports=run.n_reports)
+    yield from result_tables.horizon_tables(run.summary)
+    yield result_tables.standing_table(run.verdict.get("robots", ()))
+    yield result_tables.exposure_table(
         run.ours, slow=weak_attacks.slow_attacks(run.manifest)
     )
-    yield measured.attack_table(run.ours)
-    yield from (bound_table(run), linked_bound_table(run))
-    yield from (measured.rank_table(run, task) for task in run.tasks)
-    yield measured.strength_table(run)
-    yield from (answer_tables.paper_table(run), answer_tables.claims_table(run))
-    for name, why in run.manifest.get("linkage", {}).get("skipped", {}).items():
+    yield result_tables.attack_table(run.ours)
+    yield bound_table(run)
+    yield linked_bound_table(run)
+    yield from (result_tables.rank_table(run, task) for task in run.tasks)
+    yield result_tables.strength_table(run)
+    yield answer_tables.paper_table(run)
+    yield answer_tables.claims_table(run)
+    for name, reason in run.manifest.get("linkage", {}).get("skipped", {}).items():
         yield ""
-        yield f"{name} is left out: {why}", "yellow"
+        yield f"{name} is left out: {reason}", "yellow"
     if flags := weak_attacks.lines(run.flags):
         note = "(Not adjusted: of two equally good attacks, a flag at one level in 40.)"
         yield ""
         yield from ((line, "yellow") for line in [*flags, note])
     if items := run.verdict.get("items"):
-        yield from ("", ("Verdict", "bold"))
+        yield ""
+        yield "Verdict", "bold"
         yield from answer_tables.item_tables(items).values()
         yield "(In words, with reasons: verdict.json.)"
     for line in failed_lines(run.failed):
@@ -127,7 +138,7 @@ def _everything(run: Results) -> Iterator[Part]:
 
 def _answer_lines(run: Results) -> Iterator[Part]:
     """Yield the five answers with their details, and all doubts."""
-    table = headline_of(run)
+    table = run.headline
     yield ""
     for answer in answers(run, table):
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
@@ -138,36 +149,43 @@ def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
     title = "The pictures in numbers, at every level; 95 % intervals"
     tables = [
-        replace(headline_table(headline_of(run)), title=title),
+        replace(headline_table(run.headline), title=title),
         answer_tables.paper_table(run),
         answer_tables.claims_table(run),
-        *measured.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
-        *measured.horizon_tables(run.summary),
-        measured.standing_table(run.verdict.get("robots", ())),
+        *result_tables.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
+        *result_tables.horizon_tables(run.summary),
+        result_tables.standing_table(run.verdict.get("robots", ())),
         answer_tables.frontier_table(run),
-        measured.exposure_table(run.ours, slow=weak_attacks.slow_attacks(run.manifest)),
+        result_tables.exposure_table(
+            run.ours, slow=weak_attacks.slow_attacks(run.manifest)
+        ),
         bound_table(run),
         linked_bound_table(run),
-        *(measured.rank_table(run, task) for task in run.tasks),
-        measured.strength_table(run),
+        *(result_tables.rank_table(run, task) for task in run.tasks),
+        result_tables.strength_table(run),
         answer_tables.flag_table(run),
-        measured.doubt_table(run),
+        result_tables.doubt_table(run),
         *answer_tables.item_tables(run.verdict.get("items", ())).values(),
     ]
     return {table.name: table for table in tables if table.rows}
 
 
 def write_tex(run: Results, *, folder: Path) -> None:
-    """Write sweep, attacks, paper, linkability and verdict as `.tex`. DataError if it cannot be."""
+    """Write sweep, attacks, paper, linkability and verdict as `.tex`.
+
+    Raises DataError if a file cannot be written.
+    """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
-    attacked = measured.after_attack(run.ours)
-    sources = measured.sources_of(attacked)
+    attacked = result_tables.after_attack(run.ours)
+    sources = result_tables.list_sources(attacked)
     files = {
-        "sweep": measured.sweep_tables(run.ours, n_reports=run.n_reports),
-        "attacks": [measured.attack_table(attacked, only=source) for source in sources],
+        "sweep": result_tables.sweep_tables(run.ours, n_reports=run.n_reports),
+        "attacks": [
+            result_tables.attack_table(attacked, only=source) for source in sources
+        ],
         "paper": [answer_tables.paper_table(run)],
-        "linkability": [measured.rank_table(run, task) for task in run.tasks],
+        "linkability": [result_tables.rank_table(run, task) for task in run.tasks],
         "verdict": answer_tables.item_tables(run.verdict.get("items", ())).values(),
     }
     for name, tables in files.items():
@@ -179,26 +197,25 @@ def _linkage(summary: pd.DataFrame) -> Table:
     rows = summary[
         summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)
     ]
-    known, numbers = families_in(rows), by_level(rows)
+    known, numbers = families_in(rows), estimates_by_level(rows)
     columns = [
-        said("task"),
-        replace(said("chance"), unit="%", align="right"),
-        said("linker"),
+        text_column("task"),
+        replace(text_column("chance"), unit="%", align="right"),
+        text_column("linker"),
     ]
     records: dict[Source, dict[str, Any]] = {}
-    for where in telling(numbers, known, controls=False):
+    for where in representative_levels(numbers, known, controls=False):
         heading = mechanism_name(known[where[0]], where[1])
-        columns.append(held(heading, f"{where}"))
+        columns.append(cell_column(heading, f"{where}"))
         for source, metrics in numbers[where].items():
-            about: dict[str, Any] = {
+            keys: dict[str, Any] = {
                 "task": source.task,
                 "linker": source.attack.consumer,
+                "chance": f"{100 * metrics['chance'].value:.1f}",
             }
-            about["chance"] = f"{100 * metrics['chance'].value:.1f}"
-            records.setdefault(source, about)[f"{where}"] = estimated(
-                SUCCESS, metrics.get(SUCCESS)
-            )
-    return built(
+            record = records.setdefault(source, keys)
+            record[f"{where}"] = estimate_cell(SUCCESS, metrics.get(SUCCESS))
+    return build_table(
         "linkage",
         "Rank 1 (%) of every linker; 95 % intervals",
         records.values(),
@@ -210,13 +227,14 @@ _FIRST: Final[dict[str, Callable[[Headline], Table]]] = {
     "headline": headline_table,
     "screen": short_table,
 }
-"""First tables of a run by the name in a block: they take all error laws and strongest attacks."""
-# Of the name of a file: the numbers of the strongest attacks.
+"""First tables by the name in a block: they need all laws and strongest attacks."""
+# Suffix of the file with the numbers of the strongest attacks.
 _STRONGEST: Final = "-strongest"
-DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {  # By the name in a block.
-    "sweep": lambda summary: measured.sweep_tables(summary)[0],
-    "exposure": measured.exposure_table,
-    "attacks": measured.attack_table,
+# Further tables by the name in a block.
+DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
+    "sweep": lambda summary: result_tables.sweep_tables(summary)[0],
+    "exposure": result_tables.exposure_table,
+    "attacks": result_tables.attack_table,
     "linkage": _linkage,
 }
 
@@ -226,14 +244,17 @@ def published(run: Results) -> pd.DataFrame:
     summary = run.summary
     if run.manifest["settings"]["preset"] == _REFERENCE:
         return summary
-    shown = set(telling(by_level(summary), run.families, controls=False))
-    is_shown = np.array([key.where in shown for key in keys_of(summary)])
+    by_level = estimates_by_level(summary)
+    shown = set(representative_levels(by_level, run.families, controls=False))
+    is_shown = np.array([key.where in shown for key in row_keys(summary)])
     is_control = summary["consumer"].str.contains("/control-")
     return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_shown]
 
 
 def write_docs(run: Results, *, root: Path) -> list[Path]:
-    """Write what is shown of a run into `docs/results`, and all blocks anew; return what changed.
+    """Write published rows of a run into `docs/results` and fill all blocks anew.
+
+    Returns the files that changed.
 
     `root` has README.md and docs/. Raises DataError if there is no README.md, a setting
     of the run is not the usual one (the heads of these tables name the usual epsilon),
@@ -250,10 +271,10 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
     path = results / f"{run.dataset}-{settings['preset']}-{settings['seed']}.csv"
     write_whole(path, to_csv(published(run)))
     strongest = path.with_stem(path.stem + _STRONGEST)
-    is_usual = run.attacked["adversary"] == ONE_RELEASE
+    is_usual = run.attacked["adversary"] == SINGLE_RELEASE
     write_whole(strongest, to_csv(run.attacked[is_usual]))
     written = [path, strongest]
-    for page in (root / "README.md", *sorted((root / "docs").glob("*.md"))):
+    for page in (root / "README.md", *sorted((root / "docs").rglob("*.md"))):
         text = page.read_text(encoding="utf-8")
         if (new := filled(text, results=results)) != text:
             write_whole(page, new.encode())
@@ -262,7 +283,10 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
 
 
 def filled(text: str, *, results: Path) -> str:
-    """Return a text, its blocks written anew. DataError for a table or run that is not there."""
+    """Return a text with all blocks filled anew.
+
+    Raises DataError for an unknown table or run.
+    """
 
     def block(match: re.Match[str]) -> str:
         start, name, run, end = match.groups()
@@ -273,7 +297,9 @@ def filled(text: str, *, results: Path) -> str:
         rows = pd.read_csv(path, keep_default_na=True)
         if name in _FIRST:
             attacked = pd.read_csv(path.with_stem(path.stem + _STRONGEST))
-            return f"{start}{markdown(_FIRST[name](headline(rows, attacked=attacked)))}{end}"
-        return f"{start}{markdown(DOCS[name](rows[worlds_of(rows) == '']))}{end}"
+            table = _FIRST[name](headline(rows, attacked=attacked))
+        else:
+            table = DOCS[name](rows[row_worlds(rows) == ""])
+        return f"{start}{markdown(table)}{end}"
 
     return _BLOCK.sub(block, text)

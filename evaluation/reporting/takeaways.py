@@ -1,4 +1,4 @@
-"""One line for each picture of the page: what its numbers say."""
+"""Captions of the pictures of the page: the finding of each in a sentence."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -9,10 +9,10 @@ import numpy as np
 from evaluation.estimates.families import RAW
 from evaluation.estimates.frontier import front
 from evaluation.estimates.keys import Where
-from evaluation.reporting.amounts import bare_percent, whole
+from evaluation.reporting.amounts import bare_percent, round_percent
 from evaluation.reporting.charts import PERCENT, Point
 from evaluation.reporting.headline import Headline
-from evaluation.reporting.lookups import family_of
+from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase
 
 NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
@@ -21,27 +21,27 @@ _RAW: Final[Where] = (RAW, None)
 
 def level_name(table: Headline, where: Where) -> str:
     """Return the plain name of a level of a run."""
-    return mechanism_name(family_of(table.known, where[0]), where[1])
+    return mechanism_name(find_family(table.known, where[0]), where[1])
 
 
 def missed(table: Headline, where: Where) -> str:
-    """Return how many conflicts the first robot misses at a level, and with raw positions."""
+    """Tell the share of conflicts that the first robot misses, beside raw positions."""
     if not table.robots:
         return ""
     robot = table.robots[0]
     subject = robot_subject(robot.measure.consumer)
-    here, raw = table.at(where, robot), table.at(_RAW, robot)
-    if here is None:
+    rate, raw = table.at(where, robot), table.at(_RAW, robot)
+    if rate is None:
         return ""
     beside = (
         f", {bare_percent(raw)} with raw positions" if raw and where != _RAW else ""
     )
     name = level_name(table, where)
-    return f"With {name}, {subject} misses {bare_percent(here)} of conflicts{beside}."
+    return f"With {name}, {subject} misses {bare_percent(rate)} of conflicts{beside}."
 
 
 def known(table: Headline, where: Where) -> str:
-    """Return how much of the positions an attack knows at a level, beside what was sent."""
+    """Tell the share of positions known at a level, as sent and after an attack."""
     sent = table.at(where, table.shared)
     if sent is None:
         return ""
@@ -59,43 +59,43 @@ def known(table: Headline, where: Where) -> str:
 
 
 def linked(table: Headline, where: Where) -> str:
-    """Return how many people the strongest linker re-identifies at a level, beside chance."""
+    """Tell the share of people that the strongest linker finds, beside chance."""
     first = next((task for task in table.linked if table.at(where, task)), None)
-    found = table.at(where, first) if first else None
-    if first is None or found is None:
+    rank1 = table.at(where, first) if first else None
+    if first is None or rank1 is None:
         return ""
     phrase = task_phrase(first.measure.source.task)
     beside = ""
     if np.isfinite(first.chance):
-        beside = f"; chance is {whole(PERCENT * first.chance)} %"
+        beside = f"; chance is {round_percent(PERCENT * first.chance)} %"
     return (
         f"With {level_name(table, where)}, an attack re-identifies"
-        f" {bare_percent(found)} of people {phrase}{beside}."
+        f" {bare_percent(rank1)} of people {phrase}{beside}."
     )
 
 
 def unequal_pair(points: Sequence[Point]) -> str:
-    """Return by how much linkage (y) differs between two levels of nearly equal PLR (x).
+    """Tell how much linkage (y) differs between two levels of nearly equal PLR (x).
 
-    Of all pairs whose PLR differs by at most two points it is the pair that differs
-    most.
+    Of all pairs whose PLR differs by at most two points, it is the pair whose linkage
+    differs most.
     """
     pairs = [
-        (abs(one.y.value - other.y.value), one, other)
-        for one, other in combinations(points, 2)
-        if abs(one.x.value - other.x.value) <= NEARLY_EQUAL
+        (abs(first.y.value - second.y.value), first, second)
+        for first, second in combinations(points, 2)
+        if abs(first.x.value - second.x.value) <= NEARLY_EQUAL
     ]
     if not pairs:
         return "No two levels of this picture have nearly the same PLR as shared."
-    gap, one, other = max(pairs, key=lambda pair: pair[0])
+    gap, first, second = max(pairs, key=lambda pair: pair[0])
     return (
         f"At nearly equal PLR, re-identification differs by up to {PERCENT * gap:.0f}"
-        f" points: {one.name} against {other.name}."
+        f" points: {first.name} against {second.name}."
     )
 
 
 def within_limit(points: Sequence[Point], limit: float) -> str:
-    """Return how many levels stay below a limit of y, and which of them costs least x."""
+    """Tell how many levels stay below a limit of y, and which of them costs least x."""
     below = [point for point in points if point.y.value < limit]
     bound = f"{PERCENT * limit:g} %"
     if not below:
@@ -112,13 +112,13 @@ def within_limit(points: Sequence[Point], limit: float) -> str:
 
 
 def on_the_front(points: Sequence[Point], noun: str) -> str:
-    """Return how many levels no other beats, and which has the lowest y, called `noun`."""
+    """Tell how many levels are on the front, and which has the lowest y, a `noun`."""
     values = np.array([(point.x.value, point.y.value) for point in points])
     lowest = min(points, key=lambda point: point.y.value)
     on_front = int(front(*values.T).sum())
-    share = (
-        f"All {on_front}" if on_front == len(points) else f"{on_front} of {len(points)}"
-    )
+    share = f"{on_front} of {len(points)}"
+    if on_front == len(points):
+        share = f"All {on_front}"
     return (
         f"{share} levels are on the front; the lowest {noun} is"
         f" {bare_percent(lowest.y)}, with {lowest.name}."

@@ -1,4 +1,4 @@
-"""Lines on a terminal: literal text, columns that line up, and headings between them."""
+"""Output on a terminal: literal text, aligned columns, and headings between them."""
 
 import os
 import shutil
@@ -12,7 +12,7 @@ from rich.text import Text
 
 from evaluation.reporting.table import Table, printable
 
-# Columns where there is no terminal: room for every interval of a sweep.
+# Columns without a terminal: room for every interval of a sweep.
 PIPE_WIDTH = 116
 # A table, or a text, which may have a style.
 Part: TypeAlias = "Table | str | tuple[str, str]"
@@ -25,14 +25,14 @@ class _Console(Console):
 
 
 def standard_output() -> Console:
-    """Return standard output, as wide as the terminal or `PIPE_WIDTH` where there is none."""
+    """Return standard output, as wide as the terminal, or `PIPE_WIDTH` without one."""
     piped = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").strip("0"))
     width = PIPE_WIDTH if piped else shutil.get_terminal_size().columns
     return _Console(width=width, highlight=False, force_jupyter=False)
 
 
 def show(parts: Iterable[Part], *, console: Console | None = None) -> None:
-    """Print tables, paragraphs with or without a style, and empty lines for empty texts."""
+    """Print tables, paragraphs, styled or not, and empty lines for empty texts."""
     console = console or standard_output()
     for part in parts:
         text, style = part if isinstance(part, tuple) else (part, "")
@@ -51,32 +51,33 @@ def say(console: Console, text: str, style: str = "", *, wrap: bool = False) -> 
 
 
 def literal(console: Console, text: str) -> str:
-    """Return text without what could move a cursor, in characters that the terminal has."""
+    """Return text without control characters, in characters that the terminal has."""
     return printable(text).encode(console.encoding, "replace").decode(console.encoding)
 
 
 def aligned(
     rows: Sequence[Sequence[str]], *, left: Collection[int] = frozenset()
 ) -> list[str]:
-    """Return the rows as lines whose columns line up, to the right of them except in `left`."""
+    """Return rows as lines of aligned columns: flush left in `left`, else right."""
     columns = []
     for n, column in enumerate(zip(*rows, strict=True)):
         width = max(map(len, column))
-        columns.append(
-            [one.ljust(width) if n in left else one.rjust(width) for one in column]
-        )
+        if n in left:
+            columns.append([text.ljust(width) for text in column])
+        else:
+            columns.append([text.rjust(width) for text in column])
     return ["  ".join(row).rstrip() for row in zip(*columns, strict=True)]
 
 
 def show_table(table: Table, *, console: Console) -> None:
-    """Print a table, split where there is no room, with marks and notes; nothing without rows."""
+    """Print a table with marks and notes, split if too wide; nothing without rows."""
     if not table.rows:
         return
     shown = [place for place, column in enumerate(table.columns) if not column.is_long]
     columns = {place: _column(table, place) for place in shown}
     height = max(map(len, columns.values()))
     columns = {
-        place: [""] * (height - len(one)) + one for place, one in columns.items()
+        place: [""] * (height - len(lines)) + lines for place, lines in columns.items()
     }
     for part in _parts(
         shown[: table.n_keys], shown[table.n_keys :], columns, width=console.width
@@ -90,7 +91,9 @@ def show_table(table: Table, *, console: Console) -> None:
         for n, line in enumerate(aligned(rows, left=left)):
             style = "bold" if n < height - len(table.rows) else ""
             say(console, line, style, wrap=len(line) > console.width)
-    for note in [*([f"({table.legend})"] if table.legend else []), *table.notes]:
+    if table.legend:
+        say(console, f"({table.legend})", wrap=True)
+    for note in table.notes:
         say(console, note, wrap=True)
 
 
@@ -105,7 +108,7 @@ def _parts(
     parts = [keys]
     for place in others:
         wider = [*parts[-1], place]
-        room = sum(2 + max(map(len, columns[one])) for one in wider) - 2
+        room = sum(2 + max(map(len, columns[column])) for column in wider) - 2
         if len(parts[-1]) > len(keys) and room > width:
             parts.append([*keys, place])
         else:
@@ -119,5 +122,5 @@ def _column(table: Table, place: int) -> list[str]:
     missing = "-" if column.align == "right" and place >= table.n_keys else ""
     cells = [row[place].full or missing for row in table.rows]
     room = max(_HEAD_WIDTH, *map(len, cells))
-    above = [column.above] * bool(column.above)
+    above = [column.above] if column.above else []
     return [*above, *textwrap.wrap(f"{column.name} {column.unit}", room), *cells]

@@ -1,8 +1,8 @@
-"""The files of a run folder: their names; written whole or not at all, checked, and locked.
+"""The files of a run folder: their names, atomic writes, checksums, and the lock.
 
-A file of cells counts as finished when its checksum is written down in `SHA256SUMS`,
-which is in the format of `sha256sum`. What was cut short, garbled or put there by
-somebody else does not match, and is computed again.
+A file of cells counts as finished when its checksum is in `SHA256SUMS`, which has the
+format of `sha256sum`. A file that was cut short, garbled or put there by somebody else
+does not match, and is computed again.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ try:
 except ImportError:  # pragma: no cover - Windows has no flock
     fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
-if TYPE_CHECKING:  # workers write files, too: they do without its 40 MB
+if TYPE_CHECKING:  # workers write files, too, and need no pandas: 40 MB each
     import pandas as pd
 
 FOLDER: Final = "cells"
@@ -43,7 +43,8 @@ LOCK: Final = ".lock"
 PEOPLE: Final = "people.json"
 # Key of the pseudonyms, and where the recording lies; mode 0600.
 PRIVATE: Final = "private.json"
-FRAMES: Final = {  # By the names of `Results`.
+# By the names of `Results`.
+FRAMES: Final = {
     "summary": "summary.csv",
     "paper_table": "paper_table.csv",
     "claims": "paper_claims.csv",
@@ -60,7 +61,7 @@ FRAMES: Final = {  # By the names of `Results`.
     "failed": "failed.csv",
 }
 PLUGIN_ERROR: Final = "plugin-error.txt"  # Why a plug-in failed before there is a run.
-# All that a run leaves beside its manifest, its cells, and its figures.
+# All files of a run beside its manifest, its cells, and its figures.
 WRITTEN: Final = (
     *FRAMES.values(),
     "flags.json",
@@ -76,7 +77,8 @@ WRITTEN: Final = (
         for name in ("sweep", "attacks", "paper", "linkability", "verdict")
     ),
 )
-_TEXTS: Final = {  # Columns of text; all others are numbers or truth values.
+# Columns of text; all others are numbers or truth values.
+_TEXTS: Final = {
     "dataset",
     "mechanism",
     "family",
@@ -110,9 +112,9 @@ _NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a file to a temporary name beside it, which nobody can foresee, and rename it.
+    """Write a file under a random temporary name beside it, and rename it.
 
-    What has the file's name, a link say, is replaced and not written to. Raises
+    A link of the file's name is replaced, and nothing is written through it. Raises
     DataError if the disk is full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
@@ -121,9 +123,8 @@ def write_whole(path: Path, content: bytes) -> None:
             file.write(content)
         os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
     except OSError as error:
-        with contextlib.suppress(
-            OSError
-        ):  # where nothing can be written, nothing can be removed
+        # Where nothing can be written, nothing can be removed.
+        with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise DataError(
             f"cannot write {path}: {error.strerror}; finished cells are kept"
@@ -131,20 +132,22 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def to_csv(frame: pd.DataFrame) -> bytes:
-    """Return a table as CSV; no text in it is a formula to a spreadsheet, wherever it came from."""
+    """Return a table as CSV; a spreadsheet takes no text in it for a formula."""
     columns = []  # frame.to_csv would take ten times as long
     for name in frame.columns:
         column = frame[name].to_numpy(dtype=object, na_value="").tolist()
         is_number = frame[name].dtype.kind in "biuf"
-        columns.append([str(one) if is_number else _field(one) for one in column])
-    # Of one column alone a line without a field would be none.
+        columns.append(
+            [str(value) if is_number else _csv_field(value) for value in column]
+        )
+    # With a single column, an empty field must be quoted: an empty line is no row.
     rows = (",".join(row) or '""' for row in zip(*columns, strict=True))
     return "\n".join([",".join(frame.columns), *rows, ""]).encode()
 
 
 def from_csv(content: bytes) -> pd.DataFrame:
     """Return the table that `to_csv` wrote; ValueError if it is none."""
-    import pandas as pd  # noqa: PLC0415 - as said above
+    import pandas as pd  # noqa: PLC0415 - 40 MB, as above
 
     texts = _TEXTS.intersection(content.partition(b"\n")[0].decode().split(","))
     kinds = dict.fromkeys(texts, str)
@@ -155,51 +158,55 @@ def from_csv(content: bytes) -> pd.DataFrame:
     for name in texts:
         column = frame[name].fillna("")
         quoted = (
-            one
-            for one in column.unique()
-            if one.startswith("'") and _safe(one[1:]) == one
+            text
+            for text in column.unique()
+            if text.startswith("'") and _escape_formula(text[1:]) == text
         )
-        frame[name] = column.replace({one: one[1:] for one in quoted})
+        frame[name] = column.replace({text: text[1:] for text in quoted})
     return frame
 
 
-def made_of(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noqa: ANN401 - as said
-    """Return a file of a report: of a CSV some `columns`, else JSON; DataError has the way out."""
-    again = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
+def read_report_file(out: Path, name: str, *, columns: Iterable[str] = ()) -> Any:  # noqa: ANN401 - as said
+    """Return a file of a report: some `columns` of a CSV, or JSON.
+
+    Raises DataError, which says how to write the file anew.
+    """
+    advice = f"python -m evaluation.report {shlex.quote(str(out))} writes it anew"
     try:
-        content = content_of(out / name)
+        content = read_regular_file(out / name)
         if not name.endswith(".csv"):
             return json.loads(content)
         frame = from_csv(content)
         return frame[list(columns or frame.columns)]
     except FileNotFoundError:
         raise DataError(
-            f"{out / name} is missing; {again} if the run has finished"
+            f"{out / name} is missing; {advice} if the run has finished"
         ) from None
     except (OSError, ValueError, KeyError) as error:
         reason = str(error).partition("\n")[0]
-        raise DataError(f"{out / name} cannot be read ({reason}); {again}") from None
+        raise DataError(f"{out / name} cannot be read ({reason}); {advice}") from None
 
 
-def _safe(text: str) -> str:
+def _escape_formula(text: str) -> str:
     if not text.startswith(("=", "+", "-", "@", "\t", "\r")):
         return text
     try:
         float(text)
     except ValueError:
         return f"'{text}"
-    return text  # a number, in a column of names
+    return text  # a number in a column of names
 
 
-@lru_cache(maxsize=4096, typed=True)  # the same few names in every row
-def _field(value: object) -> str:
-    """Return what is not in a column of numbers as a field of a CSV file."""
-    text = _safe(value) if isinstance(value, str) else str(value)
+# The same few names recur in every row; for the life of the process.
+@lru_cache(maxsize=4096, typed=True)
+def _csv_field(value: object) -> str:
+    """Return a value of a column of text as a field of a CSV file."""
+    text = _escape_formula(value) if isinstance(value, str) else str(value)
     needs_quotes = any(mark in text for mark in ',"\r\n')
     return '"{}"'.format(text.replace('"', '""')) if needs_quotes else text
 
 
-def label_of(entry: Mapping[str, Any]) -> str:
+def entry_label(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
     from evaluation.plan.axes import (  # noqa: PLC0415 - a reader needs none
         consumer_label,
@@ -209,12 +216,12 @@ def label_of(entry: Mapping[str, Any]) -> str:
 
 
 def is_temporary(name: str) -> bool:
-    """Return whether a file is one that `write_whole` had no time to rename."""
+    """Whether a file is temporary: `write_whole` had no time to rename it."""
     return _TEMPORARY.fullmatch(name) is not None
 
 
-def opened(path: Path, flags: int) -> int:
-    """Open a regular file by the flags of `os.open`; OSError as there, or if it is none."""
+def open_regular_file(path: Path, flags: int) -> int:
+    """Open a regular file with the flags of `os.open`; OSError for any other file."""
     file = os.open(path, flags | _NOT_FOLLOWED, 0o644)
     mode = os.fstat(file).st_mode
     if stat.S_ISREG(mode):
@@ -225,27 +232,25 @@ def opened(path: Path, flags: int) -> int:
     raise OSError(errno.EINVAL, "it is not a regular file", str(path))
 
 
-def content_of(path: Path) -> bytes:
-    """Return what is in a regular file of a run folder; raises OSError as `opened` does."""
-    with os.fdopen(opened(path, os.O_RDONLY), "rb") as file:
+def read_regular_file(path: Path) -> bytes:
+    """Return the content of a regular file; raises as `open_regular_file` does."""
+    with os.fdopen(open_regular_file(path, os.O_RDONLY), "rb") as file:
         return file.read()
 
 
 def write_checked(out: Path, name: str, content: bytes) -> None:
-    """Write a file of cells, and its checksum; DataError if that cannot be."""
-    # First the line: a kill in between leaves one without a cell, not a cell that looks
-    # damaged.
+    """Write a file of cells, and its checksum; DataError if that is impossible."""
+    # The line comes first: a kill in between leaves a line without a cell, not a cell
+    # that looks damaged.
     path = out / CHECKSUMS
+    line = f"{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n"
     try:
-        with os.fdopen(
-            opened(path, os.O_RDWR | os.O_CREAT | os.O_APPEND), "ab+"
-        ) as file:
+        descriptor = open_regular_file(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        with os.fdopen(descriptor, "ab+") as file:
             file.seek(max(file.tell() - 1, 0))
             # A line that was cut short, by a full disk say, must not spoil the next.
             start = "" if file.read(1) in (b"", b"\n") else "\n"
-            file.write(
-                f"{start}{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n".encode()
-            )
+            file.write(f"{start}{line}".encode())
     except OSError as error:
         raise DataError(
             f"cannot write {path}: {error.strerror}; finished cells are kept"
@@ -253,21 +258,23 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
     write_whole(out / FOLDER / name, content)
 
 
-def written_down(out: Path) -> set[str]:
-    """Return the files of cells that are there and have a checksum written down, theirs or not.
+def checksummed_files(out: Path) -> set[str]:
+    """Return the names of the files of cells that have a checksum, matching or not.
 
     Raises DataError if the checksums cannot be read, and OSError if the folder of the
     cells cannot.
     """
-    return _present(out) & dict(_lines(out)).keys()
+    return _present(out) & dict(_checksum_lines(out)).keys()
 
 
-def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None]]:
-    """Yield those of some files that are there, with their content: None if it has changed."""
-    known = dict(_lines(out))
+def checked_files(
+    out: Path, names: Iterable[str]
+) -> Iterator[tuple[str, bytes | None]]:
+    """Yield the files that exist among `names`, with their content: None if changed."""
+    known = dict(_checksum_lines(out))
     for name in dict.fromkeys(names):
         try:
-            content = content_of(out / FOLDER / name)
+            content = read_regular_file(out / FOLDER / name)
         except FileNotFoundError:
             continue
         except OSError:
@@ -277,11 +284,11 @@ def checked(out: Path, names: Iterable[str]) -> Iterator[tuple[str, bytes | None
 
 
 def check_sound(out: Path, names: Iterable[str]) -> None:
-    """Raise DataError if a cell is not as it was written, or there is none at all."""
+    """Raise DataError if a file of cells has changed, or there is none at all."""
     wanted = list(names)
     if not wanted:
         raise DataError(f"{out} holds no finished cell; run the matrix again")
-    damaged = [name for name, content in checked(out, wanted) if content is None]
+    damaged = [name for name, content in checked_files(out, wanted) if content is None]
     if damaged:
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
         raise DataError(
@@ -291,9 +298,9 @@ def check_sound(out: Path, names: Iterable[str]) -> None:
 
 
 def forget_missing(out: Path) -> None:
-    """Forget checksums of missing cells, and outdated ones: to `sha256sum` they are damage."""
-    lines, there = _lines(out), _present(out)
-    needed = {name: checksum for name, checksum in lines if name in there}
+    """Drop outdated checksums and those of missing cells: `sha256sum` reports these."""
+    lines, present = _checksum_lines(out), _present(out)
+    needed = {name: checksum for name, checksum in lines if name in present}
     if set(lines) != set(needed.items()):
         text = "".join(
             f"{checksum}  {FOLDER}/{name}\n" for name, checksum in needed.items()
@@ -308,26 +315,26 @@ def _present(out: Path) -> set[str]:
         return set()
 
 
-def _lines(out: Path) -> list[tuple[str, str]]:
-    """Return file and checksum of every whole line; of one that is there twice the last counts."""
+def _checksum_lines(out: Path) -> list[tuple[str, str]]:
+    """Return name and checksum of every whole line; the last line of a file counts."""
     path = out / CHECKSUMS
     try:
-        text = content_of(path).decode(errors="replace")
+        text = read_regular_file(path).decode(errors="replace")
     except FileNotFoundError:
         return []
     except OSError as error:
-        what = f"{path} cannot be read: {error.strerror}"
-        raise DataError(f"{what}; make it readable or delete it") from None
+        message = f"{path} cannot be read: {error.strerror}"
+        raise DataError(f"{message}; make it readable or delete it") from None
     parts = (line.partition(f"  {FOLDER}/") for line in text.splitlines())
     return [(name, checksum) for checksum, is_whole, name in parts if is_whole]
 
 
 @contextlib.contextmanager
 def locked(out: Path) -> Iterator[None]:
-    """Hold the lock of a run folder, which is made if it is missing: one run at a time writes.
+    """Hold the lock of a run folder: one run at a time writes. Make a missing folder.
 
-    The lock is the system's (flock): it ends with its process, however that ends. What
-    killed runs left half written is removed.
+    The lock is the system's (flock): it ends with its process, however that ends. Half
+    written files of killed runs are removed.
 
     Raises SettingsError if another process holds it, the folder cannot be written, or a
     folder in it is a link to somewhere else.
@@ -335,8 +342,8 @@ def locked(out: Path) -> Iterator[None]:
     if fcntl is None:  # pragma: no cover - as above
         raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")
     path = out / LOCK
-    while (file := _locked(path)) is None:
-        pass  # its last owner has just deleted it: that lock is nobody else's obstacle
+    while (file := _lock_file(path)) is None:
+        pass  # its last owner has just deleted it, so that it locks nothing
     try:
         with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
             os.ftruncate(file, 0)
@@ -347,13 +354,12 @@ def locked(out: Path) -> Iterator[None]:
                     f"{folder} is a link, and a run writes into folders of its own"
                     " alone; remove it or choose another --out"
                 )
-            with contextlib.suppress(
-                OSError
-            ):  # not there, or what cannot be removed may stay
-                for path in [
-                    path for path in folder.iterdir() if is_temporary(path.name)
-                ]:
-                    path.unlink()
+            # A missing folder is no error, and a file that cannot be removed may stay.
+            with contextlib.suppress(OSError):
+                # A list: the folder changes while it is read.
+                for left_over in list(folder.iterdir()):
+                    if is_temporary(left_over.name):
+                        left_over.unlink()
         yield
     finally:
         with contextlib.suppress(OSError):
@@ -361,16 +367,16 @@ def locked(out: Path) -> Iterator[None]:
         os.close(file)
 
 
-def _locked(path: Path) -> int | None:
-    """Return the open file, locked; None if it is no longer the one of that name."""
-    way_out, what = "choose another --out", f"write to {path.parent}"
+def _lock_file(path: Path) -> int | None:
+    """Return the open file, locked; None if its name has gone to another file."""
+    way_out, action = "choose another --out", f"write to {path.parent}"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        way_out, what = f"make the folder writable or {way_out}", f"write {path}"
-        file = opened(path, os.O_RDWR | os.O_CREAT)
+        way_out, action = f"make the folder writable or {way_out}", f"write {path}"
+        file = open_regular_file(path, os.O_RDWR | os.O_CREAT)
     except OSError as error:
-        raise SettingsError(f"cannot {what}: {error.strerror}; {way_out}") from None
-    wrong = ""
+        raise SettingsError(f"cannot {action}: {error.strerror}; {way_out}") from None
+    message = ""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         with contextlib.suppress(FileNotFoundError):
@@ -378,14 +384,14 @@ def _locked(path: Path) -> int | None:
                 return file
     except BlockingIOError:
         owner = os.pread(file, 32, 0).decode(errors="replace").strip()
-        who = f" (process {owner})" if owner else ""
-        wrong = (
-            f"another run is writing to {path.parent}{who}; wait for it or choose"
-            " another --out"
+        owner_text = f" (process {owner})" if owner else ""
+        message = (
+            f"another run is writing to {path.parent}{owner_text}; wait for it or"
+            " choose another --out"
         )
     except OSError as error:  # some network file systems
-        wrong = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
+        message = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
     os.close(file)
-    if wrong:
-        raise SettingsError(wrong)
+    if message:
+        raise SettingsError(message)
     return None

@@ -1,19 +1,19 @@
-"""The run folder: opened, refused where it is another's or something else, and replaced."""
+"""Open a run folder, refuse a folder of another run, replace and copy runs."""
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.plan.fingerprint import can_be_found, source_digest
+from evaluation.plan.fingerprint import has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
-from evaluation.store.cell_files import Index, sound_files
+from evaluation.store.cell_files import FileIndex, sound_files
 from evaluation.store.manifest import (
     CELL_NAME,
-    parsed,
+    checked_manifest,
+    parse_manifest,
     read_manifest,
-    undamaged,
     write_manifest,
 )
 from isac_track.errors import DataError, SettingsError
@@ -23,7 +23,7 @@ _SHOWN_DIFFERENCES = 3
 
 @contextlib.contextmanager
 def usable(out: Path) -> Iterator[None]:
-    """Make one line, a SettingsError, of an impossible name, and of what the system says within."""
+    """Turn an impossible folder name, and any OSError within, into a SettingsError."""
     name = str(out)
     if "\0" in name or name.encode(errors="ignore").decode() != name:
         raise SettingsError(
@@ -32,44 +32,41 @@ def usable(out: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        where = error.filename or out
+        place = error.filename or out
         raise SettingsError(
-            f"cannot use {where}: {error.strerror}; choose another --out"
+            f"cannot use {place}: {error.strerror}; choose another --out"
         ) from None
 
 
 def check_folder(out: Path) -> None:
-    """Raise SettingsError if a folder holds something that is no run, or cannot be entered."""
+    """Raise SettingsError if a folder holds other files than a run, or is no folder."""
     with usable(out):
-        there = next(path for path in (out, *out.absolute().parents) if path.exists())
-        if not there.is_dir():
-            what = there if there == out else f"{out}: {there}"
-            raise SettingsError(f"{what} is a file; choose another --out")
+        existing = next(
+            path for path in (out, *out.absolute().parents) if path.exists()
+        )
+        if not existing.is_dir():
+            place = existing if existing == out else f"{out}: {existing}"
+            raise SettingsError(f"{place} is a file; choose another --out")
         if not out.exists() or (out / files.MANIFEST).exists():
             return
-        for path in (
-            out.iterdir()
-        ):  # a run that is killed before its manifest is there leaves some
-            is_ours = path.name in {
-                files.LOCK,
-                files.PLUGIN_ERROR,
-                files.PEOPLE,
-                files.PRIVATE,
-            } or files.is_temporary(path.name)
+        # A run that was killed before it wrote its manifest leaves some files.
+        left_files = {files.LOCK, files.PLUGIN_ERROR, files.PEOPLE, files.PRIVATE}
+        for path in out.iterdir():
+            may_be_left = path.name in left_files or files.is_temporary(path.name)
             is_empty = (
                 path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
             )
-            if not (is_ours or is_empty):
+            if not (may_be_left or is_empty):
                 raise SettingsError(
                     f"{out} is not empty and holds no run; choose another --out"
                 )
 
 
 def check_preset(out: Path, *, preset: str) -> None:
-    """Raise SettingsError if a folder holds a run of another preset, and one of both is `quick`.
+    """Raise SettingsError if a folder has a run of another preset, one being `quick`.
 
-    The levels of other presets would add up to a run that no command makes. A manifest
-    that cannot be read is left to `open_run`.
+    The levels of both presets would add up to a run that no command makes. `open_run`
+    reports a manifest that cannot be read.
     """
     with contextlib.suppress(DataError):
         earlier = read_manifest(out)["settings"].get("preset", preset)
@@ -82,13 +79,14 @@ def check_preset(out: Path, *, preset: str) -> None:
 
 def open_run(
     out: Path, *, identity: dict[str, Any], fresh: bool
-) -> tuple[dict[str, Any], dict[str, Index], list[str]]:
-    """Return the manifest of a run folder, new or continued, and its files: sound ones, and others.
+) -> tuple[dict[str, Any], dict[str, FileIndex], list[str]]:
+    """Open a run folder, new or continued; return its manifest and its files.
 
-    Cells that another version of the code computed are dropped and counted, and so are
-    lines of `SHA256SUMS` for which there is no cell.
+    The files are the indices of the sound ones, by name, and the names of the damaged
+    ones. Cells that another version of the code computed are dropped and counted, and
+    so are lines of `SHA256SUMS` without a cell.
 
-    Raises SettingsError if the folder holds another run (what differs is named) or
+    Raises SettingsError if the folder holds another run (it names the differences) or
     cannot be used, and DataError if its manifest cannot be read, or is damaged and not
     to be replaced.
     """
@@ -98,20 +96,20 @@ def open_run(
         if fresh and is_there:
             _remove_run(out)
         elif is_there:
-            manifest |= undamaged(parsed(out), out=out)
+            manifest |= checked_manifest(parse_manifest(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.FOLDER).mkdir(parents=True, exist_ok=True)
         names = [name for entry in manifest["cells"] for name in entry["files"]]
-        held, damaged = sound_files(out, names)
-        _drop_other_code(out, manifest, held)
+        index_by_file, damaged = sound_files(out, names)
+        _drop_other_code(out, manifest, index_by_file)
         files.forget_missing(out)
-    return manifest, held, damaged
+    return manifest, index_by_file, damaged
 
 
 def refuse_other_run(
     earlier: Mapping[str, Any], identity: Mapping[str, Any], *, out: Path
 ) -> None:
-    """Raise SettingsError, and name what differs, if a folder holds a run of another identity."""
+    """Raise SettingsError with the differences if a folder holds another run."""
     different = [
         f"{key} {earlier.get(key)!r} -> {value!r}"
         for key, value in identity.items()
@@ -127,78 +125,78 @@ def refuse_other_run(
 
 
 def _drop_other_code(
-    out: Path, manifest: dict[str, Any], held: dict[str, Index]
+    out: Path, manifest: dict[str, Any], index_by_file: dict[str, FileIndex]
 ) -> None:
-    """Drop cells whose code is here but another, and the files that hold no other cells."""
-    modules = {
-        module
-        for index in held.values()
-        for code in (index.code, *(one.code for one in index.consumers.values()))
-        for module in code
-    }
-    here = {name: source_digest(name)[:16] for name in modules if can_be_found(name)}
-    current = {
-        (name, label)
-        for name, index in held.items()
-        for label, own in index.consumers.items()
-        if all(
-            here.get(one, was) == was for one, was in {**index.code, **own.code}.items()
+    """Drop cells whose code has changed here, and files that hold no other cells."""
+    modules: set[str] = set()
+    for index in index_by_file.values():
+        modules.update(index.code)
+        for consumer in index.consumers.values():
+            modules.update(consumer.code)
+    digests = {name: source_digest(name)[:16] for name in modules if has_source(name)}
+    current = set()
+    for name, index in index_by_file.items():
+        for label, consumer in index.consumers.items():
+            code = {**index.code, **consumer.code}
+            if all(digests.get(module, was) == was for module, was in code.items()):
+                current.add((name, label))
+
+    def is_current(entry: Mapping[str, Any]) -> bool:
+        label = files.entry_label(entry)
+        return all(
+            (name, label) in current or name not in index_by_file
+            for name in entry["files"]
         )
-    }
-    cells = [
-        entry
-        for entry in manifest["cells"]
-        if all(
-            (one, files.label_of(entry)) in current or one not in held
-            for one in entry["files"]
-        )
-    ]
-    before, after = (
-        sum(len(one["files"]) for one in of) for of in (manifest["cells"], cells)
-    )
+
+    cells = [entry for entry in manifest["cells"] if is_current(entry)]
+    before = sum(len(entry["files"]) for entry in manifest["cells"])
+    after = sum(len(entry["files"]) for entry in cells)
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
-    for name in held.keys() - {name for name, _ in current}:
+    for name in index_by_file.keys() - {name for name, _ in current}:
         (out / files.FOLDER / name).unlink(missing_ok=True)
-        del held[name]
+        del index_by_file[name]
 
 
 def _remove_run(out: Path) -> None:
-    """Delete what a run wrote, by name: the folder may hold what is not ours. Manifest last."""
-    found, cells = parsed(out), (out / files.FOLDER).glob("*.parquet")
-    ours = [path for path in cells if CELL_NAME.fullmatch(path.name)]
-    ours += [out / name for name in files.WRITTEN]
+    """Delete the files of a run by name, the manifest last; other files stay."""
+    manifest, cells = parse_manifest(out), (out / files.FOLDER).glob("*.parquet")
+    written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
+    written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
-        ours += _figures(out, undamaged(found, out=out))
+        written += _figures(out, checked_manifest(manifest, out=out))
     try:
-        for path in ours:
+        for path in written:
             path.unlink(missing_ok=True)
         for folder in files.SUBFOLDERS:
             if (out / folder).is_dir() and not any((out / folder).iterdir()):
                 (out / folder).rmdir()
         (out / files.MANIFEST).unlink()
     except OSError as error:
-        what = f"cannot replace the run in {out}: {error.strerror}"
-        raise SettingsError(f"{what}; choose another --out") from None
+        message = f"cannot replace the run in {out}: {error.strerror}"
+        raise SettingsError(f"{message}; choose another --out") from None
 
 
-def note_figures(out: Path, names: Sequence[str]) -> None:
-    """Write into the manifest which figures a report draws, before it does, to find them again."""
+def record_figures(out: Path, names: Sequence[str]) -> None:
+    """Write the names of a report's figures into the manifest, before they are drawn.
+
+    A later report finds the figures by them.
+    """
     write_manifest(out, read_manifest(out) | {"figures": list(names)})
 
 
 def remove_figures(out: Path) -> None:
-    """Delete the page and the figures of an earlier report; DataError where that cannot be."""
+    """Delete the page and figures of an earlier report; DataError if that fails."""
     for path in (out / files.PAGE, *_figures(out, read_manifest(out))):
         try:
             path.unlink(missing_ok=True)
         except OSError as error:
-            what = f"cannot replace {path}: {error.strerror}"
-            raise DataError(f"{what}; finished cells are kept") from None
+            message = f"cannot replace {path}: {error.strerror}"
+            raise DataError(f"{message}; finished cells are kept") from None
 
 
 def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:
-    """Return every file that a report may have drawn: svg for screens, pdf for print."""
+    """Return all files that a report may have drawn: svg for screens, pdf for print."""
     names = [Path(name).name for name in manifest.get("figures", ())]
     return [
         out / "figures" / f"{name}.{kind}" for name in names for kind in ("svg", "pdf")
@@ -206,10 +204,10 @@ def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:
 
 
 def copy_without_private(out: Path, to: Path) -> None:
-    """Copy a finished run's manifest, cells and list of people: all that its report is made from.
+    """Copy a finished run's manifest, cells and list of people: all that reports need.
 
     Raises SettingsError if the copy exists or cannot be written, or the run keeps its
-    ids, and DataError if it is not finished, or not as it was written.
+    ids, and DataError if it is not finished, or its files have changed.
     """
     manifest = read_manifest(out)
     if manifest.get("state") != "finished":
@@ -227,9 +225,11 @@ def copy_without_private(out: Path, to: Path) -> None:
         to.mkdir(parents=True)
         (to / files.FOLDER).mkdir()
         write_manifest(to, manifest)
-        files.write_whole(to / files.PEOPLE, files.content_of(out / files.PEOPLE))
+        people = files.read_regular_file(out / files.PEOPLE)
+        files.write_whole(to / files.PEOPLE, people)
         for name in names:
-            files.write_checked(to, name, files.content_of(out / files.FOLDER / name))
+            content = files.read_regular_file(out / files.FOLDER / name)
+            files.write_checked(to, name, content)
     except FileExistsError:
         raise SettingsError(f"{to} exists; choose another --to") from None
     except OSError as error:

@@ -1,10 +1,10 @@
-"""The manifest of a run: what it was made from, its cells, and what failed.
+"""The manifest of a run: its code, settings and data, its cells, and its failures.
 
 Within the program `cells` is a list of flat entries, one for each consumer at each
 level. In the file an entry stands for all consumers of a level that share their files,
 and sets of consumers that many levels have are written once, in `consumers`. A seal
-over all of it tells whether the file is as a run of this layout wrote it: its readers
-need not look at every value.
+over all of it shows that a run of this layout wrote the file: readers need not check
+every value.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from importlib.metadata import version
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 
@@ -30,27 +30,29 @@ import isac_track
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, strangers_in
 from evaluation.plan.settings import AXES
-from evaluation.store.files import MANIFEST, content_of, label_of, write_whole
+from evaluation.store.files import MANIFEST, entry_label, read_regular_file, write_whole
 from evaluation.store.people import (
-    labels_of_ids,
-    shown_path,
-    shown_words,
+    id_labels,
+    public_path,
+    public_words,
     without_folders,
 )
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
+    from attacks.tasks.sessions import Sessions
     from evaluation.plan.axes import Consumer
     from evaluation.plan.plan import Plan, Unit
     from evaluation.plan.settings import Settings
-    from evaluation.store.cell_files import Index
+    from evaluation.store.cell_files import FileIndex
     from isac_track.plugins import Kind, Plugin
     from isac_track.types import Tracks
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
-LAYOUT: Final = 4  # Another one wherever readers would miss or mistake a value.
+# The number changes whenever a reader of another would miss or mistake a value.
+LAYOUT: Final = 4
 FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
-_OF_LEVEL: Final = (
+_LEVEL_FIELDS: Final = (
     "mechanism",
     "level",
     "family",
@@ -59,13 +61,13 @@ _OF_LEVEL: Final = (
     "spec",
     "files",
 )
-_OF_CONSUMER: Final = ("kind", "consumer", "knowledge", "slow", "world")
+_CONSUMER_FIELDS: Final = ("kind", "consumer", "knowledge", "slow", "world")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
 def read_manifest(out: Path) -> dict[str, Any]:
-    """Return a run's manifest; DataError if none is there, it is damaged, or no run started."""
-    manifest = undamaged(parsed(out), out=out)
+    """Return a run's manifest; DataError if it is missing, damaged, or of no run."""
+    manifest = checked_manifest(parse_manifest(out), out=out)
     if not manifest.keys() >= {"dataset", "settings"}:
         raise DataError(f"{out} holds a run that never started; run the matrix again")
     return manifest
@@ -75,24 +77,28 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, whole or not at all."""
     consumers: list[list[dict[str, Any]]] = []
     cells = []
-    for level, entries in groupby(
-        manifest["cells"], key=lambda entry: {name: entry[name] for name in _OF_LEVEL}
-    ):
-        alike = [{name: entry.get(name) for name in _OF_CONSUMER} for entry in entries]
-        if alike not in consumers:
-            consumers.append(alike)
-        cells.append(level | {"consumers": consumers.index(alike)})
+
+    def level_fields(entry: Mapping[str, Any]) -> dict[str, Any]:
+        return {name: entry[name] for name in _LEVEL_FIELDS}
+
+    for level, entries in groupby(manifest["cells"], key=level_fields):
+        level_consumers = [
+            {name: entry.get(name) for name in _CONSUMER_FIELDS} for entry in entries
+        ]
+        if level_consumers not in consumers:
+            consumers.append(level_consumers)
+        cells.append(level | {"consumers": consumers.index(level_consumers)})
     folded = {**manifest, "cells": cells, "consumers": consumers}
     sealed = folded | {"seal": digest([LAYOUT, folded])}
     text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
     write_whole(out / MANIFEST, text.encode())
 
 
-def parsed(out: Path) -> dict[str, Any]:
-    """Return what the manifest's file holds, if it is one at all; DataError if not."""
+def parse_manifest(out: Path) -> dict[str, Any]:
+    """Return the content of the manifest's file; DataError if it is no manifest."""
     path = out / MANIFEST
     try:
-        manifest: dict[str, Any] = json.loads(content_of(path))
+        manifest: dict[str, Any] = json.loads(read_regular_file(path))
     except FileNotFoundError:
         raise DataError(
             f"{out} holds no run ({MANIFEST} is missing); make one with "
@@ -108,11 +114,11 @@ def parsed(out: Path) -> dict[str, Any]:
     raise DataError(f"{path} is not the manifest of a run; choose another --out")
 
 
-def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
-    """Return the manifest that a file holds; DataError if it is not as it was written."""
-    content = {name: value for name, value in found.items() if name != "seal"}
-    is_sealed = found.get("seal") == digest([LAYOUT, content])
-    # Files are deleted by these names: a seal is no proof of who wrote it.
+def checked_manifest(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
+    """Return the manifest that a file holds; DataError if it has changed."""
+    content = {name: value for name, value in manifest.items() if name != "seal"}
+    is_sealed = manifest.get("seal") == digest([LAYOUT, content])
+    # Files are deleted by these names: a seal does not prove that a run wrote them.
     if not is_sealed or not all(
         CELL_NAME.fullmatch(name)
         for level in content["cells"]
@@ -131,34 +137,40 @@ def undamaged(found: dict[str, Any], *, out: Path) -> dict[str, Any]:
     return content
 
 
-def others(
+def other_entries(
     entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the entries of other consumers at other levels."""
-    known = {(entry["spec"], label_of(entry)) for entry in than}
-    return [entry for entry in entries if (entry["spec"], label_of(entry)) not in known]
-
-
-def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the index without what is linked without a ceiling.
-
-    What an attack says when it finds nothing depends on it; in other worlds it is held
-    against the optimum instead.
-    """
-    whose = itemgetter("consumer", "knowledge")
-    ceilings = {whose(entry) for entry in entries if entry["spec"] == "clean"}
+    known_cells = {(entry["spec"], entry_label(entry)) for entry in than}
     return [
         entry
         for entry in entries
-        if entry["kind"] != "linkage" or entry.get("world") or whose(entry) in ceilings
+        if (entry["spec"], entry_label(entry)) not in known_cells
+    ]
+
+
+def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the entries without linkage attacks that have no ceiling.
+
+    The ceiling decides what an attack without success means; in other worlds an attack
+    is compared with the optimum instead.
+    """
+    adversary = itemgetter("consumer", "knowledge")
+    ceilings = {adversary(entry) for entry in entries if entry["spec"] == "clean"}
+    return [
+        entry
+        for entry in entries
+        if entry["kind"] != "linkage"
+        or entry.get("world")
+        or adversary(entry) in ceilings
     ]
 
 
 def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
-    """Return the mean speed of the tracks that are `used` and of all recorded ones, m/s.
+    """Return the mean speed of the `used` tracks, and of all recorded tracks, m/s.
 
-    A track's speed is the length of its recorded path over its duration; each counts
-    once, one of a single sample not at all.
+    A track's speed is the length of its recorded path over its duration. Each track
+    counts once; a track of a single sample does not count.
     """
     from isac_track.datasets import summarise  # noqa: PLC0415 - a reader needs none
 
@@ -171,40 +183,41 @@ def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
     }
 
 
-def given_on(settings: Settings, axis: str) -> list[str] | None:
-    """Return the values that a user named on an axis, as they are typed; None without any.
+def named_values(settings: Settings, axis: str) -> list[str] | None:
+    """Return the values that a user named on an axis, as typed; None without any.
 
-    An object of a plug-in is typed as its SPEC.
+    A plug-in object is given by its SPEC.
     """
-    from isac_track.plugins import plugins_of  # noqa: PLC0415 - a reader needs none
+    from isac_track.plugins import resolve_plugins  # noqa: PLC0415 - a reader needs none
 
     if getattr(settings, axis) is None:
         return None
     choice = settings.choice(axis)
     plus = "" if choice.replaces else PLUS
-    texts = [
-        (
-            value
-            if isinstance(value, str)
-            else plugins_of(cast("Kind", axis), value)[0].spec
-        )
-        for value in choice.named
-    ]
-    return [f"{plus}{text}" for text in texts]
+    texts = []
+    for value in choice.named:
+        text = value
+        if not isinstance(value, str):
+            text = resolve_plugins(cast("Kind", axis), value)[0].spec
+        texts.append(f"{plus}{text}")
+    return texts
 
 
-def about_data(ready: Plan) -> dict[str, Any]:
-    """Return what was read, mended and left out, and what would help if too little is left."""
+def describe_data(ready: Plan) -> dict[str, Any]:
+    """Return a description of the data: its source, repairs, and tracks left out.
+
+    It has advice if too few people are left.
+    """
     from isac_track.scenes import (  # noqa: PLC0415 - as below
         FEW_PEOPLE,
-        what_would_help,
+        recording_advice,
     )
 
     tracks, dataset = ready.tracks, ready.dataset
     own = ("name", "sha256", "format", "simulated")
     notice = dataset.notice and without_folders(dataset.notice, dataset)
-    about = {
-        "path": shown_path(dataset.path),
+    data = {
+        "path": public_path(dataset.path),
         **{name: getattr(dataset, name) for name in own},
         "notice": notice,
         "tracks": len(dataset.tracks),
@@ -223,53 +236,43 @@ def about_data(ready: Plan) -> dict[str, Any]:
             f"pieces where a spline leaves the chord by over {most_m:g} m or runs;"
             " straighter"
         )
-        about["repairs"].append(
+        data["repairs"].append(
             {"kind": "overshoot", "count": tracks.n_replaced, "detail": detail}
         )
     if dataset.sessions:
-        about["sessions"] = [shown_path(one) for one in dataset.sessions]
+        data["sessions"] = [public_path(session) for session in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
         stages, used = ready.settings.stages, len(tracks)
-        about["would_help"] = what_would_help(
+        data["would_help"] = recording_advice(
             dataset.tracks, settings=stages, used=used
         )
-    return about
+    return data
 
 
 def describe(ready: Plan) -> dict[str, Any]:
-    """Return what a run is made from: code, settings, data set, what is linked."""
+    """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
     from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
         mean_interval_s,
     )
 
     tracks, settings, axes = ready.tracks, ready.settings, ready.axes
-    labels = labels_of_ids(ready)
-    linkers = dict.fromkeys(link.spec for _, link in axes.links)
-    requires = {plugin.spec: plugin.instance.requires for plugin in axes.predictors}
-    undeclared = (plugin for plugin in axes.mechanisms if not plugin.adding)
+    labels = id_labels(ready)
     without_rule = {
-        one.family for one in undeclared if getattr(one.instance, "adds_error", True)
+        plugin.family
+        for plugin in axes.mechanisms
+        if not plugin.adding and getattr(plugin.instance, "adds_error", True)
     }
-    tasks = {}
-    for sessions in ready.sessions:
-        galleries = np.bincount(
-            sessions.gallery.search, minlength=len(sessions.searches)
-        )
-        tasks[sessions.task.name] = {
-            "about": sessions.task.about,
-            "people": len(sessions.source),
-            "too_short": sessions.too_short,
-            "not_drawn": sessions.not_drawn,
-            "clusters": len(set(sessions.group)),
-            "in_groups": int((~sessions.alone).sum()),
-            "frozen": int((~sessions.moving).sum()),
-            "probes": len(sessions.probe),
-            "mated": int((sessions.mate >= 0).sum()),
-            "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
-            "learnt_from": sessions.learns.sum(axis=1).tolist(),
-            "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
+    horizons = {}
+    for horizon_s in settings.stages.conflict.horizons_s if axes.utility else ():
+        n_used = len(tracks.further.get(horizon_s, ()))
+        horizons[f"{horizon_s:g}"] = {
+            "tracks_used": n_used,
+            "no_future": len(tracks) - n_used,
         }
+    tasks = {
+        sessions.task.name: _describe_task(sessions) for sessions in ready.sessions
+    }
     return {
         "environment": {
             "isac_track": isac_track.__version__,
@@ -277,36 +280,20 @@ def describe(ready: Plan) -> dict[str, Any]:
             "machine": f"{platform.system()} {platform.machine()}",
             "libraries": {name: version(name) for name in _LIBRARIES},
             "git_commit": _git_commit(),
-            "command": shown_words(
+            "command": public_words(
                 str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
         "code": ready.code,
-        "settings": {
-            "preset": settings.preset,
-            "scenes": settings.n_scenes,
-            "scenes_utility": settings.n_utility_scenes,
-            "precision": settings.precision,
-            "pilot_half_width": settings.pilot_half_width,
-            "seed": settings.seed,
-            "mechanisms": [plugin.spec for plugin in axes.mechanisms],
-            "predictors": [plugin.spec for plugin in axes.predictors],
-            "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
-            "tasks": [task.name for task in axes.tasks],
-            "named": {
-                axis: given
-                for axis in AXES
-                if (given := given_on(settings, axis)) is not None
-            },
-            **({"adversaries": list(axes.adversaries)} if axes.adversaries else {}),
-            "stages": settings.stages.flat(),
-        },
+        "settings": _describe_settings(ready),
         "own_plugins": strangers_in(axes),
         "granted": {
-            name: sorted(one.name for one in of) for name, of in requires.items() if of
+            plugin.spec: sorted(item.name for item in plugin.instance.requires)
+            for plugin in axes.predictors
+            if plugin.instance.requires
         },
         "without_rule": sorted(without_rule),
-        "dataset": about_data(ready),
+        "dataset": describe_data(ready),
         "geometry": asdict(
             geometry(
                 ready.recorded, settings=settings.stages.sensing, seed=settings.seed
@@ -319,56 +306,96 @@ def describe(ready: Plan) -> dict[str, Any]:
             ),
         },
         "groups": [labels[name] for name in sorted(set(tracks.group))],
-        "horizons": {
-            f"{horizon_s:g}": {
-                "tracks_used": len(tracks.further.get(horizon_s, ())),
-                "no_future": len(tracks) - len(tracks.further.get(horizon_s, ())),
-            }
-            for horizon_s in (
-                settings.stages.conflict.horizons_s if axes.utility else ()
-            )
-        },
+        "horizons": horizons,
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
     }
 
 
-def losses_of(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
-    """Return what rank 1 loses by `linkage.candidates`, by task, as the cells measured it.
+def _describe_settings(ready: Plan) -> dict[str, Any]:
+    """Return the settings of a run, with the axes that they expand to."""
+    settings, axes = ready.settings, ready.axes
+    linkers = dict.fromkeys(link.spec for _, link in axes.links)
+    named = {axis: named_values(settings, axis) for axis in AXES}
+    described: dict[str, Any] = {
+        "preset": settings.preset,
+        "scenes": settings.n_scenes,
+        "scenes_utility": settings.n_utility_scenes,
+        "precision": settings.precision,
+        "pilot_half_width": settings.pilot_half_width,
+        "seed": settings.seed,
+        "mechanisms": [plugin.spec for plugin in axes.mechanisms],
+        "predictors": [plugin.spec for plugin in axes.predictors],
+        "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
+        "tasks": [task.name for task in axes.tasks],
+        "named": {axis: values for axis, values in named.items() if values is not None},
+    }
+    if axes.adversaries:
+        described["adversaries"] = list(axes.adversaries)
+    return described | {"stages": settings.stages.flat()}
 
-    Of each task the `cells` of attacks; how many `probes` of each (the fewest) were
-    searched in full as well; over the cells the mean `loss` of rank 1, a fraction, and
-    the `most`, of which `consumer` at which mechanism, `spec`, it was. A task whose
-    pairs are all scored is not there.
+
+def _describe_task(sessions: Sessions) -> dict[str, Any]:
+    """Return the size of a linkage task: its people, probes and candidates."""
+    galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+    return {
+        "about": sessions.task.about,
+        "people": len(sessions.source),
+        "too_short": sessions.too_short,
+        "not_drawn": sessions.not_drawn,
+        "clusters": len(set(sessions.group)),
+        "in_groups": int((~sessions.alone).sum()),
+        "frozen": int((~sessions.moving).sum()),
+        "probes": len(sessions.probe),
+        "mated": int((sessions.mate >= 0).sum()),
+        "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
+        "learnt_from": sessions.learns.sum(axis=1).tolist(),
+        "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
+    }
+
+
+class _CellLoss(NamedTuple):
+    """The loss of rank 1 in a linkage cell; tuples compare by it first."""
+
+    rank1_loss: float
+    n_checked: int
+    consumer: str
+    spec: str
+
+
+def candidate_losses(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
+    """Return the loss of rank 1 by `linkage.candidates`, by task, as cells measured it.
+
+    Of each task: the number of `cells` of attacks; the number of `probes` of each (the
+    fewest) that were searched in full as well; over the cells the mean `loss` of rank
+    1, a fraction; and the largest, `most`, with its `consumer` and its mechanism's
+    `spec`. Tasks whose pairs are all scored are left out.
     """
     from evaluation.store.cell_files import (  # noqa: PLC0415 - slow to import
         read_outcomes,
     )
 
-    found: dict[str, list[tuple[float, int, str, str]]] = defaultdict(list)
+    losses_by_task: dict[str, list[_CellLoss]] = defaultdict(list)
     linked = [entry for entry in entries if entry["kind"] == "linkage"]
-    for entry, outcome in zip(
-        linked, read_outcomes(out, linked, drawn=()), strict=True
-    ):
+    outcomes = read_outcomes(out, linked, drawn=())
+    for entry, outcome in zip(linked, outcomes, strict=True):
         if n_checked := outcome.numbers.get("n_checked"):
-            cell = (
-                outcome.numbers["rank1_loss"],
-                n_checked,
-                label_of(entry),
-                entry["spec"],
+            task = entry["consumer"].partition("/")[0]
+            rank1_loss = outcome.numbers["rank1_loss"]
+            losses_by_task[task].append(
+                _CellLoss(rank1_loss, n_checked, entry_label(entry), entry["spec"])
             )
-            found[entry["consumer"].partition("/")[0]].append(cell)
-    losses = {}
-    for task, cells in found.items():
-        most, _, consumer, spec = max(cells)
-        losses[task] = {
-            "cells": len(cells),
-            "probes": min(one[1] for one in cells),
-            "loss": float(np.mean([one[0] for one in cells])),
-            "most": most,
-            "consumer": consumer,
-            "spec": spec,
+    summary = {}
+    for task, losses in losses_by_task.items():
+        largest = max(losses)
+        summary[task] = {
+            "cells": len(losses),
+            "probes": min(loss.n_checked for loss in losses),
+            "loss": float(np.mean([loss.rank1_loss for loss in losses])),
+            "most": largest.rank1_loss,
+            "consumer": largest.consumer,
+            "spec": largest.spec,
         }
-    return losses
+    return summary
 
 
 def _git_commit() -> str | None:
@@ -381,23 +408,26 @@ def _git_commit() -> str | None:
     return answer.stdout.strip() or None
 
 
-def named(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
-    """Return what an entry, or one of what failed, calls a mechanism and a consumer."""
-    about = {name: getattr(consumer, name) for name in ("kind", "knowledge", "world")}
-    return {"spec": mechanism.spec, "consumer": consumer.spec, **about}
+def consumer_fields(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
+    """Return the fields of an entry that name its mechanism and consumer."""
+    names = ("kind", "knowledge", "world")
+    fields = {name: getattr(consumer, name) for name in names}
+    return {"spec": mechanism.spec, "consumer": consumer.spec, **fields}
 
 
-def entries_of(
+def cell_entries(
     ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
 ) -> list[dict[str, Any]]:
     """Return the entries of a run's cells, whose files are in `places` or to come."""
-    of_cell = {(one.key, key): one.file for one in missing for key in one.consumers} | {
-        **places
-    }
+    files_by_cell = {
+        (unit.key, key): unit.file for unit in missing for key in unit.consumers
+    } | {**places}
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
     for unit in ready.units:  # block by block
         for key, consumer in unit.consumers.items():
-            files[unit.mechanism.spec, consumer.label].append(of_cell[unit.key, key])
+            files[unit.mechanism.spec, consumer.label].append(
+                files_by_cell[unit.key, key]
+            )
     return [
         {
             "mechanism": mechanism.name,
@@ -405,7 +435,7 @@ def entries_of(
                 name: getattr(mechanism, name)
                 for name in ("level", "family", "adding", "protects")
             },
-            **named(mechanism, consumer),
+            **consumer_fields(mechanism, consumer),
             "slow": consumer.is_slow,
             "files": files[mechanism.spec, consumer.label],
         }
@@ -416,7 +446,7 @@ def entries_of(
 def merged_plugins(
     earlier: Mapping[str, Sequence[str]], ours: Mapping[str, Sequence[str]]
 ) -> dict[str, list[str]]:
-    """Return a user's own plug-ins by axis: those of earlier axes, whose cells stay, and of now."""
+    """Return a user's own plug-ins by axis: earlier ones, whose cells stay, and new."""
     return {
         axis: [*dict.fromkeys([*earlier.get(axis, ()), *ours.get(axis, ())])]
         for axis in dict.fromkeys([*earlier, *ours])
@@ -425,21 +455,21 @@ def merged_plugins(
 
 def merged_cells(
     earlier: Iterable[dict[str, Any]],
-    ours: list[dict[str, Any]],
+    entries: list[dict[str, Any]],
     *,
-    held: Mapping[str, Index],
+    held: Mapping[str, FileIndex],
 ) -> list[dict[str, Any]]:
-    """Return the index of cells: those of this run, and finished ones of earlier axes.
+    """Return the entries of this run's cells, and of finished cells of earlier axes.
 
     An earlier level that was never finished (interrupted, or a plug-in that failed) is
-    left out: `held` has what the files hold that are there.
+    left out. `held` has the index of every file that is there.
     """
     finished = [
         entry
         for entry in earlier
         if all(
-            name in held and label_of(entry) in held[name].consumers
+            name in held and entry_label(entry) in held[name].consumers
             for name in entry["files"]
         )
     ]
-    return with_ceiling(ours + others(finished, than=ours))
+    return with_ceiling(entries + other_entries(finished, than=entries))

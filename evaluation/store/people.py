@@ -1,9 +1,9 @@
-"""What people are called in a run folder: by keyed pseudonyms, whose key never leaves the folder.
+"""Names of people in a run folder: keyed pseudonyms, whose key never leaves the folder.
 
-`private.json` (mode 0600) holds the key and where the recording lies. `people.json`
-lists what is written in cells, each with the label that readers use instead: labels
-sort as the ids of the recording do and end in the person's half, so that no draw, order
-or fold depends on the key.
+`private.json` (mode 0600) holds the key and the path of the recording. `people.json`
+lists the names in cells, each with the label that readers use instead. Labels sort as
+the ids of the recording do and end in the person's half, so that no draw, order or fold
+depends on the key.
 """
 
 from __future__ import annotations
@@ -20,49 +20,46 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from evaluation.store.files import PEOPLE, PRIVATE, content_of, write_whole
+from evaluation.store.files import PEOPLE, PRIVATE, read_regular_file, write_whole
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:
     from evaluation.plan.plan import Plan
     from isac_track.datasets import Dataset
 
-# Of a pseudonym: two of 100,000 people are called alike once in 10^9 runs.
+# Of a pseudonym: two of 100,000 people share one once in 10^9 runs.
 _DIGITS: Final = 16
 _LABEL_DIGITS: Final = 6
 _HALVES: Final = "ab"
 
 
 def in_first_half(name: str) -> bool:
-    """Whether somebody is in the first of two halves: by a hash of the id, which labels carry."""
+    """Whether a person is in the first half, by a hash of the id that labels carry."""
     if name.startswith("#") and name.endswith(tuple(_HALVES)):
         return name.endswith(_HALVES[0])
     return hashlib.sha256(name.encode()).digest()[0] % 2 == 0
 
 
-def labels_of_ids(ready: Plan) -> dict[str, str]:
-    """Return the label of every id of a run: it sorts as the id does, whatever else is in the run.
+def id_labels(ready: Plan) -> dict[str, str]:
+    """Return the label of every id of a run: labels sort as the ids do in every run.
 
-    Labels of the recording's own are its places in their order; simulated people of a
+    The label of a recorded id is its place in the sorted ids. Simulated people of a
     crowd stand between them, by name.
     """
     tracks = ready.dataset.tracks
     own = sorted(
         {*tracks.source, *tracks.group, *ready.tracks.source, *ready.tracks.group}
     )
-    place_of = {name: place for place, name in enumerate(own, start=1)}
-    crossed = {
-        name for one in (*ready.sessions, *ready.model_sessions) for name in one.source
-    }
-    crossed |= {
-        name for one in (*ready.sessions, *ready.model_sessions) for name in one.group
-    }
+    place_by_name = {name: place for place, name in enumerate(own, start=1)}
+    task_names: set[str] = set()
+    for sessions in (*ready.sessions, *ready.model_sessions):
+        task_names.update(sessions.source, sessions.group)
     labels = {}
     for name in own:
-        labels[name] = f"#{place_of[name]:0{_LABEL_DIGITS}d}{_half(name)}"
-    for name in sorted(crossed - place_of.keys()):
+        labels[name] = f"#{place_by_name[name]:0{_LABEL_DIGITS}d}{_half(name)}"
+    for name in sorted(task_names - place_by_name.keys()):
         before = f"#{bisect_left(own, name):0{_LABEL_DIGITS}d}"
-        # "!" sorts below what names go on with
+        # "!" sorts below all characters that a longer name may go on with.
         labels[name] = f"{before}~{name}!{_half(name)}"
     return labels
 
@@ -71,13 +68,13 @@ def _half(name: str) -> str:
     return _HALVES[hashlib.sha256(name.encode()).digest()[0] % 2]
 
 
-def names_to_write(ready: Plan, *, is_continued: bool) -> dict[str, str]:
-    """Return what every id is called in the files of a run, and write its two files of names.
+def prepare_names(ready: Plan, *, is_continued: bool) -> dict[str, str]:
+    """Write the two files of names of a run; return the name of every id in its files.
 
     Raises DataError for a run that is continued without its key, and if a file cannot
     be written.
     """
-    out, labels = ready.out, labels_of_ids(ready)
+    out, labels = ready.out, id_labels(ready)
     private = _private(out)
     if is_continued and "key" not in private:
         raise DataError(
@@ -86,50 +83,57 @@ def names_to_write(ready: Plan, *, is_continued: bool) -> dict[str, str]:
             " another --out"
         )
     key = str(private.get("key") or secrets.token_hex(32))
-    paths = [str(Path(one).absolute()) for one in ready.dataset.sessions]
-    where = {"path": str(Path(ready.dataset.path).absolute()), "sessions": paths}
-    _write_private(out, {"key": key, **where})
+    paths = [str(Path(session).absolute()) for session in ready.dataset.sessions]
+    recording = {"path": str(Path(ready.dataset.path).absolute()), "sessions": paths}
+    _write_private(out, {"key": key, **recording})
     keeps = ready.settings.keep_ids
-    written = {name: name if keeps else pseudonym(name, key) for name in labels}
+    name_by_id = {name: name if keeps else pseudonym(name, key) for name in labels}
     earlier = _people(out) if is_continued else {}
-    rows = earlier | {written[name]: label for name, label in labels.items()}
+    rows = earlier | {name_by_id[name]: label for name, label in labels.items()}
     content = json.dumps(rows, ensure_ascii=False, indent=0) + "\n"
     if rows != earlier:
         write_whole(out / PEOPLE, content.encode())
-    return {} if keeps else written
+    return {} if keeps else name_by_id
 
 
 def pseudonym(name: str, key: str) -> str:
-    """Return what an id is called where nobody has the key."""
+    """Return the pseudonym of an id: nobody finds the id without the key."""
     return hmac.digest(bytes.fromhex(key), name.encode(), "sha256").hex()[:_DIGITS]
 
 
 def share_key(out: Path, sources: Iterable[Path]) -> None:
-    """Give a folder without a key that of the first source which has one: cells are copied."""
+    """Copy the key of the first source that has one, before its cells are copied.
+
+    A folder that has a key keeps it.
+    """
     for source in sources:
         if not _private(out) and (private := _private(source)):
             _write_private(out, private)
 
 
 def with_paths(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
-    """Return a manifest with the paths of its recording, where the folder still knows them."""
-    where = {
+    """Return a manifest with the paths of its recording, if they are still known."""
+    paths = {
         name: path for name, path in _private(out).items() if name != "key" and path
     }
-    return manifest | {"dataset": manifest["dataset"] | where}
+    return manifest | {"dataset": manifest["dataset"] | paths}
 
 
-def label_of_written(out: Path) -> Mapping[str, str]:
-    """Return the label of every name in the cells of a folder; DataError if the list is broken."""
+def read_labels(out: Path) -> Mapping[str, str]:
+    """Return the label of every name in the cells of a folder.
+
+    Raises DataError if the list is broken.
+    """
     path = out / PEOPLE
     try:
         stat = path.stat()
     except FileNotFoundError:
-        return {}  # Cells that were not written by a run are read as they are.
+        return {}  # cells that no run has written are read as they are
     return _labels(path, stat.st_mtime_ns, stat.st_size)
 
 
-@lru_cache(maxsize=4)  # the runs of a comparison, each as it is now
+# The lists of the newest runs of a comparison; a changed file is read again.
+@lru_cache(maxsize=4)
 def _labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
     return _people(path.parent)
 
@@ -137,36 +141,36 @@ def _labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
 def _people(out: Path) -> dict[str, str]:
     path = out / PEOPLE
     try:
-        found = json.loads(content_of(path))
+        people = json.loads(read_regular_file(path))
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, RecursionError) as error:
         raise DataError(
             f"{path} cannot be read: {error}; run the matrix with --fresh"
         ) from None
-    if not isinstance(found, dict) or not all(
-        isinstance(label, str) for label in found.values()
+    if not isinstance(people, dict) or not all(
+        isinstance(label, str) for label in people.values()
     ):
         raise DataError(f"{path} is no list of people; run the matrix with --fresh")
-    return found
+    return people
 
 
 def _private(out: Path) -> dict[str, Any]:
     path = out / PRIVATE
     try:
-        found = json.loads(content_of(path))
-        bytes.fromhex(found["key"])
+        private = json.loads(read_regular_file(path))
+        bytes.fromhex(private["key"])
     except FileNotFoundError:
         return {}
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(
             f"{path} cannot be read: {error}; run the matrix with --fresh"
         ) from None
-    return dict(found)
+    return dict(private)
 
 
 def _write_private(out: Path, content: Mapping[str, Any]) -> None:
-    """Write what stays in the folder, for its owner's eyes alone from the first byte on."""
+    """Write the private file, which only its owner can read from the first byte on."""
     path = out / PRIVATE
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
@@ -180,8 +184,8 @@ def _write_private(out: Path, content: Mapping[str, Any]) -> None:
         raise SettingsError(f"cannot write {path}: {error.strerror}") from None
 
 
-def shown_path(path: str | Path) -> str:
-    """Return a path as it may be passed on: below the working folder, else the name alone."""
+def public_path(path: str | Path) -> str:
+    """Return a path fit to be passed on: below the working folder, else its name."""
     with contextlib.suppress(ValueError, OSError):
         below = Path(path).absolute().resolve().relative_to(Path.cwd().resolve())
         return str(below)
@@ -189,9 +193,9 @@ def shown_path(path: str | Path) -> str:
 
 
 def without_folders(text: str, dataset: Dataset) -> str:
-    """Return a text about a recording as it may be passed on: its folders as `shown_path` has them.
+    """Return a text about a recording with all its folders as `public_path` has them.
 
-    So are the folders in which data sets are looked for.
+    So are the folders in which data sets are searched.
     """
     from isac_track.datasets.registry import (  # noqa: PLC0415 - of a run alone
         searched_folders,
@@ -201,12 +205,12 @@ def without_folders(text: str, dataset: Dataset) -> str:
     paths = [dataset.path, *map(shown, dataset.sessions), *searched_folders()]
     for path in sorted(paths, key=len, reverse=True):  # files before their folders
         if os.sep in path and Path(path).name:
-            text = text.replace(path, shown_path(path))
+            text = text.replace(path, public_path(path))
     return text
 
 
-def shown_words(words: Iterable[str]) -> list[str]:
-    """Return the words of a command without the folders of who gave it."""
+def public_words(words: Iterable[str]) -> list[str]:
+    """Return the words of a command without the user's folders."""
     first, *others = [*words] or [""]
     return [Path(first).name, *map(_shown_word, others)]
 
@@ -217,5 +221,5 @@ def _shown_word(word: str) -> str:
         option, equals, value = "", "", word
     is_elsewhere = value.startswith(("/", "~", "\\")) or value[1:3] == ":\\"
     if is_elsewhere or ".." in Path(value).parts:
-        value = shown_path(value.replace("\\", "/"))
+        value = public_path(value.replace("\\", "/"))
     return f"{option}{equals}{value}"

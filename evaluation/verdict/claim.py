@@ -1,12 +1,12 @@
-"""Section c of the verdict: the paper's claim that FID has the advantage over fixed noise.
+"""Section c of the verdict: the paper's claim that FID is better than fixed noise.
 
-At equal missed rate: descriptors as shared, the same after attack, and who is linked.
-Of FID, and of any other mechanism of the run that has levels.
+Compared at equal missed rate are the descriptors as shared, the same after attack, and
+linkage. FID is compared, and any other mechanism of the run that has levels.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,11 +23,11 @@ from evaluation.estimates.matching import (
     at_changes,
 )
 from evaluation.estimates.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
-from evaluation.estimates.strongest import success_of
+from evaluation.estimates.strongest import success_metric
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
-from isac_track.intervals import estimate_of
+from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.types import Floats
 
 _WHERE: Final = {
@@ -35,7 +35,7 @@ _WHERE: Final = {
     AT_EQUAL_ALARMS: "At an equal rise of missed conflicts and equal false alarms",
     FUTURE: "At an equal rise of missed future conflicts and equal false alarms",
 }
-AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # What a claim compares.
+AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # Kinds of claim.
 
 
 def claims(
@@ -46,52 +46,56 @@ def claims(
     criteria: Collection[str] = tuple(CRITERIA),
     horizon_s: float | None = None,
 ) -> Iterator[Draft]:
-    """Yield an item for everything that is compared where `predictor` misses as many more.
+    """Yield an item for every measure compared at equal costs of a predictor's robot.
 
-    Of FID, and of any other mechanism of the run that has levels. The rises over raw,
-    which is one for both mechanisms, are fixed beforehand; those that either does not
-    reach are listed. `horizon_s` is the further horizon, if it is one, that the robots
-    of `sweeps` are judged at.
+    A cost is a rise of its missed rate over raw. Compared with fixed noise are FID and
+    every other mechanism of the run that has levels. The rises, from the raw that both
+    mechanisms share, are fixed beforehand; those that either does not reach are listed.
+    `horizon_s` is the further horizon, if any, at which the robots of `sweeps` are
+    judged.
     """
-    wanted = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
+    compared = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
-        by_rank = (success_of(sweeps.found, source),)
-        metrics, of = (by_rank, LINKED) if task else (DESCRIPTORS, AFTER)
-        wanted |= dict.fromkeys(map(source.measure, metrics), of)
+        if task:
+            compared[source.measure(success_metric(sweeps.estimates, source))] = LINKED
+        else:
+            compared |= dict.fromkeys(map(source.measure, DESCRIPTORS), AFTER)
     costs = {
-        Measure(predictor, metric): criterion for criterion, metric in CRITERIA.items()
+        Measure(predictor, metric): criterion
+        for criterion, metric in CRITERIA.items()
+        if criterion in criteria
     }
-    costs = {by: criterion for by, criterion in costs.items() if criterion in criteria}
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
         for mechanism in sweeps.swept(adding):
             if mechanism == fixed:
                 continue
-            name = sweeps.known[mechanism].name
-            curves = sweeps.curves(mechanism, fixed, [*costs, *wanted])
-            for by, criterion in costs.items():
-                found = at_changes(curves, by, wanted, at=np.array(TARGETS))
-                for measure, *reached in found:
+            name = sweeps.families[mechanism].name
+            curves = sweeps.curves(mechanism, fixed, [*costs, *compared])
+            for cost, criterion in costs.items():
+                pairs = at_changes(curves, cost, compared, at=np.array(TARGETS))
+                for measure, ours, theirs in pairs:
                     about = _About(
                         adding=adding,
                         criterion=criterion,
-                        compared=wanted[measure],
+                        compared=compared[measure],
                         mechanism="" if name == FID else name,
                         horizon_s=horizon_s,
                     )
-                    people = sweeps.rests_on((mechanism, fixed), by, measure)
-                    yield _claim(measure, reached, about, people)
+                    n, effective = sweeps.rests_on((mechanism, fixed), cost, measure)
+                    gap = _gap(ours, theirs, n=n, effective=effective)
+                    yield _claim(measure, gap, about)
 
 
 @dataclass(frozen=True, slots=True)
 class _About:
-    """What an item is about."""
+    """Subject of an item."""
 
     adding: str
     criterion: str
     compared: str  # `AS_IS`, `AFTER` or `LINKED`.
     mechanism: str  # Empty for the paper's.
-    horizon_s: float | None  # At which robots are judged; None: the run's own.
+    horizon_s: float | None  # Horizon of the robots; None: the run's own.
 
     @property
     def where(self) -> str:
@@ -100,78 +104,100 @@ class _About:
         return f"{_WHERE[self.criterion]} ({horizon}{self.adding} adding)"
 
 
-def _claim(
-    measure: Measure, curves: Sequence[Floats], about: _About, people: tuple[int, float]
-) -> Draft:
-    """Return an item from both mechanisms at the rises, (1 + B, P) each.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Gap:
+    """A mechanism less fixed noise in a measure at the rises."""
 
-    `people` are the clusters that it rests on, and the effective ones.
+    mean: Estimate  # Over the rises that both reach.
+    relative: float  # The mean over that of fixed noise; NaN if no rise is reached.
+    points: list[dict[str, Any]]  # Records of the rises reached.
+    reached: list[float]
+    unreached: list[float]
+
+
+def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
+    """Return the gap between both mechanisms at the rises, (1 + B, P) each.
+
+    `n` are the clusters behind it, `effective` the effective ones.
     """
-    (ours, theirs), (n, effective) = curves, people
-    mechanism = about.mechanism
     gaps = ours - theirs
     reached = np.isfinite(gaps[0]) & (np.isfinite(gaps[1:]).mean(axis=0) >= MIN_DEFINED)
     targets = np.array(TARGETS)
     mean, relative = np.full(len(gaps), np.nan), np.nan
     if reached.any():
-        # Of each row over what is known; a row of which nothing is stays unknown.
+        # The mean of each row over its known values; a row without any stays unknown.
         is_known = reached & np.isfinite(gaps)
         with np.errstate(invalid="ignore"):
             mean = np.where(is_known, gaps, 0.0).sum(axis=1) / is_known.sum(axis=1)
             relative = float(mean[0] / theirs[0, reached].mean())
     points = [
-        {"at": float(at), **rules.numbers(estimate_of(gap, n=n))}
+        {"at": float(at), **rules.numbers(estimate_from_replicates(gap, n=n))}
         for at, gap in zip(targets[reached], gaps[:, reached].T, strict=True)
     ]
-    source = measure.source
-    descriptor = "" if about.compared == LINKED else measure.metric
-    gallery = (
-        "100" if measure.metric == SUCCESS_OF_100 else "the candidates of this run"
+    return _Gap(
+        mean=estimate_from_replicates(mean, n=n, effective=effective),
+        relative=relative,
+        points=points,
+        reached=targets[reached].tolist(),
+        unreached=targets[~reached].tolist(),
     )
-    where = about.where
-    who = mechanism or "FID"
-    what = {
-        AS_IS: f"{NAME.get(descriptor, '')} as shared",
-        AFTER: f"{NAME.get(descriptor, '')} after {source.consumer}",
-        LINKED: f"the share of people found among {gallery} in {source.task}",
-    }[about.compared]
-    share = (
-        f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
-    )
-    than = f"under {who} than under fixed noise: {{}}{share}."
-    least = f"{100 * targets[0]:g} points"
+
+
+def _claim(measure: Measure, gap: _Gap, about: _About) -> Draft:
+    """Return the item of a measure compared at the rises."""
+    source, is_linkage = measure.source, about.compared == LINKED
+    descriptor = "" if is_linkage else measure.metric
+    least = f"{100 * TARGETS[0]:g} points"
+    details: dict[str, Any] = {"of": about.compared}
+    if is_linkage:
+        details["metric"] = measure.metric
+    details |= {
+        "relative": known(gap.relative),
+        "range": [gap.reached[0], gap.reached[-1]] if gap.points else None,
+        "unreached": gap.unreached,
+        "points": gap.points,
+    }
+    if about.mechanism:
+        details["mechanism"] = about.mechanism
+    if about.horizon_s is not None:
+        details["horizon_s"] = about.horizon_s
     return Draft(
         adding=about.adding,
         descriptor=descriptor,
         task=source.task,
         subject="" if about.compared == AS_IS else source.attack.label,
         criterion=about.criterion,
-        effect=estimate_of(mean, n=n, effective=effective),
+        effect=gap.mean,
         parted_at=0.0,
         above=rules.REVERSED,
         below=rules.HOLDS,
         unit=METRICS[measure.metric].summary_unit,
-        sentences={
-            rules.HOLDS: f"{where}, {what} is lower {than}",
-            rules.REVERSED: f"{where}, {what} is higher {than}",
-            rules.BETWEEN: f"{where}, {who} less fixed noise in {what} is {{}}.",
-            "": f"{where}, {what} cannot be compared.",
-        },
-        untestable=(
-            "" if reached.any() else f"not both surely miss {least} more than raw"
-        ),
-        details={
-            "of": about.compared,
-            **({"metric": measure.metric} if about.compared == LINKED else {}),
-            "relative": known(relative),
-            "range": (
-                [float(targets[reached][place]) for place in (0, -1)]
-                if points
-                else None
-            ),
-            "unreached": targets[~reached].tolist(),
-            "points": points,
-            **({"mechanism": mechanism} if mechanism else {}),
-            **({} if about.horizon_s is None else {"horizon_s": about.horizon_s}),
-        },
+        sentences=_sentences(measure, gap.relative, about),
+        untestable="" if gap.points else f"not both surely miss {least} more than raw",
+        details=details,
     )
+
+
+def _sentences(measure: Measure, relative: float, about: _About) -> dict[str, str]:
+    """Return the sentences of an item by decision."""
+    where, name = about.where, about.mechanism or "FID"
+    head = NAME.get(measure.metric, "")
+    if about.compared == AS_IS:
+        subject = f"{head} as shared"
+    elif about.compared == AFTER:
+        subject = f"{head} after {measure.source.consumer}"
+    else:
+        is_of_100 = measure.metric == SUCCESS_OF_100
+        gallery = "100" if is_of_100 else "the candidates of this run"
+        task = measure.source.task
+        subject = f"the share of people found among {gallery} in {task}"
+    share = (
+        f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""
+    )
+    than = f"under {name} than under fixed noise: {{}}{share}."
+    return {
+        rules.HOLDS: f"{where}, {subject} is lower {than}",
+        rules.REVERSED: f"{where}, {subject} is higher {than}",
+        rules.BETWEEN: f"{where}, {name} less fixed noise in {subject} is {{}}.",
+        "": f"{where}, {subject} cannot be compared.",
+    }

@@ -1,4 +1,4 @@
-"""Section d of the verdict: how much higher each descriptor is after attack than as shared."""
+"""Section d of the verdict: how much each descriptor rises from shared to attacked."""
 
 from collections.abc import Iterable, Iterator
 from itertools import product
@@ -12,11 +12,11 @@ from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME
-from isac_track.intervals import estimate_of
+from isac_track.intervals import estimate_from_replicates
 
 
 def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:
-    """Yield an item for every adding rule, mechanism and descriptor, by the strongest attack."""
+    """Yield an item for every attack, adding rule, mechanism and descriptor."""
     for attack, adding in product(attacks, ADDING_RULES):
         for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
             yield from _inflated(sweeps, mechanism, adding, attack, descriptor)
@@ -26,22 +26,24 @@ def _inflated(
     sweeps: Sweeps, mechanism: str, adding: str, attack: Source, descriptor: str
 ) -> Iterator[Draft]:
     """Yield an item, if any level of a mechanism was attacked."""
-    measures, levels = (attack.measure(descriptor), AS_SHARED.measure(descriptor)), []
+    measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
+    levels = []
     for level in sweeps.levels(mechanism):
-        keys = [one.at(mechanism, level) for one in measures]
-        if {*keys} <= sweeps.found.keys():
-            levels.append([sweeps.found[key].drawn for key in keys])
+        keys = [measure.at(mechanism, level) for measure in measures]
+        if {*keys} <= sweeps.estimates.keys():
+            levels.append([sweeps.estimates[key].drawn for key in keys])
     if not levels:
         return
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.mean([np.log(after / before) for after, before in levels], axis=0)
     n, effective = sweeps.rests_on([mechanism], *measures)
-    name = sweeps.known[mechanism].name
+    name = sweeps.families[mechanism].name
+    is_known = np.isfinite(mean[0])
     yield Draft(
         adding=adding,
         descriptor=descriptor,
         subject=attack.label,
-        effect=estimate_of(mean, n=n, effective=effective),
+        effect=estimate_from_replicates(mean, n=n, effective=effective),
         parted_at=0.0,
         above=rules.INFLATED,
         below=rules.DEFLATED,
@@ -53,8 +55,6 @@ def _inflated(
                 " levels)."
             )
         },
-        untestable=(
-            "" if np.isfinite(mean[0]) else f"{NAME[descriptor]} is 0 at a level"
-        ),
+        untestable="" if is_known else f"{NAME[descriptor]} is 0 at a level",
         details={"of": name, "levels": len(levels)},
     )

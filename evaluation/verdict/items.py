@@ -1,10 +1,11 @@
-"""Items of a section that are decided at once, by simultaneous bands: `verdict.json`.
+"""Items of a section, decided together by simultaneous bands: `verdict.json`.
 
 Each item has an effect theta with its standard error s and replicates that share their
-draws of people with all others. The bands theta +- q s of a section hold the truth of
-all its items at once in `rules.BAND_COVERAGE` of studies, q being that quantile over
-replicates of max |theta* - theta| / s (max-t); where tails are heavy s is larger
-(`scale`). An item is decided if its band is on one side of what parts its two answers.
+draws of people with all other items. The bands theta +- q s of a section hold the truth
+of all its items at once in `rules.BAND_COVERAGE` of studies. Here q is that quantile
+over replicates of max |theta* - theta| / s (max-t); where tails are heavy s is larger
+(`scale`). An item is decided if its band lies on one side of the value that parts its
+two answers.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +21,7 @@ from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
-_FAR: Final = 0.99  # Quantile of a deviation that tells how heavy its tails are.
+_FAR: Final = 0.99  # Quantile of a deviation that shows how heavy its tails are.
 _NORMAL: Final = float(ndtri(0.5 + CONFIDENCE / 2))
 _ABOUT: Final = ("adding", "descriptor", "task", "subject", "criterion")
 
@@ -32,12 +33,12 @@ class Draft:
     adding: str
     effect: Estimate  # As it is tested; logarithms of a ratio.
     parted_at: float  # Value of the effect that parts the two answers.
-    above: str
-    below: str  # Answers to an effect that is surely larger, and surely smaller.
+    above: str  # Answer to an effect that is surely larger.
+    below: str  # Answer to an effect that is surely smaller.
     unit: str
     sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
-    subject: str = ""  # The attack that it is about, if it is about one.
-    # Why nothing can be decided, where more than people is lacking.
+    subject: str = ""  # The attack of the item, if it has one.
+    # Reason that nothing can be decided, other than too few people.
     untestable: str = ""
     descriptor: str = ""
     task: str = ""
@@ -51,26 +52,26 @@ class Draft:
 
     @property
     def names(self) -> list[str]:
-        """What identifies the item in its section, the same in every run."""
-        of, mechanism = (
+        """Parts of the item's identity in its section, the same in every run."""
+        kind, mechanism = (
             str(self.details.get(name, "")) for name in ("of", "mechanism")
         )
         horizon_s = self.details.get("horizon_s")
         horizon = "" if horizon_s is None else horizon_world(horizon_s)
-        every = (
+        parts = (
             self.adding,
             self.criterion,
             horizon,
-            of,
+            kind,
             self.descriptor,
             self.task,
             mechanism,
         )
-        return [name for name in every if name]
+        return [name for name in parts if name]
 
     @property
     def why_not(self) -> str:
-        """Why nothing can be decided; empty if something can."""
+        """Reason that nothing can be decided; empty if something can."""
         error, effective = self.effect.standard_error, self.effect.n_effective
         if self.untestable or not np.isfinite(self.effect.value):
             return self.untestable or "there is no number"
@@ -79,75 +80,79 @@ class Draft:
         if effective < FEWEST_EFFECTIVE:
             fewest = f"a decision takes {FEWEST_EFFECTIVE}"
             return f"it rests on {effective:.0f} effective clusters of people, {fewest}"
-        return (
-            ""
-            if error > rules.NO_SPREAD
-            else "the people of the run do not differ: no spread"
-        )
+        if not error > rules.NO_SPREAD:
+            return "the people of the run do not differ: no spread"
+        return ""
 
 
 def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
     """Return the items of a section as in `verdict.json`."""
     drafts = list(drafts)
-    q = critical([one.effect for one in drafts if not one.why_not])
-    return [_item(section, one, q) for one in drafts]
+    q = critical([draft.effect for draft in drafts if not draft.why_not])
+    return [_item(section, draft, q) for draft in drafts]
 
 
 def critical(
     effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE
 ) -> float:
-    """Return the quantile over replicates of the largest deviation over its scale; 0 without any.
+    """Return the quantile of the largest deviation over its scale; 0 without effects.
 
-    Replicates of all effects share their draws, row by row; what an effect lacks is not
-    counted.
+    Replicates of all effects share their draws, row by row; missing replicates of an
+    effect are not counted.
     """
-    n_rows = min((one.replicates.size for one in effects), default=0)
+    n_rows = min((effect.replicates.size for effect in effects), default=0)
     largest = np.zeros(max(n_rows, 1))
-    for one in effects:
-        away = np.abs(one.replicates[:n_rows] - one.value) / scale(one)
+    for effect in effects:
+        away = np.abs(effect.replicates[:n_rows] - effect.value) / scale(effect)
         largest = np.fmax(largest, away)
     return float(np.quantile(largest, coverage))
 
 
 def scale(effect: Estimate) -> float:
-    """Return the unit of a deviation: the standard error, or more where tails are heavier.
+    """Return the unit of a deviation: the standard error, or more with heavy tails.
 
-    Of a normal law both are the same. An effect that is read where a curve is steep has
-    a few wild replicates; with its standard error as the unit, these would widen the
-    bands of all others.
+    For a normal law both are the same. An effect that is read where a curve is steep
+    has a few wild replicates; with the standard error as the unit, these would widen
+    the bands of all other effects.
     """
-    away = np.abs(effect.replicates - effect.value)
-    far = (
-        float(np.quantile(away[np.isfinite(away)], _FAR))
-        if np.isfinite(away).any()
-        else 0.0
-    )
+    deviation = np.abs(effect.replicates - effect.value)
+    known_deviation = deviation[np.isfinite(deviation)]
+    if not known_deviation.size:
+        return max(effect.standard_error, 0.0)
+    far = float(np.quantile(known_deviation, _FAR))
     return max(effect.standard_error, far / float(ndtri(0.5 + _FAR / 2)))
 
 
 def around(effect: Estimate, half: float, q: float) -> tuple[float, float]:
-    """Return effect +- q halves, q taken from the normal law to Student's: errors of few vary."""
+    """Return effect +- q halves, with q taken from the normal law to Student's t.
+
+    The standard errors of few clusters vary.
+    """
     t = float(stdtrit(max(effect.n_effective - 1.0, 1.0), float(ndtr(q))))
     return effect.value - t * half, effect.value + t * half
 
 
 def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
     effect, why = draft.effect, draft.why_not
-    is_ratio, is_shown = draft.unit == "ratio", effect.n_effective >= LEAST_CLUSTERS
-    error, nothing = effect.standard_error, (np.nan, np.nan)
-    low, high = around(effect, error, _NORMAL) if is_shown else nothing
-    band_low, band_high = nothing if why else around(effect, scale(effect), q)
+    low, high = np.nan, np.nan
+    if effect.n_effective >= LEAST_CLUSTERS:
+        low, high = around(effect, effect.standard_error, _NORMAL)
+    band_low, band_high = np.nan, np.nan
+    if not why:
+        band_low, band_high = around(effect, scale(effect), q)
     decision = NOT_TESTABLE if why else BETWEEN
-    decision = draft.above if band_low > draft.parted_at else decision
-    decision = draft.below if band_high < draft.parted_at else decision
-    told = [effect.value, low, high, band_low, band_high]
-    value, low, high, band_low, band_high = map(
-        float, np.exp(told) if is_ratio else told
-    )
+    if band_low > draft.parted_at:
+        decision = draft.above
+    if band_high < draft.parted_at:
+        decision = draft.below
+    numbers = np.array([effect.value, low, high, band_low, band_high])
+    if draft.unit == "ratio":
+        numbers = np.exp(numbers)
+    value, low, high, band_low, band_high = numbers.tolist()
     if decision == BETWEEN:
-        ends = (rules.written(one, draft.unit) for one in (band_low, band_high))
+        ends = (rules.written(end, draft.unit) for end in (band_low, band_high))
         why = f"the band, over all items of the section, is from {' to '.join(ends)}"
-    said = draft.sentences.get(decision, draft.sentences[""])
+    sentence = draft.sentences.get(decision, draft.sentences[""])
     number = Estimate(value, low, high)
     shown = rules.with_interval(number, draft.unit, signed=draft.is_signed)
     return {
@@ -161,7 +166,7 @@ def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
         "band_high": known(band_high),
         "unit": draft.unit,
         "n": effect.n,
-        "sentence": said.replace("{}", shown),
+        "sentence": sentence.replace("{}", shown),
         "why": why,
         **draft.details,
     }

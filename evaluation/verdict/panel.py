@@ -1,8 +1,8 @@
-"""Which mechanisms are compared with fixed noise at equal descriptor value, and how they differ.
+"""Mechanisms compared with fixed noise at equal descriptor value: the contrasts.
 
-The panel is fixed by the preset: FID at three places, and every level of its other
-mechanisms under an adding rule. What a user adds is listed beside it. `contrasts` makes
-what `spread` decides on.
+The preset fixes the panel: FID at three places, and every level of its other mechanisms
+under an adding rule. Mechanisms that a user adds are listed beside it. `contrasts`
+prepares the numbers on which `spread` decides.
 """
 
 from collections.abc import Mapping, Sequence
@@ -14,7 +14,7 @@ import numpy as np
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import FID, FIXED, RAW, Family
 from evaluation.estimates.keys import where_text
-from evaluation.estimates.linkability import dataset_of
+from evaluation.estimates.linkability import row_dataset
 from evaluation.estimates.linked_people import LinkedTask
 from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED
 from evaluation.plan.presets import PRESETS
@@ -30,13 +30,13 @@ from isac_track.intervals import (
 from isac_track.types import Floats, Ints
 
 N_REPLICATES: Final = 1000
-# Moves a whole walk: who links where the frame is hidden cannot notice.
+# It moves a whole walk: an adversary that links in a hidden frame cannot notice.
 OFFSET: Final = "offset"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Sums:
-    """Success and one descriptor at every level of a task, summed by cluster, (L, C) each."""
+    """Success and a descriptor at a task's levels, summed by cluster, (L, C) each."""
 
     success: Floats
     probes: Floats
@@ -50,10 +50,10 @@ class Sums:
 
     @property
     def sizes(self) -> tuple[Floats, Ints]:
-        """Return the effective clusters of each level and how many they are, (L,) each."""
-        both = np.stack([self.probes, self.windows])
-        effective = np.apply_along_axis(effective_clusters, 2, both)
-        return effective.min(axis=0), (both > 0).sum(axis=2).min(axis=0)
+        """Effective clusters and clusters of each level, (L,) each."""
+        counts = np.stack([self.probes, self.windows])
+        effective = np.apply_along_axis(effective_clusters, 2, counts)
+        return effective.min(axis=0), (counts > 0).sum(axis=2).min(axis=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,18 +64,20 @@ class Panel:
     adding: str
     families: tuple[str, ...]  # (L,) of all levels
     fixed: list[int]  # From the noisiest to raw, which is the last.
-    fid: list[int]  # Alike; empty without a sweep.
+    fid: list[int]  # In the same order; empty without a sweep.
     others: list[int]  # Of the preset.
     beside: list[int]  # Of the user, or a protection.
-    # What the panel lacks; empty if it is whole, with a dissociation control.
+    # Text on missing parts; empty if the panel is whole, with a dissociation control.
     missing: str
 
     def is_hidden(self, place: int) -> bool:
-        """Return whether a level changes only what the task hides: a difference by construction."""
+        """Return whether a level changes only the part that the task hides.
+
+        It then differs by construction.
+        """
         task = TASKS.get(self.task.task)
-        return (
-            self.families[place] == OFFSET and task is not None and not task.shows_scene
-        )
+        is_offset = self.families[place] == OFFSET
+        return is_offset and task is not None and not task.shows_scene
 
     @property
     def compared(self) -> list[int]:
@@ -83,109 +85,122 @@ class Panel:
         return self.fid[:1] * len(spread.QUARTILES) + self.others
 
 
-def panel(
+def build_panel(
     task: LinkedTask, known: Mapping[str, Family], *, adding: str, preset: str
 ) -> Panel | None:
     """Return the panel of a task; None without raw or a sweep of fixed noise."""
-    of = [known[level.mechanism] for level in task.levels]
-    wanted = {
-        (one.name, one.level): Family(one.name, one.family, one.adding)
-        for one in plugins.parse_all("mechanisms", PRESETS[preset].mechanisms)
-    }
-    raw = [place for place, one in enumerate(of) if one.family == RAW]
-    plain: dict[str, list[int]] = {}
-    for family in (FIXED, FID):
-        alike = family, adding, ""
-        same = [
-            n
-            for n, one in enumerate(of)
-            if (one.family, one.adding, one.parameters) == alike
-        ]
-        same.sort(
-            key=lambda place: task.levels[place].level or 0.0, reverse=family == FIXED
-        )
-        plain[family] = same + raw if len(same) >= FEWEST_LEVELS else []
-    if not raw or not plain[FIXED]:
+    families = [known[level.mechanism] for level in task.levels]
+    wheres = [(level.mechanism, level.level) for level in task.levels]
+    raw = [place for place, family in enumerate(families) if family.family == RAW]
+    fixed, fid = (
+        _sweep(task, families, raw, name=name, adding=adding) for name in (FIXED, FID)
+    )
+    if not raw or not fixed:
         return None
-    swept = {*plain[FIXED], *plain[FID]}
-    added = [
-        place for place, one in enumerate(of) if one.is_added and adding in one.rules
+    swept = {*fixed, *fid}
+    judged = [
+        place
+        for place, family in enumerate(families)
+        if family.is_added and adding in family.rules and place not in swept
     ]
-    judged = [place for place in added if place not in swept]
-    where = [(level.mechanism, level.level) for level in task.levels]
-    others = [place for place in judged if where[place] in wanted]
-    controls = [
-        where_text(name, level)
-        for (name, level), one in wanted.items()
-        if one.is_added
-        and adding in one.rules
-        and one.family not in (FID, FIXED)
-        and (name, level) not in where
+    wanted = {
+        (plugin.name, plugin.level): Family(plugin.name, plugin.family, plugin.adding)
+        for plugin in plugins.parse_all("mechanisms", PRESETS[preset].mechanisms)
+    }
+    others = [place for place in judged if wheres[place] in wanted]
+    lacks = [] if fid else ["a sweep of fid"]
+    lacks += [
+        where_text(*where)
+        for where, family in wanted.items()
+        if family.is_added
+        and adding in family.rules
+        and family.family not in (FID, FIXED)
+        and where not in wheres
     ]
-    lacks = [*(["a sweep of fid"] * (not plain[FID])), *controls]
-    missing = f"the run lacks {', '.join(lacks)} of the panel" if lacks else ""
+    missing = ""
+    if lacks:
+        missing = f"the run lacks {', '.join(lacks)} of the panel"
+    elif not others:
+        missing = "the panel has no dissociation control"
     return Panel(
         task=task,
         adding=adding,
-        families=tuple(one.family for one in of),
-        fixed=plain[FIXED],
-        fid=plain[FID],
+        families=tuple(family.family for family in families),
+        fixed=fixed,
+        fid=fid,
         others=others,
         beside=[place for place in judged if place not in others],
-        missing=(
-            missing if others or missing else "the panel has no dissociation control"
-        ),
+        missing=missing,
     )
+
+
+def _sweep(
+    task: LinkedTask,
+    families: Sequence[Family],
+    raw: list[int],
+    *,
+    name: str,
+    adding: str,
+) -> list[int]:
+    """Return the places of a family's levels, noisiest first, then raw; or none."""
+    places = [
+        place
+        for place, family in enumerate(families)
+        if (family.family, family.adding, family.parameters) == (name, adding, "")
+    ]
+    places.sort(
+        key=lambda place: task.levels[place].level or 0.0, reverse=name == FIXED
+    )
+    return places + raw if len(places) >= FEWEST_LEVELS else []
 
 
 def drawn_weights(
-    task: LinkedTask, every: Sequence[LinkedTask], dataset: str, seed: int
+    task: LinkedTask, tasks: Sequence[LinkedTask], dataset: str, seed: int
 ) -> Floats:
-    """Return the weights of a task's clusters: all, bootstrap draws, and each left out in turn.
+    """Return weights of a task's clusters, (1 + B + C, C).
 
-    (1 + B + C, C). People of one recording are drawn alike in all of its tasks.
+    The rows are: all clusters, bootstrap draws, and each cluster left out in turn. All
+    tasks of a recording draw the same people.
     """
-    own = dataset_of(task.task, dataset=dataset)
-    alike = [one for one in every if dataset_of(one.task, dataset=dataset) == own]
-    people = sorted({name for one in alike for name in one.clusters})
+    own = row_dataset(task.task, dataset=dataset)
+    siblings = [
+        other for other in tasks if row_dataset(other.task, dataset=dataset) == own
+    ]
+    people = sorted({name for other in siblings for name in other.clusters})
     place = {name: column for column, name in enumerate(people)}
     counts = cluster_weights(
-        n_clusters=len(people), n_replicates=N_REPLICATES, seed=seed, of=("linked", own)
+        n_clusters=len(people),
+        n_replicates=N_REPLICATES,
+        seed=seed,
+        stream_names=("linked", own),
     )
     n = len(task.clusters)
-    mine = counts[:, [place[name] for name in task.clusters]]
-    return np.concatenate([np.ones((1, n)), mine, 1.0 - np.eye(n)])
+    drawn = counts[:, [place[name] for name in task.clusters]]
+    return np.concatenate([np.ones((1, n)), drawn, 1.0 - np.eye(n)])
 
 
 def contrasts(
     sums: Sums,
     rates: tuple[Floats, Floats],
-    of: Panel,
+    panel: Panel,
     *,
     others: Sequence[int],
     fid: Sequence[int] = (),
 ) -> Contrasts:
-    """Return the contrasts of FID at quartiles and of others; `rates` are `Sums.drawn` of all."""
-    (success, shows), fixed = rates, of.fixed
-    others = list(others)
-    at, reached, own = (
-        shows[:, others],
-        success[:, others],
-        np.eye(len(sums.probes))[others],
+    """Return the contrasts of FID at quartiles and of others with fixed noise.
+
+    `rates` are `Sums.drawn` of all levels.
+    """
+    (success, descriptor), fixed = rates, panel.fixed
+    at, reached, own = _compared_levels(
+        rates, fixed, others=list(others), fid=list(fid)
     )
-    if fid:
-        swept = list(fid)
-        *both, where = spread.at_quartiles(
-            shows[:, swept], success[:, swept], shows[:, fixed]
-        )
-        at, reached = np.hstack([both[0], at]), np.hstack([both[1], reached])
-        own = np.vstack([_over(swept, where, own.shape[1]), own])
-    gaps, side, where = spread.beside_fixed(
-        at, reached, (shows[:, fixed], success[:, fixed])
+    gaps, side, position = spread.beside_fixed(
+        at, reached, (descriptor[:, fixed], success[:, fixed])
     )
     n_drawn = 1 + N_REPLICATES
-    # Of few replicates nothing is known, say where nobody with a value was drawn.
-    is_known = np.isfinite(gaps[0]) & (
+    # Too few replicates show nothing, such as when no person with a value was drawn.
+    has_gap = np.isfinite(gaps[0]) & (
         np.isfinite(gaps[:n_drawn]).mean(axis=0) >= MIN_DEFINED
     )
     gaps = _filled(gaps)
@@ -194,55 +209,99 @@ def contrasts(
     rests_on = own > 0
     rests_on[:, fixed] = True
     degrees = np.where(rests_on, effective, np.inf).min(axis=1) - 1.0
-    mass = sums.probes[fixed[-1]] / sums.probes[fixed[-1]].sum()
-    linked = sums.success / np.maximum(sums.probes, 1.0)
-    apart = (own - _over(fixed, where, own.shape[1])) @ linked
-    more, fewer = np.maximum(apart, 0.0) @ mass, np.maximum(-apart, 0.0) @ mass
-    discordant = np.array([more, fewer, np.abs(apart).sum(axis=1)])
-    # All people alike: replicates have no spread, and say nothing of others.
+    discordant = _discordant(
+        sums, own - _level_shares(fixed, position, own.shape[1]), raw=fixed[-1]
+    )
+    # If all people fare alike, replicates have no spread and tell nothing of others.
     is_still = (errors < rules.NO_SPREAD) & (discordant[2] >= rules.FEWEST_DISCORDANT)
-    is_shown = is_known & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
-    is_known = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
-    least, raw = fixed[0], fixed[-1]
-    floor = np.maximum(
-        spread.LEAST_SHARE * np.nan_to_num(shows[0, raw]), rules.NO_SPREAD
-    )
-    ratio = np.log(
-        np.maximum(shows[:, raw], floor) / np.maximum(shows[:, least], floor)
-    )
-    whole_range = _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
+    is_shown = has_gap & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
+    is_tested = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
+    whole_range = _fall_and_span(success, descriptor, fixed)
     fall_error, span_error = spread.standard_error(
         whole_range[1:n_drawn], whole_range[n_drawn:]
     )
+    decides_fid = [True] * (len(side) - len(others))
+    decides_others = [not panel.is_hidden(place) for place in others]
     return Contrasts(
         gaps=gaps[:n_drawn],
         errors=np.where(is_shown, errors, np.nan),
-        side=np.where(is_known, side, NEITHER),
+        side=np.where(is_tested, side, NEITHER),
         degrees=degrees,
         people=np.where(rests_on, people, people.max()).min(axis=1),
         discordant=discordant,
-        decides=np.array(
-            [True] * (len(side) - len(others))
-            + [not of.is_hidden(place) for place in others],
-            dtype=np.bool_,
-        ),
+        decides=np.array(decides_fid + decides_others, dtype=np.bool_),
         fall=whole_range[:n_drawn, 0],
         span=whole_range[:n_drawn, 1],
         fall_error=float(fall_error),
         span_error=float(span_error),
         fall_degrees=float(effective[fixed].min()) - 1.0,
-        is_whole=not of.missing,
+        is_whole=not panel.missing,
     )
 
 
+def _compared_levels(
+    rates: tuple[Floats, Floats],
+    fixed: Sequence[int],
+    *,
+    others: list[int],
+    fid: list[int],
+) -> tuple[Floats, Floats, Floats]:
+    """Return descriptor and success of K contrasts, (R, K), and their levels, (K, L).
+
+    The last are the shares of the levels that each contrast is read from.
+    """
+    success, descriptor = rates
+    at, reached = descriptor[:, others], success[:, others]
+    n_levels = descriptor.shape[1]
+    own = np.eye(n_levels)[others]
+    if fid:
+        at_fid, reached_fid, position = spread.at_quartiles(
+            descriptor[:, fid], success[:, fid], descriptor[:, fixed]
+        )
+        at, reached = np.hstack([at_fid, at]), np.hstack([reached_fid, reached])
+        own = np.vstack([_level_shares(fid, position, n_levels), own])
+    return at, reached, own
+
+
+def _discordant(sums: Sums, shares: Floats, *, raw: int) -> Floats:
+    """Return the people linked more and less often than under fixed noise, (3, K).
+
+    The first two rows are shares of people, the third is the number of people in all.
+    `shares`, (K, L), are those of the levels of a contrast, less those of fixed noise.
+    """
+    mass = sums.probes[raw] / sums.probes[raw].sum()
+    linked = sums.success / np.maximum(sums.probes, 1.0)
+    apart = shares @ linked
+    more, fewer = np.maximum(apart, 0.0) @ mass, np.maximum(-apart, 0.0) @ mass
+    return np.array([more, fewer, np.abs(apart).sum(axis=1)])
+
+
+def _fall_and_span(success: Floats, descriptor: Floats, fixed: Sequence[int]) -> Floats:
+    """Return the fall of linkage and the log ratio of the descriptor, (R, 2).
+
+    Both are from raw to the strongest fixed error. `success` and `descriptor` are
+    (R, L).
+    """
+    least, raw = fixed[0], fixed[-1]
+    floor = np.maximum(
+        spread.LEAST_SHARE * np.nan_to_num(descriptor[0, raw]), rules.NO_SPREAD
+    )
+    ratio = np.log(
+        np.maximum(descriptor[:, raw], floor) / np.maximum(descriptor[:, least], floor)
+    )
+    return _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
+
+
 def _filled(values: Floats) -> Floats:
-    """Return values, (R, K), those that are not known being that of the estimate, or 0."""
+    """Return values, (R, K), with the estimate, or 0, in place of unknown ones."""
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 
-def _over(levels: Sequence[int], where: tuple[Ints, Floats], n_levels: int) -> Floats:
+def _level_shares(
+    levels: Sequence[int], position: tuple[Ints, Floats], n_levels: int
+) -> Floats:
     """Return the shares of all levels of a task that a sweep is read from, (K, L)."""
-    shares = spread.mixture(where, len(levels))
-    found = np.zeros((len(shares), n_levels))
-    found[:, levels] = shares
-    return found
+    shares = spread.mixture(position, len(levels))
+    all_shares = np.zeros((len(shares), n_levels))
+    all_shares[:, levels] = shares
+    return all_shares

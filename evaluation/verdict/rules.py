@@ -1,8 +1,8 @@
-"""What counts as decided: margins, the least of people, and the names of decisions.
+"""Rules of the verdict: margins, the fewest people, and the names of decisions.
 
-All was set before looking. How an item of the verdict is told, in words and in JSON, is
-here, too; what decides it is in `spread` (validity) and `items` (all else), in words in
-docs/verdict.md.
+All of them were set before looking at results. The texts and JSON numbers of an item
+are here, too. The decision itself is in `spread` (validity) and `items` (all else);
+docs/explanation/verdict.md describes it.
 """
 
 from typing import Any, Final
@@ -28,57 +28,58 @@ VALIDITY, WITHIN, CLAIM, INFLATION = "validity", "within", "claim", "inflation"
 SECTIONS: Final = (VALIDITY, WITHIN, CLAIM, INFLATION)
 # Share of studies in which the bands of a section hold all truths.
 BAND_COVERAGE: Final = 0.992
-# Difference in rank 1 that counts as none: five people in a hundred.
+# Largest difference in rank 1 that counts as none: five people in a hundred.
 SUCCESS_MARGIN: Final = 0.05
-# Of a descriptor, raw over the strongest fixed error: less says nothing.
+# Least ratio of a descriptor, raw over the strongest fixed error, for a decision.
 LEAST_SPAN: Final = 1.25
-LEAST_CORRELATION: Final = 0.10  # Partial, of ranks: less tells nothing of a track.
-# Of linkage, raw to the strongest fixed error: else anything would track.
+LEAST_CORRELATION: Final = 0.10  # Partial rank correlation that tells something.
+# Least fall of linkage from raw to the strongest fixed error: with less, any descriptor
+# would track.
 LEAST_FALL: Final = 0.20
-# People linked under one of two only; fewer: interval of counts.
+# Fewest people linked under only one of two mechanisms; fewer: interval of counts.
 FEWEST_DISCORDANT: Final = 10
-NO_SPREAD: Final = 1e-9  # Standard error below which replicates say nothing.
-MOST_PEOPLE: Final = 100_000  # Or times as many: nobody records more.
+NO_SPREAD: Final = 1e-9  # Standard error below which replicates show nothing.
+MOST_PEOPLE: Final = 100_000  # More people than any recording has.
 # Share of its span by which a point may lie beyond the fixed sweep.
 REACH: Final = 0.02
 
 
-def numbers(one: Estimate) -> dict[str, Any]:
+def numbers(effect: Estimate) -> dict[str, Any]:
     """Return an effect as in `verdict.json`."""
-    ends = {name: known(getattr(one, name)) for name in ("ci_low", "ci_high")}
-    return {"effect": known(one.value), **ends}
+    ends = {name: known(getattr(effect, name)) for name in ("ci_low", "ci_high")}
+    return {"effect": known(effect.value), **ends}
 
 
 def known(value: float) -> float | None:
-    """Return a number, or None for NaN, which JSON has not."""
+    """Return a number, or None for NaN, which JSON lacks."""
     return float(value) if np.isfinite(value) else None
 
 
 def with_interval(
-    one: Estimate, unit: str, *, signed: bool = False, absolute: bool = False
+    effect: Estimate, unit: str, *, signed: bool = False, absolute: bool = False
 ) -> str:
     """Return an effect with its interval as people write it: +3.1 points [+1.0, +5.2].
 
-    `unit` is `fraction` in points of a hundred, `share` the same as a bare number, `s`,
-    `ratio` or `correlation`; `absolute` turns it so that the effect is positive.
+    `unit` is `fraction` (in points of a hundred), `share` (the same as a bare number),
+    `s`, `ratio` or `correlation`; `absolute` turns the sign so that the effect is
+    positive.
     """
     scale, digits = (100.0, 1) if unit in {"fraction", "share"} else (1.0, 2)
-    found = [scale * number for number in (one.value, one.ci_low, one.ci_high)]
-    if absolute and one.value < 0:
-        found = [-found[0], -found[2], -found[1]]
-    if not np.isfinite(found[0]):
+    interval = [
+        scale * number for number in (effect.value, effect.ci_low, effect.ci_high)
+    ]
+    if absolute and effect.value < 0:
+        interval = [-interval[0], -interval[2], -interval[1]]
+    if not np.isfinite(interval[0]):
         return "unknown"
-    value, low, high = (
-        f"{number:{'+' if signed else ''}.{digits}f}" for number in found
-    )
+    sign = "+" if signed else "-"
+    value, low, high = (f"{number:{sign}.{digits}f}" for number in interval)
     word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
-    return (
-        f"{value}{word} [{low}, {high}]"
-        if np.isfinite(found[1:]).all()
-        else f"{value}{word}"
-    )
+    if not np.isfinite(interval[1:]).all():
+        return f"{value}{word}"
+    return f"{value}{word} [{low}, {high}]"
 
 
 def written(value: float, unit: str) -> str:
-    """Return a number as people write it, with its unit; units are those of `with_interval`."""
+    """Return a number as people write it, with one of the units of `with_interval`."""
     return with_interval(Estimate(value), unit, signed=unit != "ratio")

@@ -1,4 +1,4 @@
-"""What becomes of a verdict's items under other assumptions: the rows of `sensitivity.csv`."""
+"""Changes of a verdict's items under other assumptions: `sensitivity.csv`."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
@@ -8,7 +8,7 @@ from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
 
-from evaluation.estimates.differences import verdict_of
+from evaluation.estimates.differences import load_verdict
 from evaluation.plan.variants import BASE, variants
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
@@ -38,55 +38,60 @@ COLUMNS: Final = (
     "sign",
     "changed",
 )
-_SAME: Final = (
-    "seed",
-    "scenes",
-    "scenes_utility",
-)  # Of identity; what is not there is the same.
-_THEIRS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
+# Entries of the identity that must be equal; an entry may be missing in both.
+_SAME: Final = ("seed", "scenes", "scenes_utility")
+_OWN_COLUMNS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
 """Columns of the variant's own item; unknown without one."""
 
 
-def attacks_of(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
-    """Return the SPECs of the attacks that a verdict is about, each with its tasks.
+def attack_tasks(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:
+    """Return the attacks that a verdict is about, by SPEC, each with its tasks.
 
     Those are the subjects of its items, and of the contrasts in which a mechanism
     differs from fixed noise. A reconstruction has the task "". `items` are as in
     `verdict.json`.
     """
-    found: defaultdict[str, set[str]] = defaultdict(set)
-    for one in items:
-        apart = [
-            pair for pair in one.get("contrasts", ()) if pair["reading"] == "differs"
+    tasks: defaultdict[str, set[str]] = defaultdict(set)
+    for item in items:
+        subjects = [
+            item["subject"],
+            *item.get("scored", ()),
+            *(
+                contrast.get("subject")
+                for contrast in item.get("contrasts", ())
+                if contrast["reading"] == "differs"
+            ),
         ]
-        others = (*one.get("scored", ()), *(pair.get("subject") for pair in apart))
-        for subject in filter(None, (one["subject"], *others)):
-            found[subject.rpartition(" (")[0]].add(one["task"])
-    return {spec: frozenset(tasks) for spec, tasks in found.items()}
+        for subject in filter(None, subjects):
+            tasks[subject.rpartition(" (")[0]].add(item["task"])
+    return {spec: frozenset(names) for spec, names in tasks.items()}
 
 
 def changes(
-    variant: str, *, base: Mapping[str, Any], said: Mapping[str, Any]
+    variant: str, *, base: Mapping[str, Any], varied: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return a row of `sensitivity.csv` for every item of the base; both are verdicts."""
-    found = {one["id"]: one for one in said["items"]}
+    """Return a row of `sensitivity.csv` for every item of the base.
+
+    `base` and `varied` are verdicts: of the base, and of the variant.
+    """
+    varied_items = {item["id"]: item for item in varied["items"]}
     rows = []
-    for one in base["items"]:
-        other = found.get(one["id"])
-        before, after = one["sign"], other["sign"] if other else None
+    for item in base["items"]:
+        other = varied_items.get(item["id"])
+        before, after = item["sign"], other["sign"] if other else None
         if before == 0:
             changed = {0: NEITHER, None: MISSING}.get(after, GAINED)
         else:
             changed = {0: LOST, before: SAME, None: MISSING}.get(after, TURNED)
-        theirs = other or dict.fromkeys(_THEIRS)
+        own = other or dict.fromkeys(_OWN_COLUMNS)
         rows.append(
             {
-                **{name: one[name] for name in COLUMNS if name in one},
-                **{name: theirs[name] for name in _THEIRS},
-                **{
-                    f"{name}_base": one[name] for name in ("decision", "effect", "sign")
-                },
-                "subject": (other or one)["subject"],
+                **{name: item[name] for name in COLUMNS if name in item},
+                **{name: own[name] for name in _OWN_COLUMNS},
+                "decision_base": item["decision"],
+                "effect_base": item["effect"],
+                "sign_base": item["sign"],
+                "subject": (other or item)["subject"],
                 "variant": variant,
                 "changed": changed,
             }
@@ -94,59 +99,66 @@ def changes(
     return rows
 
 
-def folder_of(out: Path, name: str) -> Path:
+def variant_folder(out: Path, name: str) -> Path:
     """Return the folder of a variant's run."""
     return out / FOLDER / quote_plus(name, safe="=")
 
 
 def read_verdict(out: Path) -> dict[str, Any]:
-    """Return the verdict of a run folder; DataError if there is none, or it has no items."""
-    said = verdict_of(out)
-    if not said["items"]:
-        why = "nothing was compared, nothing can change"
-        raise DataError(f"the verdict of {out} has no items: {why}")
-    return said
+    """Return the verdict of a run folder; DataError if missing or without items."""
+    verdict = load_verdict(out)
+    if not verdict["items"]:
+        raise DataError(
+            f"the verdict of {out} has no items: nothing was compared, nothing can"
+            " change"
+        )
+    return verdict
 
 
 def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Return all finished variants of a run as one table, and which ones are left out, and why.
+    """Return all finished variants of a run as a table, and the others with the reason.
 
-    The base is held against the verdict of OUT, every other variant against the base.
+    The base is compared with the verdict of OUT, every other variant with the base.
     DataError if the run or the base has no verdict.
     """
-    base = read_verdict(folder_of(out, BASE))
-    reference = read_manifest(folder_of(out, BASE))
-    order = {one.name: place for place, one in enumerate(variants())}
+    base = read_verdict(variant_folder(out, BASE))
+    reference = read_manifest(variant_folder(out, BASE))
+    order = {variant.name: place for place, variant in enumerate(variants())}
     names = {
-        unquote_plus(one.name) for one in (out / FOLDER).iterdir() if one.is_dir()
+        unquote_plus(folder.name)
+        for folder in (out / FOLDER).iterdir()
+        if folder.is_dir()
     } - {BASE}
-    rows, left_out = changes(BASE, base=read_verdict(out), said=base), {}
-    for name in sorted(names, key=lambda one: (order.get(one, len(order)), one)):
-        folder = folder_of(out, name)
+    rows = changes(BASE, base=read_verdict(out), varied=base)
+    left_out = {}
+    for name in sorted(names, key=lambda name: (order.get(name, len(order)), name)):
+        folder = variant_folder(out, name)
         try:
-            manifest, said = read_manifest(folder), read_verdict(folder)
+            manifest, verdict = read_manifest(folder), read_verdict(folder)
         except DataError:
-            manifest, said = {}, {}
-        theirs = [manifest.get("identity", {}).get(one) for one in _SAME]
+            manifest, verdict = {}, {}
+        identity = manifest.get("identity", {})
+        is_same = all(
+            identity.get(entry) == reference["identity"].get(entry) for entry in _SAME
+        )
         if manifest.get("state") != "finished":
             left_out[name] = "it is not finished"
-        elif theirs != [reference["identity"].get(one) for one in _SAME]:
+        elif not is_same:
             left_out[name] = "it has another seed or number of scenes"
         elif manifest["code"] != reference["code"]:
             left_out[name] = "it is of another version of the code"
         else:
-            rows += changes(name, base=base, said=said)
+            rows += changes(name, base=base, varied=verdict)
     return pd.DataFrame(rows, columns=list(COLUMNS)), left_out
 
 
 def counts(rows: pd.DataFrame) -> dict[str, dict[str, dict[str, int]]]:
-    """Return how many items of a section changed in which way: variant, section, change."""
-    found: dict[str, dict[str, dict[str, int]]] = {}
-    for (variant, section), changed in rows.groupby(["variant", "section"], sort=False)[
-        "changed"
-    ]:
-        number = changed.value_counts()
-        found.setdefault(str(variant), {})[str(section)] = {
-            change: int(number[change]) for change in CHANGES if change in number
+    """Return the number of items with each change, by variant and section."""
+    by_variant: dict[str, dict[str, dict[str, int]]] = {}
+    sections = rows.groupby(["variant", "section"], sort=False)["changed"]
+    for (variant, section), changed in sections:
+        n_items = changed.value_counts()
+        by_variant.setdefault(str(variant), {})[str(section)] = {
+            change: int(n_items[change]) for change in CHANGES if change in n_items
         }
-    return found
+    return by_variant

@@ -1,9 +1,10 @@
-"""Section a of the verdict: how often are people linked at equal descriptor value.
+"""Section a of the verdict: whether equal descriptor values mean equal linkage.
 
-Over the levels of one mechanism descriptor and linkability fall together for free. What
-measures linkability does so whatever the mechanism: at one value of it, fixed noise,
-FID and the dissociation controls must let equally many people be linked. Who is
-compared is in `panel`, what follows in `spread`; here are items and words.
+Over the levels of a single mechanism, descriptor and linkability always fall together.
+A measure of linkability must hold for every mechanism: at the same descriptor value,
+fixed noise, FID and the dissociation controls must let equally many people be linked.
+The mechanisms compared are in `panel`, the decision in `spread`; items and their
+sentences are here.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +18,13 @@ from evaluation.estimates.keys import where_text
 from evaluation.estimates.linked_people import LinkedTask
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules, spread
-from evaluation.verdict.panel import Panel, Sums, contrasts, drawn_weights, panel
+from evaluation.verdict.panel import (
+    Panel,
+    Sums,
+    build_panel,
+    contrasts,
+    drawn_weights,
+)
 from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
 from evaluation.verdict.spread import (
@@ -33,22 +40,20 @@ from isac_track.rng import stream
 from isac_track.types import Floats
 
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
-"""Kinds of evidence: the task hides what the mechanism changes; more people are linked; fewer are,
-as far as these attacks go."""
-FALLING: Final = (
-    "alignment_error",
-    "posterior_std",
-)  # Larger, the less is left of a track.
-_N_FOR_ERRORS: Final = 200  # Replicates that a prediction error is described with.
+"""Kinds of evidence: the task hides the mechanism's change; more people are linked;
+fewer people are linked, as far as these attacks go."""
+# Descriptors that are larger the less is left of a track.
+FALLING: Final = ("alignment_error", "posterior_std")
+_N_FOR_ERRORS: Final = 200  # Replicates of a prediction error.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
-"""The positive control: if anything tells how linkable people are, this does."""
+"""The positive control: no descriptor could tell more about how linkable people are."""
 _ONLY: Final = {ONLY_MORE: "more", ONLY_FEWER: "fewer"}
 _WHY_ONE_SIDED: Final = {
     ONLY_MORE: "has a lower {} than any fixed noise, so that only more could be seen",
     ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
     NEITHER: "has a {} of too few people",
 }
-Errors: TypeAlias = "tuple[Squared, Squared] | None"  # Of a descriptor, and of none.
+Errors: TypeAlias = "tuple[Squared, Squared] | None"  # With a descriptor, and without.
 _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
 
 
@@ -56,16 +61,17 @@ _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=
 class Tested:
     """A descriptor in a task under an adding rule, before its section is decided."""
 
-    of: Panel
+    panel: Panel
     descriptor: str
-    found: Contrasts
-    beside: Contrasts | None = None  # Of mechanisms that the panel has not.
+    contrasts: Contrasts
+    beside: Contrasts | None = None  # Of mechanisms outside the panel.
     errors: Errors = None
 
     @property
     def n(self) -> int:
         """Clusters, the least over all contrasts."""
-        return int(self.found.people.min(initial=max(self.found.people, default=0)))
+        people = self.contrasts.people
+        return int(people.min(initial=max(people, default=0)))
 
 
 def validity(
@@ -76,88 +82,111 @@ def validity(
     dataset: str,
     seed: int,
 ) -> dict[str, list[dict[str, Any]]]:
-    """Return items, positive controls, and descriptors on trial; `families` are by mechanism."""
+    """Return items, positive controls, and descriptors on trial.
+
+    `families` are by mechanism.
+    """
     tested: list[Tested] = []
     halves: list[Tested] = []
     on_trial: list[dict[str, Any]] = []
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
-        names = task.levels[0].descriptors
-        drawn = {
-            name: (sums := _sums(task, name), sums.drawn(weights)) for name in names
-        }
-        half = _half(task, next(iter(drawn.values()))[0], seed)
+        sums = {name: _sums(task, name) for name in task.levels[0].descriptors}
+        rates = {name: own.drawn(weights) for name, own in sums.items()}
+        half = _half(task, next(iter(sums.values())), seed)
         for adding in ADDING_RULES:
-            of = panel(task, families, adding=adding, preset=preset)
-            if of is None:
+            panel = build_panel(task, families, adding=adding, preset=preset)
+            if panel is None:
                 continue
-            errors = {
-                name: _errors(of, name, rates) for name, (_, rates) in drawn.items()
-            }
-            on_trial += _on_trial(of, errors)
-            for name in DESCRIPTORS:
-                if name in drawn:
-                    sums, rates = drawn[name]
-                    own = contrasts(sums, rates, of, others=of.others, fid=of.fid)
-                    more = (
-                        contrasts(sums, rates, of, others=of.beside)
-                        if of.beside
-                        else None
-                    )
-                    tested.append(Tested(of, name, own, more, errors[name]))
-            own = contrasts(half, half.drawn(weights), of, others=of.others, fid=of.fid)
-            halves.append(Tested(of, "", own))
-    section, apart = (
-        spread.together([one.found for one in of]) for of in (tested, halves)
-    )
+            errors = {name: _errors(panel, name, rates[name]) for name in rates}
+            on_trial += _on_trial(panel, errors)
+            tested += [
+                _tested(panel, name, sums[name], rates[name], errors=errors[name])
+                for name in DESCRIPTORS
+                if name in sums
+            ]
+            half_contrasts = contrasts(
+                half, half.drawn(weights), panel, others=panel.others, fid=panel.fid
+            )
+            halves.append(Tested(panel, "", half_contrasts))
+    section = spread.together([item.contrasts for item in tested])
+    control_section = spread.together([item.contrasts for item in halves])
     return {
-        "items": [_item(one, section) for one in tested],
-        "controls": [_control(one, apart) for one in halves],
+        "items": [_item(item, section) for item in tested],
+        "controls": [_control(item, control_section) for item in halves],
         "on_trial": on_trial,
     }
 
 
+def _tested(
+    panel: Panel,
+    name: str,
+    sums: Sums,
+    rates: tuple[Floats, Floats],
+    *,
+    errors: Errors,
+) -> Tested:
+    """Return a descriptor with its contrasts, those beside the panel included."""
+    own = contrasts(sums, rates, panel, others=panel.others, fid=panel.fid)
+    beside = None
+    if panel.beside:
+        beside = contrasts(sums, rates, panel, others=panel.beside)
+    return Tested(panel, name, own, beside, errors)
+
+
 def _sums(task: LinkedTask, name: str) -> Sums:
-    of = [(one.success, one.probes, *one.descriptors[name]) for one in task.levels]
-    return Sums(*map(np.array, zip(*of, strict=True)))
+    values, windows = (
+        np.array([level.descriptors[name][part] for level in task.levels])
+        for part in (0, 1)
+    )
+    return Sums(
+        success=np.array([level.success for level in task.levels]),
+        probes=np.array([level.probes for level in task.levels]),
+        values=values,
+        windows=windows,
+    )
 
 
-def _half(task: LinkedTask, every: Sums, seed: int) -> Sums:
-    """Return one half of the people, whose descriptor is how many of the other half are linked."""
+def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
+    """Return a half of the people, with the other half's linkage as its descriptor."""
     order = stream(seed, "halves", task.task).permutation(len(task.clusters))
-    mine = order < len(task.clusters) / 2
-    linked = every.success, every.probes
-    return Sums(*(one * mine for one in linked), *(one * ~mine for one in linked))
+    is_first = order < len(task.clusters) / 2
+    return Sums(
+        success=sums.success * is_first,
+        probes=sums.probes * is_first,
+        values=sums.success * ~is_first,
+        windows=sums.probes * ~is_first,
+    )
 
 
-def _errors(of: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
+def _errors(panel: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
     """Return the squared prediction error of a descriptor, and that without one."""
-    levels = [*of.fixed, *of.fid[:-1], *of.others]
-    success, shows = (one[: 1 + _N_FOR_ERRORS, levels] for one in rates)
-    families = [of.families[place] for place in levels]
+    levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
+    success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
+    families = [panel.families[place] for place in levels]
     kinds = ["white" if family in WHITE else family for family in families]
-    return prediction_errors(-shows if name in FALLING else shows, success, kinds)
+    return prediction_errors(
+        -descriptor if name in FALLING else descriptor, success, kinds
+    )
 
 
-def _on_trial(of: Panel, errors: Mapping[str, Errors]) -> list[dict[str, Any]]:
-    """Return how well each descriptor foretells linkage, and whether one does so surely best."""
-    have = {name: pair[0] for name, pair in errors.items() if pair is not None}
+def _on_trial(panel: Panel, errors: Mapping[str, Errors]) -> list[dict[str, Any]]:
+    """Return each descriptor's prediction error, and whether it is surely lowest."""
+    known_errors = {name: pair[0] for name, pair in errors.items() if pair is not None}
     return [
         {
-            "adding": of.adding,
-            "task": of.task.task,
+            "adding": panel.adding,
+            "task": panel.task.task,
             "descriptor": name,
             **_error_numbers(errors[name]),
-            "surely_lowest": (
-                len(have) > 1
-                and all(
-                    one.less(mine).ends[0] > 0
-                    for rival, one in have.items()
-                    if rival != name
-                )
+            "surely_lowest": len(known_errors) > 1
+            and all(
+                rival_error.less(error).ends[0] > 0
+                for rival, rival_error in known_errors.items()
+                if rival != name
             ),
         }
-        for name, mine in have.items()
+        for name, error in known_errors.items()
     ]
 
 
@@ -168,35 +197,38 @@ def _error_numbers(pair: Errors) -> dict[str, float | None]:
     return {**dict(zip(keys, values, strict=True)), "prediction_error_null": null}
 
 
-def _item(one: Tested, section: Floats) -> dict[str, Any]:
+def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     """Return an item as in `verdict.json`."""
-    of, found = one.of, one.found
-    wide, answer = _answer(one, section, span=found.span[:1])
+    panel, own = tested.panel, tested.contrasts
+    wide = spread.widths(own, section)
+    answer = _answer(own, wide, span=own.span[:1])
     decision, low, high = (
         answer[name] for name in ("decision", "spread_low", "spread_high")
     )
-    compared, beside = _contrasts(of, of.compared, found, wide), []
-    if one.beside is not None:
-        beside = _contrasts(
-            of, of.beside, one.beside, spread.widths(one.beside, section)
-        )
+    compared, beside = _contrasts(panel, panel.compared, own, wide), []
+    if tested.beside is not None:
+        beside_wide = spread.widths(tested.beside, section)
+        beside = _contrasts(panel, panel.beside, tested.beside, beside_wide)
     is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
-    # What is so by construction decided nothing. What is equal, and what a flat
-    # descriptor misses, is so as far as these attacks go.
+    # A difference by construction decided nothing. Equality, and a miss by a flat
+    # descriptor, hold as far as these attacks go.
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
     kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
-    answers = spread.answers(found, wide, [of.families[place] for place in of.compared])
-    needed = None if is_flat else spread.clusters_needed(found, wide, one.n)
-    why = f"between {_points(low)} and {_points(high)} of 100 people" * (
-        decision == BETWEEN
-    )
-    said = {
-        "id": f"{rules.VALIDITY}/{of.adding}/{one.descriptor}/{of.task.task}",
+    families = [panel.families[place] for place in panel.compared]
+    answers = spread.answers(own, wide, families)
+    needed = None if is_flat else spread.clusters_needed(own, wide, tested.n)
+    why = ""
+    if decision == rules.NOT_TESTABLE:
+        why = _why_not(tested, wide)
+    elif decision == BETWEEN:
+        why = f"between {_points(low)} and {_points(high)} of 100 people"
+    item = {
+        "id": f"{rules.VALIDITY}/{panel.adding}/{tested.descriptor}/{panel.task.task}",
         "section": rules.VALIDITY,
-        "adding": of.adding,
-        "descriptor": one.descriptor,
-        "task": of.task.task,
-        "subject": of.task.levels[of.fixed[-1]].linker.attack.label,
+        "adding": panel.adding,
+        "descriptor": tested.descriptor,
+        "task": panel.task.task,
+        "subject": panel.task.levels[panel.fixed[-1]].linker.attack.label,
         "criterion": "",
         **answer,
         "sign": rules.SIGN[decision],
@@ -204,57 +236,55 @@ def _item(one: Tested, section: Floats) -> dict[str, Any]:
         "ci_low": low,
         "ci_high": high,
         "unit": "fraction",
-        "metric": "rank1" if of.task.gallery is None else "rank1_g100",
-        **_error_numbers(one.errors),
+        "metric": "rank1" if panel.task.gallery is None else "rank1_g100",
+        **_error_numbers(tested.errors),
         "evidence": kinds if decision in (rules.DOES_NOT, rules.TRACKS) else [],
-        "power": spread.of_each(answers),
+        "power": spread.decision_power(answers),
         "power_if": answers,
-        "n": one.n,
+        "n": tested.n,
         "n_needed": needed,
-        "why": _why_not(one, wide) if decision == rules.NOT_TESTABLE else why,
+        "why": why,
         "contrasts": compared + beside,
     }
-    return {**said, "sentence": _sentence(one, said)}
+    return {**item, "sentence": _sentence(tested, item)}
 
 
-def _control(one: Tested, section: Floats) -> dict[str, Any]:
-    """Return the record of a positive control: it must not be said to fail."""
-    # Of linkage itself any span will do.
-    _, answer = _answer(one, section, span=np.full(1, np.inf))
+def _control(tested: Tested, section: Floats) -> dict[str, Any]:
+    """Return the record of a positive control, which must not fail."""
+    wide = spread.widths(tested.contrasts, section)
+    # Linkage itself as the descriptor: any span will do.
+    answer = _answer(tested.contrasts, wide, span=np.full(1, np.inf))
     about = {
-        "adding": one.of.adding,
-        "task": one.of.task.task,
+        "adding": tested.panel.adding,
+        "task": tested.panel.task.task,
         "descriptor": OTHER_HALF,
     }
-    return {**about, **answer, "n": one.n}
+    return {**about, **answer, "n": tested.n}
 
 
-def _answer(
-    one: Tested, section: Floats, *, span: Floats
-) -> tuple[Widths, dict[str, Any]]:
-    """Return how far the ends lie from the estimates, and decision and spread."""
-    wide, found = spread.widths(one.found, section), one.found
-    gaps, fall = found.gaps[:1], found.fall[:1]
-    codes, low, high = spread.decided(found, wide, gaps=gaps, fall=fall, span=span)
-    return wide, {
+def _answer(own: Contrasts, wide: Widths, *, span: Floats) -> dict[str, Any]:
+    """Return decision and spread."""
+    gaps, fall = own.gaps[:1], own.fall[:1]
+    codes, low, high = spread.decided(own, wide, gaps=gaps, fall=fall, span=span)
+    return {
         "decision": spread.ANSWERS[codes[0]],
-        "spread": spread.shown(found),
+        "spread": spread.shown(own),
         "spread_low": float(low[0]),
         "spread_high": float(high[0]),
     }
 
 
 def _contrasts(
-    of: Panel, places: Sequence[int], found: Contrasts, wide: Widths
+    panel: Panel, places: Sequence[int], own: Contrasts, wide: Widths
 ) -> list[dict[str, Any]]:
-    """Return contrasts as in `verdict.json`, each with its own interval, not adjusted."""
-    low, high = (one[0] for one in spread.ends(found, wide, found.gaps[:1]))
-    own = spread.intervals(found)
+    """Return contrasts as in `verdict.json`, each with its own, unadjusted interval."""
+    low, high = (end[0] for end in spread.ends(own, wide, own.gaps[:1]))
+    ci_low, ci_high = spread.intervals(own)
     rows = []
-    for k, (place, gap) in enumerate(zip(places, found.gaps[0].tolist(), strict=True)):
-        level = of.task.levels[place]
+    for k, (place, gap) in enumerate(zip(places, own.gaps[0].tolist(), strict=True)):
+        level, is_fid = panel.task.levels[place], place in panel.fid
         readings = {
-            rules.NOT_TESTABLE: found.side[k] == NEITHER,
+            rules.NOT_TESTABLE: own.side[k] == NEITHER,
             rules.DIFFERS: low[k] > rules.SUCCESS_MARGIN,
             rules.EQUAL: high[k] < rules.SUCCESS_MARGIN,
         }
@@ -262,90 +292,98 @@ def _contrasts(
         rows.append(
             {
                 "mechanism": level.mechanism,
-                "level": None if place in of.fid else level.level,
-                "quartile": spread.QUARTILES[k] if place in of.fid else None,
+                "level": None if is_fid else level.level,
+                "quartile": spread.QUARTILES[k] if is_fid else None,
                 "subject": level.linker.attack.label,
-                "effect": gap if np.isfinite(found.errors[k]) else None,
-                "ci_low": known(own[0][k]),
-                "ci_high": known(own[1][k]),
+                "effect": gap if np.isfinite(own.errors[k]) else None,
+                "ci_low": known(ci_low[k]),
+                "ci_high": known(ci_high[k]),
                 "unit": "fraction",
-                "n": int(found.people[k]),
+                "n": int(own.people[k]),
                 "reading": next(
                     (name for name, is_so in readings.items() if is_so), BETWEEN
                 ),
-                "evidence": CONSTRUCTION if of.is_hidden(place) else shown,
-                "only": _ONLY.get(int(found.side[k]), ""),
-                "in_panel": place not in of.beside,
+                "evidence": CONSTRUCTION if panel.is_hidden(place) else shown,
+                "only": _ONLY.get(int(own.side[k]), ""),
+                "in_panel": place not in panel.beside,
             }
         )
     return rows
 
 
-def _named(gap: Mapping[str, Any]) -> str:
+def _mechanism_name(gap: Mapping[str, Any]) -> str:
     """Return the mechanism of a contrast as people write it."""
     if gap["quartile"] is not None:
         return f"{gap['mechanism']} ({_QUARTILE[gap['quartile']]})"
     return where_text(gap["mechanism"], gap["level"])
 
 
-def _why_not(one: Tested, wide: Widths) -> str:
+def _why_not(tested: Tested, wide: Widths) -> str:
     """Return why it cannot be tested whether a descriptor tracks."""
-    of, found = one.of, one.found
-    raw = of.task.levels[of.fixed[-1]]
+    panel, own = tested.panel, tested.contrasts
+    effective = own.fall_degrees + 1
+    if effective < FEWEST_EFFECTIVE:
+        return (
+            f"it rests on {tested.n} people or groups, who count as {effective:.0f}: "
+            f"{FEWEST_EFFECTIVE} are needed"
+        )
+    if own.fall_error < rules.NO_SPREAD:
+        return "all people fare alike: that says nothing of others"
+    raw = panel.task.levels[panel.fixed[-1]]
     links, guess = (
         float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance)
     )
-    fall, name = float(found.fall[0]), NAME[one.descriptor]
-    odd = [
-        f"{where_text(level.mechanism, level.level)}"
-        f" {_WHY_ONE_SIDED[side].format(name)}"
-        for place, side in zip(of.compared, found.side.tolist(), strict=True)
-        for level in [of.task.levels[place]]
-        if side != BOTH
-    ]
-    effective = found.fall_degrees + 1
-    if effective < FEWEST_EFFECTIVE:
-        return (
-            f"it rests on {one.n} people or groups, who count as {effective:.0f}: "
-            f"{FEWEST_EFFECTIVE} are needed"
-        )
-    if found.fall_error < rules.NO_SPREAD:
-        return "all people fare alike: that says nothing of others"
     if links - guess < rules.SUCCESS_MARGIN:
         return (
             f"the strongest attack links {_points(links)} of 100 people even at raw, "
             f"a guess {_points(guess)}: nothing could be seen"
         )
+    fall = float(own.fall[0])
     if fall - wide.fall < rules.LEAST_FALL:
-        low, high = (_points(fall + sign * wide.fall) for sign in (-1, 1))
+        low, high = _points(fall - wide.fall), _points(fall + wide.fall)
         least = _points(rules.LEAST_FALL, 0)
         return (
             f"linkage falls by {_points(fall)} [{low}, {high}] of 100 people from raw "
             f"to the strongest fixed error, not surely by {least}: anything would track"
         )
-    return of.missing or "; ".join(dict.fromkeys(odd))
+    return panel.missing or "; ".join(_untestable_sides(tested))
 
 
-def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
-    """Return what an item says."""
-    name, decision, low = NAME[one.descriptor], said["decision"], said["spread_low"]
-    task = one.of.task.task
-    where = f"In {task}{'' if one.of.task.gallery else ' (plain rank 1, galleries of its own)'}"
+def _untestable_sides(tested: Tested) -> list[str]:
+    """Return the mechanisms with an untestable side, each with the reason."""
+    name, levels = NAME[tested.descriptor], tested.panel.task.levels
+    reasons: dict[str, None] = {}
+    sides = tested.contrasts.side.tolist()
+    for place, side in zip(tested.panel.compared, sides, strict=True):
+        if side != BOTH:
+            level = levels[place]
+            reason = _WHY_ONE_SIDED[side].format(name)
+            reasons[f"{where_text(level.mechanism, level.level)} {reason}"] = None
+    return list(reasons)
+
+
+def _sentence(tested: Tested, item: Mapping[str, Any]) -> str:
+    """Return the sentence of an item."""
+    name, decision, low = NAME[tested.descriptor], item["decision"], item["spread_low"]
+    task = tested.panel.task
+    plain = "" if task.gallery else " (plain rank 1, galleries of its own)"
+    where = f"In {task.task}{plain}"
     equal = f"{where}, at equal {name}"
     either = "more or fewer be linked than fixed noise"
     fails = f"{name} does not track."
     if decision == rules.NOT_TESTABLE:
-        return f"In {task}, whether {name} tracks cannot be tested: {said['why']}."
+        return f"In {task.task}, whether {name} tracks cannot be tested: {item['why']}."
     if decision == rules.TRACKS:
-        high = _points(said["spread_high"])
+        high = _points(item["spread_high"])
         return (
             f"{equal}, no mechanism lets {high} of 100 people {either}: {name} tracks."
         )
     if decision == BETWEEN:
-        would = _people_needed(said["n_needed"])
-        return f"{equal}, mechanisms let {said['why']} {either}{would}."
+        would = _people_needed(item["n_needed"])
+        return f"{equal}, mechanisms let {item['why']} {either}{would}."
     if low <= rules.SUCCESS_MARGIN:
-        fall, span = _points(one.found.fall[0]), np.exp(one.found.span[0])
+        own = tested.contrasts
+        fall, span = _points(own.fall[0]), np.exp(own.span[0])
         return (
             f"{where}, from raw to the strongest fixed error {fall} fewer of 100 people"
             f" are linked while {name} hardly changes ({span:.2f} times): {fails}"
@@ -353,31 +391,30 @@ def _sentence(one: Tested, said: Mapping[str, Any]) -> str:
     worst = max(
         (
             gap
-            for gap in said["contrasts"]
+            for gap in item["contrasts"]
             if gap["reading"] == rules.DIFFERS and gap["in_panel"]
         ),
         key=lambda gap: (gap["evidence"] != CONSTRUCTION, abs(gap["effect"])),
     )
     gap = Estimate(*(worst[key] for key in ("effect", "ci_low", "ci_high")))
-    more, held = (
-        ("more", "") if gap.value > 0 else ("fewer", ", as far as these attacks go")
-    )
+    more, limit = "more", ""
+    if not gap.value > 0:
+        more, limit = "fewer", ", as far as these attacks go"
     return (
-        f"{equal}, {_named(worst)} lets {with_interval(gap, 'share', absolute=True)}"
-        f" {more} of 100 people be linked than fixed noise{held}: {fails}"
+        f"{equal}, {_mechanism_name(worst)} lets"
+        f" {with_interval(gap, 'share', absolute=True)} {more} of 100 people be linked"
+        f" than fixed noise{limit}: {fails}"
     )
 
 
 def _people_needed(n: float | None) -> str:
-    """Return how many people would show that linkage is equal, if it is; empty if unknown."""
+    """Return the number of people that would show equal linkage; empty if unknown."""
     if not n:
         return ""
-    many = (
-        f"about {float(f'{n:.2g}'):,.0f}"
-        if n < rules.MOST_PEOPLE
-        else "no realistic number of"
-    )
-    return f"; if truly equal, {many} people would show it"
+    number = "no realistic number of"
+    if n < rules.MOST_PEOPLE:
+        number = f"about {float(f'{n:.2g}'):,.0f}"
+    return f"; if truly equal, {number} people would show it"
 
 
 def _points(share: float, digits: int = 1) -> str:

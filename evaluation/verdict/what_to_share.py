@@ -1,8 +1,8 @@
-"""Which levels a site may be told to share: decided here alone, from `levels.csv`.
+"""The recommended levels of a site: decided only here, from `levels.csv`.
 
-First screen, page, `evaluation.design` and the notebook read what `recommend` returns.
-A limit is met only if the upper end of the interval meets it; what was not tried is not
-met. Nothing is interpolated.
+First screen, page, `evaluation.design` and the notebook read the result of `recommend`.
+A limit is met only if the upper end of the interval meets it; a limit that was not
+tried is not met. Nothing is interpolated.
 """
 
 import math
@@ -33,28 +33,29 @@ from evaluation.estimates.metrics import (
     WIDE,
 )
 from evaluation.estimates.strongest import BEYOND
-from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 
-MOST_PLR: Final = 0.5  # After attack: below it most positions are kept.
+MOST_PLR: Final = 0.5  # After attack: below it most positions stay private.
 MOST_LINKAGE_SHARE: Final = 0.5  # Of raw's rank 1 above chance.
 HORIZON_S: Final = 3.0
 MOST_PROPOSALS: Final = 5
-# So many times the scenes of a run still bring people who were in none.
+# Up to so many times the scenes of a run, new scenes still show new people.
 MOST_TIMES: Final = 10.0
 LEADING: Final = "handover-1s"
 MISSED, LINKED = "missed", "linkage_share"
-LIMITS: Final = {  # By name in a question and in an answer: the metric.
+# Metric by the name of a limit, in a question and in an answer.
+LIMITS: Final = {
     MISSED: MISSED_RATE,
     "false_alarm": FALSE_ALARMS,
     **dict(zip(DESCRIPTORS, DESCRIPTORS, strict=True)),
     SUCCESS: SUCCESS,
     LINKED: SUCCESS,
 }
-"""What may be limited; `rank1` is of every task of the recording."""
+"""Metrics that may be limited; `rank1` is of every task of the recording."""
 USUAL: Final[Mapping[str, float]] = {EXPOSURE: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
-"""Limits that are asked where nobody names others."""
+"""Default limits."""
 Unknown: TypeAlias = Literal[
     "no horizon",
     "no robot",
@@ -67,14 +68,14 @@ Unknown: TypeAlias = Literal[
     "no value",
     "too few people",
 ]
-"""Why something cannot be said."""
+"""Reason that a check has no answer."""
 WEAK: Final = "attack too weak"
 UNKNOWN: Final = Estimate(math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class Criterion:
-    """The conflicts that levels are chosen by, at raw's false-alarm rate."""
+    """The conflicts by which levels are chosen, at raw's false-alarm rate."""
 
     conflicts: Literal["missed_future", "missed"] = "missed_future"  # To come, or all.
     horizon_s: float | None = HORIZON_S  # None: the run's own.
@@ -88,17 +89,20 @@ class Criterion:
 
     @property
     def world(self) -> str:
-        """What stands behind the data set's name; empty for the run's own horizon."""
+        """World behind the data set's name; empty for the run's own horizon."""
         return "" if self.horizon_s is None else f"horizon={self.horizon_s:.12g}s"
 
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """What a level must hold; SettingsError for a limit out of range or an unknown adversary."""
+    """Limits that a level must hold, against which adversaries, and for which robot.
+
+    Raises SettingsError for a limit out of range or an unknown adversary.
+    """
 
     limits: Mapping[str, float] = field(default_factory=lambda: dict(USUAL))
-    """By name of `LIMITS`: fractions or s. A linkage share of 1 asks nothing."""
-    against: tuple[str, ...] = ()  # Adversaries beyond one release that count as well.
+    """By name of `LIMITS`: fractions or s. A linkage share of 1 is no limit."""
+    against: tuple[str, ...] = ()  # Adversaries beyond one release that also count.
     criterion: Criterion = Criterion()
     robot: str = ""  # Predictor; empty: the best robot of the run, cross-fitted.
     adding: tuple[str, ...] = ADDING_RULES  # All of them must hold.
@@ -109,11 +113,9 @@ class Question:
         for name, limit in self.limits.items():
             is_share = METRICS[LIMITS[name]].is_share
             if not 0.0 <= limit <= (1.0 if is_share else sys.float_info.max):
-                kind = (
-                    "fraction from 0 to 1 (0.2 for 20 %)"
-                    if is_share
-                    else "time in s, 0 or more"
-                )
+                kind = "time in s, 0 or more"
+                if is_share:
+                    kind = "fraction from 0 to 1 (0.2 for 20 %)"
                 option = f"--max-{name.replace('_', '-')}"
                 raise SettingsError(f"{option} is a {kind}, got {limit:g}")
         for name in self.against:
@@ -131,7 +133,7 @@ class Question:
 
 
 def default_question(known: Mapping[str, Family]) -> Question:
-    """Return what the first screen asks: of a run of a single adding rule that alone."""
+    """Return the first screen's question; it asks only for adding rules of the run."""
     rules = {
         family.adding for family in known.values() if family.adding and family.protects
     }
@@ -147,35 +149,33 @@ class Check:
     name: str  # As in `LIMITS`, `plr_wide`, or `rank1/TASK`.
     limit: float  # Infinite: the number must be known.
     measured: Estimate
-    source: Source | None = None  # Whose positions, or which linker, it is of.
-    adversary: str = ""  # `ONE_RELEASE` or a name, of what an attack leaves.
-    scenes: int = 0  # That it was measured on; 0: it is not about scenes.
+    source: Source | None = None  # The positions, or the linker, that it is of.
+    adversary: str = ""  # `SINGLE_RELEASE` or a name, for a number after attack.
+    scenes: int = 0  # Number of scenes behind it; 0: it is not about scenes.
     missing: Unknown | None = None
 
     @property
     def unknown(self) -> Unknown | None:
-        """Why it cannot be said; None if it can."""
+        """Reason that there is no answer; None if there is one."""
         if self.missing is not None:
             return self.missing
         if math.isnan(self.measured.value):
             return "no value"
         is_few = 0 < self.measured.n < FEWEST_EFFECTIVE
-        return (
-            "too few people"
-            if is_few or not math.isfinite(self.measured.ci_high)
-            else None
-        )
+        if is_few or not math.isfinite(self.measured.ci_high):
+            return "too few people"
+        return None
 
     @property
     def status(self) -> str:
-        """Whether the upper end is at or below the limit: met, not met, or cannot say."""
+        """Answer: met (the upper end is at most the limit), not met, or cannot say."""
         if self.unknown:
             return "cannot say"
         return "met" if self.measured.ci_high <= self.limit else "not met"
 
     @property
     def excess(self) -> float:
-        """How far the upper end, or the value without one, is above the limit, relative to it."""
+        """Relative excess of the upper end, or else of the value, over the limit."""
         ends = (self.measured.ci_high, self.measured.value)
         upper = next((end for end in ends if math.isfinite(end)), self.limit)
         if not upper > self.limit:
@@ -184,31 +184,30 @@ class Check:
 
     @property
     def times_more(self) -> float:
-        """How many times the data would tell the value from its limit; NaN unless that is within.
+        """Factor of data that would part the value from its limit.
 
-        An interval narrows with the root of it.
+        An interval narrows with the root of the factor. NaN unless the limit is within
+        the interval.
         """
-        value, low, high = (
-            self.measured.value,
-            self.measured.ci_low,
-            self.measured.ci_high,
-        )
+        measured = self.measured
+        value, low, high = measured.value, measured.ci_low, measured.ci_high
         if self.status != "not met" or not low < self.limit:
             return math.nan
         side = high - value if value <= self.limit else value - low
-        return (side / gap) ** 2 if (gap := abs(self.limit - value)) > 0.0 else math.inf
+        gap = abs(self.limit - value)
+        return (side / gap) ** 2 if gap > 0.0 else math.inf
 
     @property
     def asks(self) -> str:
-        """What more would tell: ever more scenes of the same people would not."""
+        """Data that would give an answer: more scenes, or other people."""
         return "scenes" if self.scenes and self.times_more <= MOST_TIMES else "people"
 
 
 @dataclass(frozen=True, slots=True)
 class Attacked:
-    """What the strongest attack of an adversary leaves at a level."""
+    """Numbers after the strongest attack of an adversary at a level."""
 
-    adversary: str  # `ONE_RELEASE`, or a name.
+    adversary: str  # `SINGLE_RELEASE`, or a name.
     source: Source | None = None  # None: it was not tried.
     numbers: Mapping[str, Estimate] = field(default_factory=dict)  # By metric.
 
@@ -217,7 +216,7 @@ class Attacked:
         return self.numbers.get(metric, UNKNOWN)
 
     def breaks(self, limit: float) -> bool | None:
-        """Return whether it is above a limit of PLR, at epsilon or beyond; None: not tried."""
+        """Return whether PLR, at epsilon or wider, breaks a limit; None: not tried."""
         if self.source is None:
             return None
         return not all(self.value(name).ci_high <= limit for name in (EXPOSURE, WIDE))
@@ -225,7 +224,7 @@ class Attacked:
 
 @dataclass(frozen=True, slots=True)
 class Linked:
-    """What the strongest linker finds in a task."""
+    """Success of the strongest linker in a task."""
 
     task: str
     source: Source | None = None  # None: it was not run at this level.
@@ -238,15 +237,15 @@ class Linked:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """What one level costs and leaves, and which limits it meets."""
+    """Cost and privacy of a level, and its checks against the limits."""
 
     where: Where
     family: Family
     cost: Estimate  # Missed conflicts of the robot, by the criterion.
-    robots: Mapping[str, Estimate]  # The same of every robot of the run by its name.
+    robots: Mapping[str, Estimate]  # Cost of every robot of the run by its name.
     shared: Attacked
     attacked: Attacked  # After one release.
-    beyond: tuple[Attacked, ...]  # After each adversary who knows more, tried or not.
+    beyond: tuple[Attacked, ...]  # After each adversary that knows more, tried or not.
     linked: Linked | None  # In the leading handover; None: the run has none.
     tasks: tuple[Linked, ...]
     checks: tuple[Check, ...] = ()
@@ -259,12 +258,12 @@ class Offer:
 
     @property
     def failing(self) -> tuple[Check, ...]:
-        """Limits that do not hold, or of which it cannot be said."""
+        """Limits that do not hold, or have no answer."""
         return tuple(check for check in self.checks if check.status != "met")
 
     @property
     def coordinates(self) -> tuple[float, float, float]:
-        """Cost, PLR after attack, and linkage: less is better; what is unknown counts alike."""
+        """Cost, PLR after attack, and linkage: less is better; unknown is 0."""
         left = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
         numbers = np.nan_to_num([self.cost.value, left.value(EXPOSURE).value, linked])
@@ -274,48 +273,48 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The answer: which levels hold, or which is nearest, and by how much it does not."""
+    """The answer: the levels that hold all limits, or the nearest one."""
 
     question: Question
     robots: tuple[str, ...]
-    """The robot named, or the best of the run: that which the first half of the people chose, and
-    that of the second. Either is scored on the other half. Empty: none has the
+    """The robot named, or the best of the run: the choices of the first and the second
+    half of the people, each scored on the other half. Empty: no robot has the
     criterion."""
     raw: Offer | None
     proposals: tuple[Offer, ...]  # Non-dominated, cheapest first.
-    refused: tuple[Offer, ...]  # All that do not hold, nearest first.
-    missing: tuple[Unknown, ...]  # What the run cannot say of any level.
+    refused: tuple[Offer, ...]  # Levels that do not hold, nearest first.
+    missing: tuple[Unknown, ...]  # Reasons that no level has an answer to some limit.
     task: str  # The leading handover; empty without one.
 
     @property
     def robot(self) -> str:
-        """The robot that costs are of; two names where the halves of the people chose two."""
+        """The robot behind the costs; two names if the halves chose two robots."""
         return " or ".join(dict.fromkeys(self.robots))
 
     @property
     def met(self) -> bool:
-        """Whether some level holds everything that was asked for."""
+        """Whether some level holds all limits."""
         return bool(self.proposals)
 
     @property
     def nearest(self) -> Offer | None:
-        """The level that comes closest, of a run in which none holds."""
+        """The level that comes closest, if none holds."""
         return None if self.proposals or not self.refused else self.refused[0]
 
     @property
     def unsettled(self) -> tuple[Offer, ...]:
-        """Levels that hold all that is known of them, the few best; where none holds all."""
-        some = [
+        """The few best levels with no limit broken, if no level holds all of them."""
+        undecided = [
             offer
             for offer in self.refused
             if not offer.lacks_rule
             and all(check.status != "not met" for check in offer.checks)
         ]
-        return () if self.proposals else tuple(cheapest(non_dominated(some)))
+        return () if self.proposals else tuple(cheapest(non_dominated(undecided)))
 
     @property
     def candidates(self) -> tuple[Offer, ...]:
-        """Levels that adversaries who know more should be tried on."""
+        """Levels on which adversaries that know more should be tried."""
         return self.proposals or self.unsettled or self.refused[:1]
 
 
@@ -326,11 +325,11 @@ def recommend(
     dataset: str,
     scenes: tuple[int, int] = (0, 0),
 ) -> Recommendation:
-    """Return the levels that hold what a question asks, or the nearest.
+    """Return the levels that hold the limits of a question, or the nearest one.
 
-    `table` is `levels.csv` of a run, `scenes` are how many were attacked and how many
-    robots were in. Raises SettingsError for a family or a robot that the run does not
-    have.
+    `table` is `levels.csv` of a run, `scenes` the number of scenes for attacks and the
+    number for robots. Raises SettingsError for a family or a robot that the run does
+    not have.
     """
     known = _levels(table, dataset)
     raw_rows = next((level for level in known if level.family.family == RAW), None)
@@ -338,7 +337,7 @@ def recommend(
         level for level in known if level.family.protects and level.family.is_added
     ]
     _check_names(rivals, question)
-    robots = _robots_of(known)
+    robots = _robot_names(known)
     if question.robot and question.robot not in robots:
         raise SettingsError(
             f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'};"
@@ -370,17 +369,16 @@ def recommend(
         raw=frame.offer(raw_rows) if raw_rows else None,
         proposals=tuple(proposals),
         refused=tuple(refused),
-        missing=_missing_of(offers),
+        missing=_missing_everywhere(offers),
         task=task,
     )
 
 
 def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
-    """Return the offers that no other one beats: at most as large in all three, less in one.
+    """Return the offers that no other beats: as low in all coordinates, lower in one.
 
-    Only what is there under the same adding rules can beat: a network that cannot add
-    linearly has no use for a level that does. Of several that are equal in all the
-    first stays.
+    Only an offer under the same adding rules can beat another: a network that cannot
+    add linearly has no use for a level that does. Of equal offers the first stays.
     """
     front: list[Offer] = []
     for at, offer in enumerate(offers):
@@ -400,12 +398,12 @@ def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
 
 
 def cheapest(offers: Sequence[Offer]) -> list[Offer]:
-    """Return the few offers that cost least, in order of cost."""
+    """Return the few cheapest offers, in order of cost."""
     return sorted(offers, key=lambda offer: offer.coordinates)[:MOST_PROPOSALS]
 
 
 def _distance(offer: Offer) -> tuple[int, float, float]:
-    """Return how far an offer is from what was asked: limits missed, the worst excess, cost."""
+    """Return an offer's distance: number of limits missed, worst excess, and cost."""
     excess = [check.excess for check in offer.checks]
     n_missed = sum(
         check.status == "not met" or check.excess > 0.0 for check in offer.checks
@@ -414,29 +412,37 @@ def _distance(offer: Offer) -> tuple[int, float, float]:
 
 
 def _under_all_rules(offers: Sequence[Offer], adding: Sequence[str]) -> list[Offer]:
-    """Return offers, each with the rule under which its mechanism holds nowhere, if any."""
-    held: dict[str, set[str]] = {}
+    """Return offers, each with a rule under which its mechanism holds nowhere."""
+    rules_met: dict[str, set[str]] = {}
     for offer in offers:
         if offer.met:
-            held.setdefault(offer.family.name, set()).update(offer.family.rules)
+            rules_met.setdefault(offer.family.name, set()).update(offer.family.rules)
     marked = []
     for offer in offers:
         needed = () if offer.family.has_one_rule or not offer.family.adding else adding
         lacking = [
-            rule for rule in needed if rule not in held.get(offer.family.name, set())
+            rule
+            for rule in needed
+            if rule not in rules_met.get(offer.family.name, set())
         ]
         rule = lacking[0] if offer.met and lacking else ""
         marked.append(replace(offer, lacks_rule=rule))
     return marked
 
 
-def _missing_of(offers: Sequence[Offer]) -> tuple[Unknown, ...]:
-    """Return why a limit can be judged at no level at all."""
+def _missing_everywhere(offers: Sequence[Offer]) -> tuple[Unknown, ...]:
+    """Return the reasons of limits that can be judged at no level at all."""
     by_name: dict[tuple[str, str], list[Unknown | None]] = {}
     for offer in offers:
         for check in offer.checks:
             by_name.setdefault((check.name, check.adversary), []).append(check.unknown)
-    codes = (code for some in by_name.values() if all(some) for code in some if code)
+    codes = (
+        code
+        for unknowns in by_name.values()
+        if all(unknowns)
+        for code in unknowns
+        if code
+    )
     return tuple(dict.fromkeys(codes))
 
 
@@ -475,7 +481,8 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
     for row in tidy.to_dict("records"):
         name = str(row["dataset"])
         if name != dataset and not name.startswith(f"{dataset}:"):
-            continue  # of simulated people beside a recording
+            # Simulated people beside a recording.
+            continue
         world = name.removeprefix(dataset).removeprefix(":")
         where = (
             row["mechanism"],
@@ -499,7 +506,10 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
         )
         by_halves = row["first_choice"], row["second_choice"]
         rows.setdefault(where, []).append(_Row(world, *about, chosen=by_halves))
-    return [_Level(where, families[where], tuple(some)) for where, some in rows.items()]
+    return [
+        _Level(where, families[where], tuple(numbers))
+        for where, numbers in rows.items()
+    ]
 
 
 def _check_names(levels: Iterable[_Level], question: Question) -> None:
@@ -517,16 +527,16 @@ def _check_names(levels: Iterable[_Level], question: Question) -> None:
             )
 
 
-def _robots_of(levels: Sequence[_Level]) -> tuple[str, ...]:
+def _robot_names(levels: Sequence[_Level]) -> tuple[str, ...]:
     """Return the predictors of a run by name."""
-    every = (
+    names = (
         row.source.consumer
         for metric in (EQUAL_ALARMS, FALSE_ALARMS)
         for level in levels
         for row in level.rows
         if row.metric == metric
     )
-    return tuple(name for name in dict.fromkeys(every) if name not in BEST.values())
+    return tuple(name for name in dict.fromkeys(names) if name not in BEST.values())
 
 
 def _chosen_robots(levels: Iterable[_Level], criterion: Criterion) -> tuple[str, ...]:
@@ -542,7 +552,7 @@ def _chosen_robots(levels: Iterable[_Level], criterion: Criterion) -> tuple[str,
 
 
 def leading_handover(names: Collection[str]) -> str:
-    """Return which of some tasks linkage is judged by; empty if none is a handover."""
+    """Return the task by which linkage is judged; empty if there is no handover."""
     handovers = [
         name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names
     ]
@@ -551,7 +561,7 @@ def leading_handover(names: Collection[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """What every level of a run is held against."""
+    """The question and the run, against which every level is checked."""
 
     question: Question
     robot: str  # Whose costs count: a name, or one of `BEST`.
@@ -560,7 +570,7 @@ class _Frame:
     robots: tuple[str, ...]
 
     def offer(self, level: _Level) -> Offer:
-        """Return what a level costs and leaves, with its checks."""
+        """Return cost and privacy of a level, with its checks."""
         criterion = self.question.criterion
         robots = {
             row.source.consumer: row.measured
@@ -575,7 +585,7 @@ class _Frame:
             cost=cost,
             robots={name: rate for name, rate in robots.items() if name in self.robots},
             shared=_attacked(level, "", source=AS_SHARED),
-            attacked=_attacked(level, ONE_RELEASE),
+            attacked=_attacked(level, SINGLE_RELEASE),
             beyond=tuple(_attacked(level, name) for name in BEYOND),
             linked=_linked(level, self.task) if self.task else None,
             tasks=tasks,
@@ -588,11 +598,8 @@ class _Frame:
         return replace(offer, checks=checks)
 
     def _costs(self, offer: Offer, level: _Level) -> list[Check]:
-        limits, criterion, n = (
-            self.question.limits,
-            self.question.criterion,
-            self.scenes[1],
-        )
+        limits, criterion = self.question.limits, self.question.criterion
+        n_scenes = self.scenes[1]
         worlds = {row.world for row in level.rows}
         missing: Unknown | None = None
         if not self.robots:
@@ -602,7 +609,9 @@ class _Frame:
         elif math.isnan(offer.cost.value):
             missing = "no value"
         source, most = Source(self.robot), limits.get(MISSED, math.inf)
-        checks = [Check(MISSED, most, offer.cost, source, scenes=n, missing=missing)]
+        checks = [
+            Check(MISSED, most, offer.cost, source, scenes=n_scenes, missing=missing)
+        ]
         if "false_alarm" in limits:
             rates = (
                 row.measured
@@ -612,12 +621,18 @@ class _Frame:
                 and row.world == criterion.world
             )
             rate = next(rates, UNKNOWN)
-            limit = limits["false_alarm"]
             checks.append(
-                Check("false_alarm", limit, rate, source, scenes=n, missing=missing)
+                Check(
+                    "false_alarm",
+                    limits["false_alarm"],
+                    rate,
+                    source,
+                    scenes=n_scenes,
+                    missing=missing,
+                )
             )
         if MISSED not in limits and not missing:
-            # Any cost will do, with an interval or without.
+            # Without a limit any known cost is fine, even without an interval.
             return checks[1:]
         return checks
 
@@ -626,7 +641,7 @@ class _Frame:
         sides = [offer.shared if question.as_shared else offer.attacked]
         sides += [side for side in offer.beyond if side.adversary in question.against]
         for side in sides:
-            # Of what was not tried it is said once.
+            # An adversary that was not tried gets no further check.
             for name in (*DESCRIPTORS, WIDE) if side.source else DESCRIPTORS:
                 limit = question.limits.get(EXPOSURE if name == WIDE else name)
                 if limit is None:
@@ -671,7 +686,7 @@ def _tasks(level: _Level) -> list[str]:
 def _attacked(
     level: _Level, adversary: str, *, source: Source | None = None
 ) -> Attacked:
-    """Return what an adversary leaves; the attack named is the strongest by PLR."""
+    """Return the numbers after an adversary's attack, the strongest by PLR."""
     rows = [
         row
         for row in level.rows
@@ -685,7 +700,7 @@ def _attacked(
 
 
 def _linked(level: _Level, task: str) -> Linked:
-    """Return what the strongest linker finds in a task at a level."""
+    """Return the success of a task's strongest linker at a level."""
     rows = {row.metric: row for row in level.rows if row.source.task == task}
     metric = SUCCESS_OF_100 if SUCCESS_OF_100 in rows else SUCCESS
     if metric not in rows:

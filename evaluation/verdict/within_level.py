@@ -1,7 +1,7 @@
-"""Section b of the verdict: whether a track's own PLR, AEL or MEL tells that it is linked.
+"""Section b of the verdict: whether a track's own PLR, AEL or MEL predicts its linkage.
 
-Within one mechanism level, and beyond what anybody sees without a descriptor: how long
-the track is, how fast, and how noisy in both releases.
+The comparison is within a mechanism level, and beyond the covariates that anybody sees
+without a descriptor: length, speed and noise of the track in both releases.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,32 +36,35 @@ def within(
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
 
-    `levels` are by task; clusters are numbered alike at all levels of a task. `sweeps`
-    are of the run and say under which rule a mechanism is judged; `success` is the
-    linker of each task.
+    `levels` are by task; the levels of a task share cluster numbers. `sweeps` tell
+    under which rule a mechanism is judged; `success` is the linker of each task.
     """
-    clusters = {task: some[0].clusters for task, some in levels.items() if some}
-    # By its name: who is in several tasks is drawn once.
-    names = {name for of in clusters.values() for name in of}
-    drawn = {
+    clusters = {task: probes[0].clusters for task, probes in levels.items() if probes}
+    # Drawn by name: a person in several tasks is drawn once.
+    names = {name for task_clusters in clusters.values() for name in task_clusters}
+    drawn_by_name = {
         name: stream(seed, "within", name).standard_normal(N_REPLICATES)
         for name in names
     }
-    of_task = {
-        task: np.column_stack([drawn[name] for name in of])
-        for task, of in clusters.items()
+    drawn_by_task = {
+        task: np.column_stack([drawn_by_name[name] for name in task_clusters])
+        for task, task_clusters in clusters.items()
     }
     for adding, descriptor, task in product(ADDING_RULES, DESCRIPTORS, success):
         wanted = (RAW, *sweeps.swept(adding))
         # Each release once: several eta may share the same.
-        mine: dict[bytes, LinkedProbes] = {}
-        for one in levels.get(task, ()):
-            if one.mechanism in wanted:
-                release = np.column_stack([one.hit, *one.descriptors.values()])
-                mine.setdefault(release.tobytes(), one)
-        if any(one.mechanism != RAW for one in mine.values()):
+        distinct: dict[bytes, LinkedProbes] = {}
+        for linked in levels.get(task, ()):
+            if linked.mechanism in wanted:
+                release = np.column_stack([linked.hit, *linked.descriptors.values()])
+                distinct.setdefault(release.tobytes(), linked)
+        if any(linked.mechanism != RAW for linked in distinct.values()):
             yield _item(
-                [*mine.values()], adding, descriptor, success[task], of_task[task]
+                [*distinct.values()],
+                adding,
+                descriptor,
+                success[task],
+                drawn_by_task[task],
             )
 
 
@@ -72,51 +75,56 @@ def _item(
     linker: Source,
     drawn: Floats,
 ) -> Draft:
-    works = clustered_mean(
-        np.concatenate([one.hit - one.chance for one in levels]),
-        np.concatenate([one.cluster for one in levels]),
+    excess = clustered_mean(
+        np.concatenate([linked.hit - linked.chance for linked in levels]),
+        np.concatenate([linked.cluster for linked in levels]),
     )
-    found = partial_correlation(
+    correlation = partial_correlation(
         [
-            (one.descriptors[descriptor], one.hit, one.covariates, one.cluster)
-            for one in levels
+            (
+                linked.descriptors[descriptor],
+                linked.hit,
+                linked.covariates,
+                linked.cluster,
+            )
+            for linked in levels
         ],
         drawn=drawn,
     )
     name = NAME[descriptor]
-    said = (
+    sentence = (
         f"In {linker.task}, among tracks of like length, speed and noise, a track's own"
         f" {name} and whether it is linked go together by {{}} (rank correlation)"
     )
     untestable = ""
-    if not works.ci_low > rules.SUCCESS_MARGIN:
+    if not excess.ci_low > rules.SUCCESS_MARGIN:
         untestable = "the strongest attack hardly links anybody: nothing could be seen"
-    elif not np.isfinite(found.value):
+    elif not np.isfinite(correlation.value):
         untestable = f"{name} hardly varies beyond length, speed and noise"
     return Draft(
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
         subject=linker.attack.label,
-        effect=found,
+        effect=correlation,
         parted_at=rules.LEAST_CORRELATION,
         above=rules.TRACKS,
         below=rules.DOES_NOT,
         unit="correlation",
         sentences={
             rules.DOES_NOT: (
-                f"{said}: less than {rules.LEAST_CORRELATION:g}, it does not tell."
+                f"{sentence}: less than {rules.LEAST_CORRELATION:g}, it does not tell."
             ),
-            rules.TRACKS: f"{said}: it tells.",
-            "": f"{said}.",
+            rules.TRACKS: f"{sentence}: it tells.",
+            "": f"{sentence}.",
         },
         untestable=untestable,
-        details={"levels": len(levels), "linked": known(works.value)},
+        details={"levels": len(levels), "linked": known(excess.value)},
     )
 
 
 def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
-    """Return the mean of values with its clustered standard error (Liang and Zeger 1986)."""
+    """Return the mean with its clustered standard error (Liang and Zeger 1986)."""
     mean = float(values.mean())
     return _estimated(mean, (values - mean) / values.size, cluster)
 
@@ -126,41 +134,43 @@ def partial_correlation(
     *,
     drawn: Floats | None = None,
 ) -> Estimate:
-    """Return the rank correlation of descriptor and hit within levels, beyond the covariates.
+    """Return the partial rank correlation of descriptor and hit within levels.
 
-    At each level all are put in ranks; the mean rank of the descriptor in both
+    At each level all are put in ranks. The mean rank of the descriptor in both
     releases, and the rank of the hit, are regressed on the ranks of the covariates and
-    their squares; what is left of either is correlated, over all levels together. The
-    standard error is the clustered sandwich of its influence function, so that a person
-    who occurs at every level counts once.
+    their squares; the residuals are correlated, over all levels together. The standard
+    error is the clustered sandwich of its influence function, so that a person at every
+    level counts once.
 
     `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each;
-    rows without a descriptor or covariate go. `drawn`, (B, C), are standard normal
-    numbers of each cluster, from which the replicates come (Gaussian multipliers of the
-    influence of each cluster: Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
+    rows without a descriptor or covariate are dropped. `drawn`, (B, C), are standard
+    normal numbers of each cluster. They make the replicates (Gaussian multipliers of
+    each cluster's influence: Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
     """
-    rests: list[Floats] = []
+    residuals: list[Floats] = []
     clusters: list[Ints] = []
     for descriptor, hit, covariates, cluster in levels:
-        whole = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(
+        is_complete = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(
             axis=1
         )
-        if whole.sum() < _FEW:
+        if is_complete.sum() < _FEW:
             continue
-        ranks = _ranks(np.column_stack([descriptor, hit, covariates])[whole])
-        mine = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
+        ranks = _ranks(np.column_stack([descriptor, hit, covariates])[is_complete])
+        own_rank = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
         columns = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
         varies = np.ptp(columns, axis=0) > _NOTHING
         design = np.column_stack([np.ones(len(ranks)), columns[:, varies]])
-        if whole.sum() <= design.shape[1] + _FEW:
+        if is_complete.sum() <= design.shape[1] + _FEW:
             continue
-        both = np.column_stack([mine, ranks[:, 2]])
-        rests.append(both - design @ np.linalg.lstsq(design, both, rcond=None)[0])
-        clusters.append(cluster[whole])
-    if not rests:
+        ranked = np.column_stack([own_rank, ranks[:, 2]])
+        residuals.append(
+            ranked - design @ np.linalg.lstsq(design, ranked, rcond=None)[0]
+        )
+        clusters.append(cluster[is_complete])
+    if not residuals:
         return Estimate(np.nan)
-    # Each in one piece: the sums below would otherwise be rounded in another order.
-    x, y = np.ascontiguousarray(np.concatenate(rests).T)
+    # Contiguous: otherwise the sums below would be rounded in another order.
+    x, y = np.ascontiguousarray(np.concatenate(residuals).T)
     cluster = np.concatenate(clusters)
     scale = np.sqrt((x @ x) * (y @ y)) / x.size
     if scale < _NO_SPREAD:
@@ -184,7 +194,7 @@ def _ranks(values: Floats) -> Floats:
 def _estimated(
     value: float, parts: Floats, cluster: Ints, drawn: Floats | None = None
 ) -> Estimate:
-    """Return an effect whose influence, (N,), sums up within clusters."""
+    """Return an effect with the standard error of its influence, (N,), by cluster."""
     names, column = np.unique(cluster, return_inverse=True)
     n = names.size
     if n < 2:  # noqa: PLR2004 - one person has no rank

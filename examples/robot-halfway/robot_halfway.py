@@ -1,4 +1,4 @@
-"""People slow down near a robot: predict the last second's pace, halved."""
+"""Predict half of the last second's speed, since people slow down near a robot."""
 
 from dataclasses import dataclass
 

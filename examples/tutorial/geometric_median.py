@@ -1,4 +1,4 @@
-"""An attack of one's own: believe no single position, but the point that is nearest to them all."""
+"""An attack of your own: the point that is nearest to all positions about a sample."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -11,7 +11,7 @@ from isac_track.types import Knowledge, Reconstruction
 
 @dataclass(frozen=True)
 class GeometricMedian:
-    """The geometric median of the positions about each sample: stray ones hardly move it."""
+    """Geometric median of the positions about a sample; stray ones hardly move it."""
 
     window_s: float = 1.0
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -23,20 +23,21 @@ class GeometricMedian:
 
     def fit(self, context):  # noqa: ARG002 - it learns nothing
         return lambda release: Reconstruction(
-            np.concatenate([self.one(t) for t in release])
+            np.concatenate([self.smooth(track) for track in release])
         )
 
-    def one(self, track):
-        """Return the (n, 2) positions of one track by Weiszfeld's iteration."""
+    def smooth(self, track):
+        """Return the (n, 2) positions of a track by Weiszfeld's iteration."""
         if len(track.t) < 2:
             return track.xy
         interval_s = (track.t[-1] - track.t[0]) / (len(track.t) - 1)
         half = min(round(self.window_s / interval_s / 2), len(track.t) - 1)
         padded = np.pad(track.xy, ((half, half), (0, 0)), mode="edge")
         near = sliding_window_view(padded, 2 * half + 1, axis=0)  # (n, 2, window)
-        found = near.mean(axis=2)
+        median = near.mean(axis=2)
         for _ in range(5):
-            apart = near - found[:, :, None]
-            weight = 1.0 / np.maximum(np.hypot(apart[:, 0], apart[:, 1]), 0.01)
-            found = np.einsum("nkw,nw->nk", near, weight) / weight.sum(axis=1)[:, None]
-        return found
+            gap = near - median[:, :, None]
+            weight = 1.0 / np.maximum(np.hypot(gap[:, 0], gap[:, 1]), 0.01)
+            total = np.einsum("nkw,nw->nk", near, weight)
+            median = total / weight.sum(axis=1)[:, None]
+        return median

@@ -1,4 +1,4 @@
-"""From a recording and an attack of one's own to a report; docs/tutorial.md goes with it.
+"""From a recording and your own attack to a report; see docs/tutorial/first-study.md.
 
 Run it as it is (`python tutorial.py`, 15 s), or cell by cell in an editor that knows
 `# %%`. It writes `walks.csv` and the folder `tutorial-run` where it is started.
@@ -16,14 +16,13 @@ from evaluation import design
 from isac_track import datasets
 
 # %% 1. A recording: t in s, id, x and y in m, and who walks together if that is known
-crowd = datasets.load(
-    "plaza"
-).tracks  # simulated, bundled; put your own file in its place
+# Simulated and bundled; put your own file in its place.
+crowd = datasets.load("plaza").tracks
 n_samples = np.diff(crowd.offsets)
 walks = pd.DataFrame({"t": crowd.t, "x": crowd.xy[:, 0], "y": crowd.xy[:, 1]})
 walks["id"] = np.repeat(crowd.source, n_samples)
 walks["group"] = np.repeat(crowd.group, n_samples)
-walks = walks[walks["t"] < 240.0]  # four of its ten minutes
+walks = walks[walks["t"] < 240.0]  # four of ten minutes
 walks.to_csv("walks.csv", index=False)
 recording = datasets.load("walks.csv")
 print(
@@ -32,12 +31,13 @@ print(
 )
 
 # %% 2. An attack: does it keep the contract?
-failed = [one for one in run_checks(GeometricMedian()) if one.status == "failed"]
+failed = [
+    outcome for outcome in run_checks(GeometricMedian()) if outcome.status == "failed"
+]
 print("attack kit:", failed or "all checks pass")
 
-# %% 3. Run it on six releases, beside a textbook smoother, by itself and in front of a
-# linker
-MINE = "geometric_median:GeometricMedian"
+# %% 3. Run it on six releases beside a textbook smoother: alone and before a linker
+ATTACK = "geometric_median:GeometricMedian"
 results = evaluation.run(
     evaluation.Settings(
         dataset="walks.csv",
@@ -45,13 +45,13 @@ results = evaluation.run(
         scenes=60,  # for a look; the preset has 500
         mechanisms=("raw", "fid:1000", "fid:1e5", "fixed:0.3", "fixed:1", "offset:0.3"),
         predictors=("least_squares",),
-        attacks=(MINE, "kalman_rts", f"shape@{MINE}", "shape@kalman_rts"),
+        attacks=(ATTACK, "kalman_rts", f"shape@{ATTACK}", "shape@kalman_rts"),
         tasks=("rerelease",),
         out="tutorial-run",
     )
 )
 
-# %% 4. What is left of privacy: PLR as shared and after either attack
+# %% 4. Privacy: PLR as shared and after either attack
 summary = results.summary.astype({"level": object}).fillna({"level": ""})
 shown = summary[summary["knowledge"].isin(["", "blind"])]
 plr = shown[shown["metric"] == "plr"]
@@ -61,7 +61,7 @@ print(
     ).round(3)
 )
 
-# %% 5. Who is found again: rank 1 with its interval
+# %% 5. Re-identification: rank 1 with its interval
 rank1 = shown[(shown["metric"] == "rank1") & (shown["knowledge"] == "blind")]
 columns = ["mechanism", "level", "consumer", "value", "ci_low", "ci_high"]
 print(rank1[columns].round(3).to_string(index=False))
@@ -73,8 +73,7 @@ for item in results.verdict["items"]:
     if item["section"] == "validity":
         print(f"{item['id']}: {item['decision']}. {item['sentence']}")
 
-# %% 7. A site: at most 45 % of the conflicts to come missed, at most 20 % of the people
-# found again
+# %% 7. A site: miss at most 45 % of future conflicts, link at most 20 % of the people
 question = "--max-missed 0.45 --max-rank1 0.2 --adding linear tutorial-run"
 exit_code = design.main(question.split())
 print("exit code:", exit_code)

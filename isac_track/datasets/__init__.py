@@ -1,9 +1,9 @@
 """Pedestrian tracks by name or from a file of one's own.
 
 ``load("students03")``, ``load("plaza")``, ``load("walk.csv")``, and ``load()`` for the
-best that is here. A format is told, or named by the file's extension, never guessed.
-`registry` knows the names and places, `repair` what is mended on reading;
-``docs/data.md`` describes it all.
+best data set on this machine. The user names a format, or the file's extension does; it
+is never guessed. `registry` knows the names and places, `repair` mends the rows;
+``docs/how-to/data.md`` describes all of it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,11 +30,11 @@ from isac_track.datasets.recording import (
     Reading,
     Repair,
     Rows,
-    checked_fps,
-    columns_named,
-    in_metres,
+    check_fps,
+    convert_to_metres,
     listed,
-    projected,
+    parse_columns,
+    project_degrees,
     steps_within,
 )
 from isac_track.datasets.registry import (
@@ -46,8 +46,8 @@ from isac_track.datasets.registry import (
     shown,
 )
 from isac_track.datasets.repair import to_tracks
-from isac_track.datasets.sessions import as_one
 from isac_track.datasets.sessions import files_in as session_files
+from isac_track.datasets.sessions import join_sessions
 from isac_track.errors import DataError, did_you_mean
 from isac_track.types import Bools, Floats, Tracks
 
@@ -63,7 +63,7 @@ FORMATS: Mapping[str, Callable[..., Rows]] = {
     "csv": read_table.read_csv,
     "parquet": read_table.read_parquet,
 }
-"""Each turns the bytes of a file into rows, and lets no error but `DataError` out."""
+"""Readers that turn the bytes of a file into rows and raise only `DataError`."""
 TOOLS: Mapping[str, Callable[..., Rows]] = {
     "jupedsim": read_tools.read_jupedsim,
     "hdf5": read_tools.read_hdf5,
@@ -72,18 +72,15 @@ TOOLS: Mapping[str, Callable[..., Rows]] = {
     "sdd": read_tools.read_sdd,
     "viswalk": read_tools.read_viswalk,
 }
-"""The same for what other tools write."""
+"""Readers of files that other tools write."""
 READERS: Mapping[str, Callable[..., Rows]] = {**FORMATS, **TOOLS}
-_WITH_COLUMNS = ("csv", "parquet")  # Their columns have names,
-_WITH_CLOCK = (
-    *_WITH_COLUMNS,
-    "vadere",
-    "viswalk",
-)  # and their times are seconds, not frames.
-FRAME = "DataFrame"  # Name, path and format of a recording that is none of a file.
-WALKING_MPS = (0.15, 2.5)  # Of the median speed; beyond, the units are in doubt.
-WALK_MPS = 1.2  # What most people walk at.
-USUAL_MPS = (0.4, 2.2)  # Of people who walk: what another unit would have to explain.
+_WITH_COLUMNS = ("csv", "parquet")  # Formats whose columns have names.
+# Formats whose times are seconds, not frames.
+_WITH_CLOCK = (*_WITH_COLUMNS, "vadere", "viswalk")
+FRAME = "DataFrame"  # Name, path and format of a recording that is a data frame.
+WALKING_MPS = (0.15, 2.5)  # Limits of the median speed; outside, units are in doubt.
+WALK_MPS = 1.2  # Usual speed of a walk.
+USUAL_MPS = (0.4, 2.2)  # Median speeds that another unit has to explain.
 STEP_S = 1.0  # With a longer usual step, the clock is in doubt.
 GRAND_CENTRAL = "gc"  # The format of an archive or a folder, as `read_gc` describes it.
 _EXTENSIONS = {
@@ -103,12 +100,13 @@ _CONVERTED = {
         f"f.assign(x=f.geometry.x, y=f.geometry.y).drop(columns='geometry').{_TO_CSV}"
     ),
 }
-"""How files of other kinds become a csv, by their extension."""
-# Tracks, repairs, hash, format.
-_Read: TypeAlias = "tuple[Tracks, tuple[Repair, ...], str, str]"
+"""Python code that converts files of other kinds to csv, by their extension."""
 SLOW_MPS = 0.2  # Slower steps than this are not walking.
 FROZEN_SHARE = 0.9
-"""Of steps of no length in a nearly frozen track: an annotation whose end tells the whole walk."""
+"""Share of steps without length in a nearly frozen track.
+
+Such an annotation has one sample, its end, for the whole walk.
+"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -117,21 +115,21 @@ class Dataset:
 
     name: str  # Name in the registry, or of the file.
     tracks: Tracks
-    path: str  # Where it was found; for bundled data relative to the package.
+    path: str  # Where the file is; for bundled data relative to the package.
     sha256: str  # Hash of the main file.
     format: str
-    # True for the bundled crowd; of a file of one's own nothing is known: False.
+    # True for the bundled crowd; False for all files, of which nothing is known.
     simulated: bool
     repairs: tuple[Repair, ...]
-    notice: (
-        str | None
-    )  # Says that another data set than the preferred one was taken; to be shown.
-    citation: str  # Whom to credit; empty if unknown.
+    # Says that another data set than the preferred one was taken; to be shown.
+    notice: str | None
+    citation: str  # Source to credit; empty if unknown.
     licence: str  # Empty if unknown.
-    sessions: tuple[str, ...] = ()  # Paths of the files that were named as sessions.
+    # Paths of the files that the user named as sessions.
+    sessions: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
-        """Return which recording it is and how large, in a line."""
+        """Return the recording's name, size, format and repairs in one line."""
         people = " (simulated people)" if self.simulated else ""
         size = f"{len(self.tracks):,} tracks, {self.tracks.t.size:,} samples"
         mended = f", {len(self.repairs)} kinds of repair" if self.repairs else ""
@@ -157,38 +155,42 @@ def load(
     Parameters
     ----------
     name : str, Path or DataFrame, optional
-        A known name, or else the path of a file, or of a folder of sessions, or a data
-        frame of pandas or polars with the columns of a csv. Without it: students03 if
-        it is here, otherwise the bundled crowd plaza, with a notice; never a download.
+        A known name, the path of a file or of a folder of sessions, or a data frame of
+        pandas or polars with the columns of a csv. Without it: students03 if it is
+        here, otherwise the bundled crowd plaza, with a notice; never a download.
     format : str, optional
-        Format of a file; ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs,
-        and so does a header as PeTrack and PedPy write it, which names the columns.
+        Format of a file. ``.csv``, ``.parquet`` and ``.ndjson`` (trajnet) name theirs,
+        and so does a header of PeTrack or PedPy, which names the columns.
     fps : float, optional
         Frames per second, for a format that counts frames, unless the file says so.
     unit : str, optional
-        Of the lengths in a file: m (the default), cm or mm, unless the file says so.
+        Unit of length: m (the default), cm or mm, unless the file says so.
     download : bool
         Whether a known data set that was named may be downloaded if it is not here.
     sessions : sequence of str or Path
         Two files or more that are sessions of one recording, instead of a name.
     persistent_ids : bool
-        Whether an id is the same person in all sessions. Where a header names a
-        markerID, as PeTrack's do, that says who it is, in any case.
+        Whether an id is the same person in all sessions. A markerID in the header, as
+        PeTrack writes it, always names the person.
     columns : str or mapping, optional
-        What t, id, x, y and group are called in a table: ``t=time[ms],x=pos_x[cm]``.
+        Names of t, id, x, y and group in a table: ``t=time[ms],x=pos_x[cm]``.
     on_duplicate : str
-        What is done with an id at two places at one time: error, first or mean.
+        Treatment of an id at two places at one time: error, first or mean.
     crs : str, optional
         ``degrees``: x and y are longitude and latitude, to be projected to local
         metres.
     drop_frozen : float, optional
-        Stretches of so many s or more at exactly one place are dropped.
+        Drop stretches of so many s or more at exactly one place.
 
     Returns
     -------
     Dataset
-        Times in s from the first sample of the recording, positions in m. What cannot
-        be had or read is a DataError that names file and line, or the way out.
+        Times in s from the first sample of the recording, positions in m.
+
+    Raises
+    ------
+    DataError
+        If a file is missing or cannot be read; it names file and line, or the way out.
     """
     if sessions:
         if name is not None or len(sessions) == 1:
@@ -196,86 +198,119 @@ def load(
                 "--session takes two files or more, and the place of --dataset"
             )
         name = Path(os.path.abspath(sessions[0])).parent  # noqa: PTH100 - never raises
-    reading = Reading(columns_named(columns), on_duplicate, crs, drop_frozen)
-    fps = None if fps is None else checked_fps(fps, where="--fps")
+    reading = Reading(parse_columns(columns), on_duplicate, crs, drop_frozen)
+    fps = None if fps is None else check_fps(fps, where="--fps")
     if not isinstance(name, str | Path | None):
         if (format, fps) != (None, None) or persistent_ids:
             raise DataError(
                 "a DataFrame has no format, frames a second or sessions to be told"
             )
-        return _of_frame(name, unit=unit, reading=reading)
-    source, files, notice = _found(
-        name, download=download, format=format, fps=fps, unit=unit
-    )
-    _refuse_for_known(source, reading)
-    path = next(iter(files.values()))
-    is_central = source.format == GRAND_CENTRAL
-    several = _several(path, sessions, source=source)
-    if persistent_ids and not several:
+        return _load_frame(name, unit=unit, reading=reading)
+    source = _find_source(name, download=download, format=format, fps=fps, unit=unit)
+    known, path = source.known, next(iter(source.files.values()))
+    _refuse_for_known(known, reading)
+    session_paths = _list_sessions(path, sessions, known=known)
+    if persistent_ids and not session_paths:
         raise DataError(
             "--persistent-ids is of sessions: a folder of files, or --session"
         )
-    if several:
-        found = _sessions(
-            several, source, unit=unit, same_people=persistent_ids, reading=reading
-        )
-        strange = [one.name for one in several if one.name not in source.sha256]
-        if strange and source.name in KNOWN:
-            notice = f"{source.name}: no known hash: {shown(listed(strange))}"
-    elif is_central:
-        found = _grand_central(path, source, reading=reading)
-    else:
-        found = _one_file(path, source, files=files, unit=unit, reading=reading)
-    tracks, repairs, sha256, format_name = found
-    notice = notice or _of_registered(sha256, source)
-    repairs = _with_doubts(source, tracks, repairs, where=shown(path))
+    recording = _read_source(
+        source, session_paths, unit=unit, same_people=persistent_ids, reading=reading
+    )
+    notice = (
+        _unknown_sessions_notice(session_paths, known)
+        or source.notice
+        or _other_rate_notice(recording.sha256, known)
+    )
+    is_bundled = known.session is not None
     return Dataset(
-        name=source.name,
-        tracks=tracks,
-        path=(
-            shown(path)
-            if source.session is None
-            else f"isac_track/datasets/{path.name}"
-        ),
-        sha256=sha256,
-        format=format_name,
-        simulated=source.session is not None,
-        repairs=repairs,
+        name=known.name,
+        tracks=recording.tracks,
+        path=f"isac_track/datasets/{path.name}" if is_bundled else shown(path),
+        sha256=recording.sha256,
+        format=recording.format,
+        simulated=is_bundled,
+        repairs=_with_doubts(known, recording, where=shown(path)),
         notice=notice,
-        citation=source.citation,
-        licence=source.licence,
+        citation=known.citation,
+        licence=known.licence,
         sessions=tuple(map(str, sessions)),
     )
 
 
-def _several(
-    path: Path, sessions: Sequence[str | Path], *, source: Known
+@dataclass(frozen=True, eq=False, slots=True)
+class _Source:
+    """A data set to read: known by name, or a file or folder."""
+
+    known: Known
+    files: Mapping[str, Path]
+    notice: str | None = None  # To be shown: why this data set was chosen.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Recording:
+    """Tracks as read from files, and what was done to them."""
+
+    tracks: Tracks
+    repairs: tuple[Repair, ...]
+    sha256: str
+    format: str
+
+
+def _read_source(
+    source: _Source,
+    session_paths: list[Path],
+    *,
+    unit: str | None,
+    same_people: bool,
+    reading: Reading,
+) -> _Recording:
+    """Read sessions, Grand Central or a single file, as the source asks."""
+    known, path = source.known, next(iter(source.files.values()))
+    if session_paths:
+        return _read_sessions(
+            session_paths, known, unit=unit, same_people=same_people, reading=reading
+        )
+    if known.format == GRAND_CENTRAL:
+        return _read_grand_central(path, known, reading=reading)
+    return _read_file(path, known, files=source.files, unit=unit, reading=reading)
+
+
+def _list_sessions(
+    path: Path, sessions: Sequence[str | Path], *, known: Known
 ) -> list[Path]:
     """Return the files that are sessions: those named, or those in a folder."""
     is_folder = os.path.isdir(path)  # noqa: PTH112 - never raises
-    if sessions or source.format == GRAND_CENTRAL or not is_folder:
+    if sessions or known.format == GRAND_CENTRAL or not is_folder:
         return [Path(session) for session in sessions]
-    return session_files(path, source.sessions or "*")
+    return session_files(path, known.sessions or "*")
 
 
-def _refuse_for_known(source: Known, reading: Reading) -> None:
-    if source.name in KNOWN and (reading.columns or reading.crs):
-        raise DataError(
-            f"{source.name} is known by name: leave --columns and --crs out"
-        )
+def _unknown_sessions_notice(paths: Sequence[Path], known: Known) -> str | None:
+    """Return a notice of the sessions of a known data set whose hash is not known."""
+    strange = [path.name for path in paths if path.name not in known.sha256]
+    if not strange or known.name not in KNOWN:
+        return None
+    return f"{known.name}: no known hash: {shown(listed(strange))}"
+
+
+def _refuse_for_known(known: Known, reading: Reading) -> None:
+    """Raise DataError for options that only a file of the user's own may have."""
+    if known.name in KNOWN and (reading.columns or reading.crs):
+        raise DataError(f"{known.name} is known by name: leave --columns and --crs out")
 
 
 def _with_doubts(
-    source: Known, tracks: Tracks, repairs: tuple[Repair, ...], *, where: str
+    known: Known, recording: _Recording, *, where: str
 ) -> tuple[Repair, ...]:
-    """Return repairs, and what is in doubt of a recording that is not known by name."""
-    if source.name in KNOWN:  # docs/data.md says how much of these stands.
-        return tuple(repair for repair in repairs if repair.kind != "frozen")
-    return (*repairs, *doubts(tracks, where=where))
+    """Return the repairs and, unless it is known by name, doubts about units."""
+    if known.name in KNOWN:  # docs/how-to/data.md describes their frozen tracks.
+        return tuple(repair for repair in recording.repairs if repair.kind != "frozen")
+    return (*recording.repairs, *doubts(recording.tracks, where=where))
 
 
-def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
-    """Return the recording in a data frame of pandas, or of a library that converts to it."""
+def _load_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
+    """Load a data frame of pandas, or of a library that converts to it."""
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
     if hasattr(frame, "collect_schema") and not hasattr(frame, "to_pandas"):
@@ -293,7 +328,7 @@ def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
         digest.update(
             np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("<")).tobytes()
         )
-    tracks, repairs = _tracks_of(rows, unit=unit, reading=reading)
+    tracks, repairs = _to_tracks(rows, unit=unit, reading=reading)
     return Dataset(
         name=FRAME,
         tracks=tracks,
@@ -308,14 +343,14 @@ def _of_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset:
     )
 
 
-def _tracks_of(
+def _to_tracks(
     rows: Rows,
     groups: Iterable[tuple[str, str]] = (),
     *,
     unit: str | None,
     reading: Reading,
 ) -> tuple[Tracks, tuple[Repair, ...]]:
-    """Return the tracks of rows in any unit or in degrees, and what was mended."""
+    """Convert rows in any unit or in degrees to tracks; return all repairs, too."""
     if reading.crs is not None:
         if unit is not None:
             raise DataError(
@@ -326,9 +361,9 @@ def _tracks_of(
             raise DataError(
                 f"{path}: --crs degrees contradicts {by}: lengths are in {rows.unit}"
             )
-        rows = projected(rows)
+        rows = project_degrees(rows)
     else:
-        rows = in_metres(rows, unit=unit)
+        rows = convert_to_metres(rows, unit=unit)
     return to_tracks(
         rows,
         groups,
@@ -337,62 +372,59 @@ def _tracks_of(
     )
 
 
-def _one_file(
+def _read_file(
     path: Path,
-    source: Known,
+    known: Known,
     *,
     files: Mapping[str, Path],
     unit: str | None,
     reading: Reading,
-) -> _Read:
-    """Return the tracks of one file, what was mended, its hash and format."""
-    data, where = registry.read_bytes(path, data_set=source), shown(path)
+) -> _Recording:
+    """Read one file of tracks, and its file of walking groups if there is one."""
+    data, where = registry.read_bytes(path, data_set=known), shown(path)
     sha256 = hashlib.sha256(data).hexdigest()
-    if source.session is not None:
-        return crowd.read_npz(path), (), sha256, "npz"
-    name, found = _format_of(path, source.format, data=data)
-    groups = []
+    if known.session is not None:
+        return _Recording(crowd.read_npz(path), (), sha256, "npz")
+    format_name, notes = _choose_format(path, known.format, data=data)
+    groups: list[tuple[str, str]] = []
     if GROUPS_FILE in files:
-        lines = (
-            registry.read_bytes(files[GROUPS_FILE], data_set=source)
-            .decode()
-            .splitlines()
-        )
-        groups = [
-            (member, line.split()[0]) for line in lines for member in line.split()
-        ]
+        text = registry.read_bytes(files[GROUPS_FILE], data_set=known).decode()
+        for line in text.splitlines():
+            # A line holds the ids of a group; the first id serves as its label.
+            members = line.split()
+            groups += [(member, members[0]) for member in members]
     tracks, repairs = read(
         data=data,
         path=where,
-        format=name,
-        fps=source.fps,
+        format=format_name,
+        fps=known.fps,
         unit=unit,
         groups=groups,
         reading=reading,
     )
-    return tracks, (*found, *repairs), sha256, name
+    return _Recording(tracks, (*notes, *repairs), sha256, format_name)
 
 
-def _refuse_copies(paths: list[Path], source: Known) -> None:
+def _refuse_copies(paths: list[Path], known: Known) -> None:
     """Raise DataError if two files hold the same bytes: nobody comes back in a copy."""
-    first_of: dict[str, Path] = {}
+    first_paths: dict[str, Path] = {}
     for path in paths:
-        sha256 = hashlib.sha256(registry.read_bytes(path, data_set=source)).hexdigest()
-        first = first_of.setdefault(sha256, path)
+        sha256 = hashlib.sha256(registry.read_bytes(path, data_set=known)).hexdigest()
+        first = first_paths.setdefault(sha256, path)
         if first is not path:
-            both = f"sessions {shown(first)} and {shown(path)}"
+            pair = f"sessions {shown(first)} and {shown(path)}"
             raise DataError(
-                f"{both} hold the same bytes, one recording twice; leave out one"
+                f"{pair} hold the same bytes, one recording twice; leave out one"
             )
 
 
-def _of_registered(sha256: str, source: Known) -> str | None:
-    """Return a notice if a file of one's own is a known data set under another rate."""
+def _other_rate_notice(sha256: str, source: Known) -> str | None:
+    """Return a notice if a file is a known data set, read at another frame rate."""
+    if source.name in KNOWN or source.fps is None:
+        return None
     for name, known in KNOWN.items():
-        is_of_it = source.name not in KNOWN and sha256 in known.sha256.values()
-        if is_of_it and None not in (known.fps, source.fps) and source.fps != known.fps:
-            assert known.fps is not None
-            assert source.fps is not None
+        is_same_file = sha256 in known.sha256.values()
+        if is_same_file and known.fps is not None and source.fps != known.fps:
             return (
                 f"these are the bytes of {name}, recorded at {known.fps:g} frames/s,"
                 f" read at {source.fps:g}: speeds are {source.fps / known.fps:.2g}"
@@ -401,125 +433,134 @@ def _of_registered(sha256: str, source: Known) -> str | None:
     return None
 
 
-def _sessions(
+def _read_sessions(
     paths: list[Path],
-    source: Known,
+    known: Known,
     *,
     unit: str | None,
     same_people: bool,
     reading: Reading,
-) -> _Read:
-    """Return what sessions hold, as `_one_file` does; the digest is over the lines of sha256sum."""
-    parts, notes, digest, formats, marked = (
-        [],
-        list[Repair](),
-        hashlib.sha256(),
-        set(),
-        {},
-    )
-    _refuse_copies(paths, source)
+) -> _Recording:
+    """Read files that are sessions; the digest is over the lines of sha256sum."""
+    _refuse_copies(paths, known)
+    parts: list[tuple[str, Tracks, str]] = []
+    notes: list[Repair] = []
+    digest, formats = hashlib.sha256(), set[str]()
+    has_marker: dict[str, bool] = {}
     for path in paths:
-        data, where = registry.read_bytes(path, data_set=source), shown(path)
-        format_name, found = _format_of(path, source.format, data=data)
+        data, where = registry.read_bytes(path, data_set=known), shown(path)
+        format_name, format_notes = _choose_format(path, known.format, data=data)
         header = read_frames.read_header(format_name, data=data, path=where)
-        by = marked[path.stem] = header.marker is not None
+        by_marker = has_marker[path.stem] = header.marker is not None
         tracks, repairs = read(
             data=data,
             path=where,
             format=format_name,
-            fps=source.fps,
+            fps=known.fps,
             unit=unit,
-            by_marker=by,
+            by_marker=by_marker,
             reading=reading,
         )
-        if by:  # Who wears no marker is nobody whom another session knows.
-            own = [
-                f"{path.stem}:{who}" if who.startswith("-") else who
-                for who in tracks.group
+        if by_marker:
+            # A person without a marker cannot be known in another session.
+            people = [
+                f"{path.stem}:{person}" if person.startswith("-") else person
+                for person in tracks.group
             ]
-            tracks = replace(tracks, person=tuple(own))
+            tracks = replace(tracks, person=tuple(people))
         parts.append((shown(path.stem), tracks, unit or header.unit or "m"))
-        notes += [*found, *repairs]
+        notes += [*format_notes, *repairs]
         digest.update(
             f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(
                 errors="replace"
             )
         )
         formats.add(format_name)
-    if len(set(marked.values())) > 1:
-        one, other = (
-            next(at for at in marked if marked[at] is is_so) for is_so in (True, False)
-        )
-        raise DataError(
-            f"sessions {shown(one)} and {shown(other)}: a header names a markerID in"
-            " the first alone, so that ids clash; leave the column out there, or add"
-            " it to the other"
-        )
-    tracks = as_one(parts, same_people=same_people or all(marked.values()))
-    return tracks, tuple(notes), digest.hexdigest(), " ".join(sorted(formats))
+    _refuse_mixed_markers(has_marker)
+    same_people = same_people or all(has_marker.values())
+    return _Recording(
+        join_sessions(parts, same_people=same_people),
+        tuple(notes),
+        digest.hexdigest(),
+        " ".join(sorted(formats)),
+    )
 
 
-def _found(
+def _refuse_mixed_markers(has_marker: Mapping[str, bool]) -> None:
+    """Raise DataError if only some sessions have a marker in their header."""
+    if len(set(has_marker.values())) < 2:  # noqa: PLR2004 - all or none
+        return
+    marked = next(session for session in has_marker if has_marker[session])
+    unmarked = next(session for session in has_marker if not has_marker[session])
+    raise DataError(
+        f"sessions {shown(marked)} and {shown(unmarked)}: a header names a markerID in"
+        " the first alone, so that ids clash; leave the column out there, or add"
+        " it to the other"
+    )
+
+
+def _find_source(
     name: str | Path | None,
     *,
     download: bool,
     format: str | None,  # noqa: A002 - the name of the option
     fps: float | None,
     unit: str | None,
-) -> tuple[Known, dict[str, Path], str | None]:
-    """Return what is meant by a name or path, its files, and what is to be said of the choice."""
-    said = str(name or "")
-    # A mistyped name is no path, if nothing in it looks like one.
-    looks = os.sep in said or "." in said or os.path.exists(said)  # noqa: PTH110 - never raises
-    if isinstance(name, Path) or (looks and name not in KNOWN):
-        path = Path(said)
+) -> _Source:
+    """Return the data set that a name or path means, its files, and a notice."""
+    text = str(name or "")
+    # A mistyped name is no path, if nothing in it looks like a path.
+    looks_like_path = os.sep in text or "." in text or os.path.exists(text)  # noqa: PTH110 - never raises
+    if isinstance(name, Path) or (looks_like_path and name not in KNOWN):
+        path = Path(text)
         # Rows of another recording must never pass for those of a known one.
         title = shown(path.name if path.stem in KNOWN else path.stem)
-        return (
-            Known(title, format=format or "", fps=fps),
-            {registry.MAIN_FILE: path},
-            None,
-        )
-    is_asked = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
-    source = registry.known(
-        (DEFAULT if is_asked else FALLBACK) if name is None else said
-    )
+        own = Known(title, format=format or "", fps=fps)
+        return _Source(own, {registry.MAIN_FILE: path})
+    is_preferred = name is not None or bool(registry.locate(KNOWN[DEFAULT])[0])
+    if name is None:
+        text = DEFAULT if is_preferred else FALLBACK
+    known = registry.known(text)
     if (format, fps, unit) != (None, None, None):
         raise DataError(
-            f"{'the default data set' if name is None else source.name} is known by"
+            f"{'the default data set' if name is None else known.name} is known by"
             " name: leave --format, --fps and --unit out (they describe a file of your"
             " own)"
         )
-    if source.session is None:
-        return (
-            source,
-            registry.files_of(source, download=download and name is not None),
-            None,
-        )
+    if known.session is None:
+        may_download = download and name is not None
+        files = registry.find_data_files(known, download=may_download)
+        return _Source(known, files)
     notice = (
-        f"{DEFAULT} is not here ({registry.searched()}): using the bundled simulated "
-        f"crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch {DEFAULT}"
+        f"{DEFAULT} is not here ({registry.describe_lookup()}): using the bundled"
+        f" simulated crowd {FALLBACK}. To get it: python -m isac_track.datasets fetch"
+        f" {DEFAULT}"
     )
-    files = {registry.MAIN_FILE: crowd.bundled_path(source.session)}
-    return source, files, None if is_asked else notice
+    files = {registry.MAIN_FILE: crowd.bundled_path(known.session)}
+    return _Source(known, files, None if is_preferred else notice)
 
 
-def _grand_central(path: Path, source: Known, *, reading: Reading) -> _Read:
-    """Return the tracks of a folder or archive of `GRAND_CENTRAL`, as `_one_file` does."""
-    if source.fps is not None:
+def _read_grand_central(path: Path, known: Known, *, reading: Reading) -> _Recording:
+    """Read a folder or archive of the format `GRAND_CENTRAL`."""
+    if known.fps is not None:
         raise DataError(
             f"{shown(path)}: format {GRAND_CENTRAL} has its own clock; leave --fps out"
         )
     rows, digest = read_gc.read_gc(path, where=shown(path))
-    registry.check(path, source, file_name=registry.WHOLE, actual=digest)
+    registry.check(path, known, file_name=registry.WHOLE, actual=digest)
     _no_columns(reading, format_name=GRAND_CENTRAL, path=shown(path))
-    tracks, repairs = _tracks_of(rows, unit=None, reading=reading)
+    tracks, repairs = _to_tracks(rows, unit=None, reading=reading)
     fast = read_gc.fast_pieces(tracks, where=shown(path))
-    return tracks, (*repairs, *fast), digest, GRAND_CENTRAL
+    return _Recording(tracks, (*repairs, *fast), digest, GRAND_CENTRAL)
 
 
-def _format_of(path: Path, name: str, *, data: bytes) -> tuple[str, tuple[Repair, ...]]:
-    """Return the format, as named, by extension or by header; columns tell no id from frame."""
+def _choose_format(
+    path: Path, name: str, *, data: bytes
+) -> tuple[str, tuple[Repair, ...]]:
+    """Return the format as named, by extension or by header, and a note of the header.
+
+    The number of columns is no guide: it does not tell an id from a frame.
+    """
     name = name or _EXTENSIONS.get(path.suffix.lower(), "")
     known = ", ".join((*READERS, GRAND_CENTRAL))
     if not name:
@@ -561,15 +602,15 @@ def read(
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
 
-    `path` is its name, for messages, and `format` one of `READERS`; `fps`, frames a
-    second, is for those that count frames; `unit`, of lengths, is m if neither it nor
-    the file says. `groups` are (id, label) pairs of who walks together, if that is in
-    another file. `by_marker`: who it is says the marker that a pedpy header names.
-    `reading` is what else is known of it. DataError names file and line for anything
-    that cannot be read as tracks.
+    `path` is the file's name for messages, and `format` one of `READERS`. `fps`, frames
+    a second, is for formats that count frames; `unit` of length is m if neither it nor
+    the file says. `groups` are (id, label) pairs of people who walk together, from
+    another file. With `by_marker` the marker that a pedpy header names is the person.
+    `reading` holds further options. DataError names file and line of anything that
+    cannot be read as tracks.
     """
     if fps is not None:
-        checked_fps(fps, where="--fps")
+        check_fps(fps, where="--fps")
     if fps is not None and format in _WITH_CLOCK:
         frames = (
             "; of frames: --columns 't=frame[25 fps]'"
@@ -588,8 +629,8 @@ def read(
         options["fps"] = fps
     if by_marker:
         options["by_marker"] = True
-    # The rows have no name here: they are let go as soon as they are sorted.
-    return _tracks_of(
+    # The rows have no name here: they are freed as soon as they are sorted.
+    return _to_tracks(
         READERS[format](data=data, path=path, **options),
         groups,
         unit=unit,
@@ -598,6 +639,7 @@ def read(
 
 
 def _no_columns(reading: Reading, *, format_name: str, path: str) -> None:
+    """Raise DataError if column names are given for a format without such names."""
     if reading.columns:
         raise DataError(
             f"{path}: --columns is of csv and parquet, not of {format_name}"
@@ -605,10 +647,10 @@ def _no_columns(reading: Reading, *, format_name: str, path: str) -> None:
 
 
 def doubts(tracks: Tracks, *, where: str) -> tuple[Repair, ...]:
-    """Return why the units of a recording of one's own may be wrong, and what they may be.
+    """Return a doubt if the units of a recording may be wrong, with a likely cause.
 
-    Its median speed while moving is not within `WALKING_MPS`, or its median step over
-    `STEP_S`.
+    That is if its median speed while moving is not within `WALKING_MPS`, or its median
+    step is over `STEP_S`.
     """
     within = steps_within(tracks.offsets)
     step_s = np.diff(tracks.t)[within]
@@ -621,26 +663,23 @@ def doubts(tracks: Tracks, *, where: str) -> tuple[Repair, ...]:
     is_slow, is_fast, is_coarse = speed < low, speed > high, usual_s > STEP_S
     if not (is_slow or is_fast or is_coarse):
         return ()
-    causes = [
-        (
-            abs(np.log(speed * factor / WALK_MPS)),
-            f"{cause} (makes {speed * factor:.2g} m/s)",
-        )
-        for cause, factor, is_so in (
-            ("feet for metres: --unit ft", 0.3048, is_fast),
-            ("decimetres for metres: --unit 0.1", 0.1, is_fast),
-            ("a frame rate twice too high", 0.5, is_fast),
-            ("frame numbers for seconds, as at 10 a second", 10.0, not is_fast),
-            ("frame numbers for seconds, as at 25 a second", 25.0, not is_fast),
-            ("milliseconds for seconds", 1000.0, not is_fast),
-        )
-        if is_so and USUAL_MPS[0] <= speed * factor <= USUAL_MPS[1]
-    ]
-    guess = (
-        f"; likely {min(causes)[1]}"
-        if causes
-        else "; is the clock in seconds, are lengths in metres"
+    causes = (
+        ("feet for metres: --unit ft", 0.3048, is_fast),
+        ("decimetres for metres: --unit 0.1", 0.1, is_fast),
+        ("a frame rate twice too high", 0.5, is_fast),
+        ("frame numbers for seconds, as at 10 a second", 10.0, not is_fast),
+        ("frame numbers for seconds, as at 25 a second", 25.0, not is_fast),
+        ("milliseconds for seconds", 1000.0, not is_fast),
     )
+    likely = []
+    for cause, factor, is_possible in causes:
+        corrected = speed * factor
+        if is_possible and USUAL_MPS[0] <= corrected <= USUAL_MPS[1]:
+            error = abs(np.log(corrected / WALK_MPS))
+            likely.append((error, f"{cause} (makes {corrected:.2g} m/s)"))
+    guess = "; is the clock in seconds, are lengths in metres"
+    if likely:
+        guess = f"; likely {min(likely)[1]}"
     text = f"median speed {speed:.2f} m/s, a sample every {usual_s:.2g} s{guess}"
     return (Repair("doubt", 1, f"{where}: units may be wrong: {text}?"),)
 
@@ -652,7 +691,7 @@ def summarise(tracks: Tracks) -> DataFrame:
     the path over the duration; `speed_sd_mps`, the standard deviation over time of the
     step speed; `slow_share` and `still_share`, the shares of steps slower than
     `SLOW_MPS` and of exactly no length (all four NaN for a single sample); and
-    `frozen`, nearly frozen tracks.
+    `frozen`, whether the track is nearly frozen.
     """
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
@@ -670,7 +709,8 @@ def summarise(tracks: Tracks) -> DataFrame:
         )
 
     duration = tracks.t[last] - tracks.t[first]
-    with np.errstate(invalid="ignore"):  # 0 / 0 of a single sample is NaN, as promised
+    # 0 / 0 of a single sample is NaN.
+    with np.errstate(invalid="ignore"):
         mean = per_track(length) / duration
         summary = {
             "steps": steps,
@@ -688,14 +728,12 @@ def summarise(tracks: Tracks) -> DataFrame:
 def still_share(summary: DataFrame) -> float:
     """Return the share of exactly-zero steps among all steps; NaN without steps."""
     n_steps = summary["steps"].sum()
-    return (
-        float((summary["still_share"] * summary["steps"]).sum() / n_steps)
-        if n_steps
-        else np.nan
-    )
+    if not n_steps:
+        return np.nan
+    return float((summary["still_share"] * summary["steps"]).sum() / n_steps)
 
 
 def n_lasting(summary: DataFrame, duration_s: float) -> int:
-    """Return how many tracks last at least this long."""
+    """Return the number of tracks that last at least this long."""
     # The clock rounds: 21.6 s at 25 frames a second is 540 frames.
     return int((summary["duration_s"] >= duration_s - 1e-9).sum())

@@ -1,4 +1,4 @@
-"""``python -m isac_track.datasets``: what data sets are here, what is in them, and get more."""
+"""``python -m isac_track.datasets``: list, show and fetch data sets."""
 
 import sys
 from argparse import Namespace
@@ -17,7 +17,7 @@ from isac_track.errors import IsacTrackError
 
 _USUAL: Final = StageSettings()
 _LONG_S: Final = (_USUAL.linkage.window_s, _USUAL.resample.min_duration_s)
-"""Durations of interest: a release that is linked, and the tracks that scenes are made of."""
+"""Durations of interest: of a linked release, and of the tracks in scenes."""
 _FROZEN = f"{datasets.FROZEN_SHARE:.0%}"
 
 
@@ -45,7 +45,7 @@ def _parser() -> Parser:
     show.add_argument(
         "name", metavar="NAME|PATH", help="a known name, or a file of your own"
     )
-    show.add_argument("--format", help="format of a file: see docs/data.md")
+    show.add_argument("--format", help="format of a file: see docs/how-to/data.md")
     show.add_argument(
         "--fps", type=float, help="frames per second, if the format counts frames"
     )
@@ -70,7 +70,7 @@ def _parser() -> Parser:
 
 
 def _aligned(table: Mapping[str, Sequence[str]], title: str, *columns: str) -> str:
-    """Return rows by their label under a header, the label to the left and numbers to the right."""
+    """Return labelled rows under a header: labels to the left, numbers to the right."""
     import pandas as pd  # noqa: PLC0415 - `--help` stays quick
 
     frame = pd.DataFrame(table.values(), index=list(table), columns=list(columns))
@@ -84,15 +84,16 @@ def _list(_: Namespace) -> int:
         where = f"not here; `python -m isac_track.datasets fetch {name}`"
         try:
             if not registry.locate(data_set)[1]:
-                found = datasets.load(name, download=False)
-                summary = datasets.summarise(found.tracks)
-                where = found.path
+                dataset = datasets.load(name, download=False)
+                summary = datasets.summarise(dataset.tracks)
+                where = dataset.path
+                n_long = [
+                    datasets.n_lasting(summary, duration_s) for duration_s in _LONG_S
+                ]
                 rows[name] = [
                     f"{len(summary)}",
-                    *(
-                        f"{datasets.n_lasting(summary, duration_s)}"
-                        for duration_s in _LONG_S
-                    ),
+                    f"{n_long[0]}",
+                    f"{n_long[1]}",
                     f"{summary.duration_s.median():.1f}",
                     f"{summary.speed_mean_mps.median():.2f}",
                     f"{datasets.still_share(summary):.1%}",
@@ -104,7 +105,11 @@ def _list(_: Namespace) -> int:
     long = (f">={duration_s:g} s" for duration_s in _LONG_S)
     columns = ("tracks", *long, "median s", "m/s", "zero", "frozen")
     print(
-        _aligned(rows, "data set", *columns), "", *notes, registry.searched(), sep="\n"
+        _aligned(rows, "data set", *columns),
+        "",
+        *notes,
+        registry.describe_lookup(),
+        sep="\n",
     )
     print(
         "m/s: median of the tracks' mean speeds. zero: share of steps of exactly no\n"
@@ -114,20 +119,28 @@ def _list(_: Namespace) -> int:
 
 
 def _show(arguments: Namespace) -> int:
-    asked = ("format", "fps", "unit", "columns", "on_duplicate", "crs", "drop_frozen")
-    own = {name: getattr(arguments, name) for name in asked}
-    found = datasets.load(arguments.name, **own)
-    tracks, summary = found.tracks, datasets.summarise(found.tracks)
+    option_names = (
+        "format",
+        "fps",
+        "unit",
+        "columns",
+        "on_duplicate",
+        "crs",
+        "drop_frozen",
+    )
+    options = {name: getattr(arguments, name) for name in option_names}
+    dataset = datasets.load(arguments.name, **options)
+    tracks, summary = dataset.tracks, datasets.summarise(dataset.tracks)
     frozen = [tracks.source[row] for row in np.flatnonzero(summary.frozen)]
     lasting = (
-        f"{datasets.n_lasting(summary, one_s)} of at least {one_s:g} s"
-        for one_s in _LONG_S
+        f"{datasets.n_lasting(summary, duration_s)} of at least {duration_s:g} s"
+        for duration_s in _LONG_S
     )
     facts = {
-        "name": found.name + (" (simulated)" if found.simulated else ""),
-        "path": found.path,
-        "format": found.format,
-        "sha256": found.sha256,
+        "name": dataset.name + (" (simulated)" if dataset.simulated else ""),
+        "path": dataset.path,
+        "format": dataset.format,
+        "sha256": dataset.sha256,
         "tracks": (
             f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples"
         ),
@@ -140,10 +153,10 @@ def _show(arguments: Namespace) -> int:
             + (f": {listed(frozen)}" if frozen else "")
         ),
         "repairs": (
-            f"{len(found.repairs)} kind(s), see below" if found.repairs else "none"
+            f"{len(dataset.repairs)} kind(s), see below" if dataset.repairs else "none"
         ),
-        "credit": found.citation,
-        "licence": found.licence,
+        "credit": dataset.citation,
+        "licence": dataset.licence,
     }
     rows = {}
     for label, column, form in (
@@ -154,11 +167,15 @@ def _show(arguments: Namespace) -> int:
         ("steps of no length", "still_share", ".1%"),
     ):
         quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])
-        rows[label] = [format(one, form) for one in quantiles]
+        rows[label] = [format(quantile, form) for quantile in quantiles]
     lines = [f"{label:<12} {fact}" for label, fact in facts.items() if fact]
     lines += ["", _aligned(rows, "per track", "min", "5%", "median", "95%", "max")]
-    lines += [""] * bool(found.repairs)
-    lines += [f"{one.count:>6} {one.kind:<14} {one.detail}" for one in found.repairs]
+    if dataset.repairs:
+        lines.append("")
+    lines += [
+        f"{repair.count:>6} {repair.kind:<14} {repair.detail}"
+        for repair in dataset.repairs
+    ]
     print(*lines, sep="\n")
     return DONE
 

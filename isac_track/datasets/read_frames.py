@@ -1,4 +1,4 @@
-"""Readers of the formats that count frames: obsmat, social-gan, pedpy, and trajnet's JSON lines."""
+"""Readers of formats that count frames: obsmat, social-gan, pedpy, trajnet."""
 
 import json
 import re
@@ -15,25 +15,26 @@ from isac_track.datasets.recording import Repair, Rows, listed
 from isac_track.errors import DataError
 
 COLUMNS = {
-    # Of OpenTraj; height and velocities are not used.
+    # From OpenTraj; height and velocities are not used.
     "obsmat": ("frame", "id", "x", "z", "y", "vx", "vz", "vy"),
-    # Of Social-GAN and its successors.
+    # From Social-GAN and its successors.
     "social-gan": ("frame", "id", "x", "y"),
-    # Of PeTrack, PedPy and JuPedSim; there may be more columns. Comments before the
+    # From PeTrack, PedPy and JuPedSim; there may be more columns. Comments before the
     # first row may give the `framerate: 25`, the unit (`x/m`, `x/cm`, `x/mm`) and the
     # columns in another order.
     "pedpy": ("id", "frame", "x", "y"),
 }
-"""Of each format with a row of numbers a line."""
+"""Columns of each format with a row of numbers a line."""
 _HEADER_CHARACTERS = 1000
-_CALLED = {
+_COLUMN_NAMES = {
     **dict.fromkeys(("id", "persid", "personid", "trackid", "ped"), "id"),
     **dict.fromkeys(("frame", "fr", "frameid", "framenr"), "frame"),
-    "markerid": "marker",  # of PeTrack: on the person's head, the same in all runs
+    # From PeTrack: on the person's head, the same in all runs.
+    "markerid": "marker",
     "x": "x",
     "y": "y",
 }
-"""What headers call the columns that are used, in small letters and without their unit."""
+"""Names of the used columns in headers, in small letters and without unit."""
 _FRAME_RATE = re.compile(r"frame\s*rate|\bfps(?=\s*[:=])", re.IGNORECASE)
 _NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?"
 _RATE = re.compile(
@@ -47,12 +48,12 @@ _POSITIONS = re.compile(
     r"\b([xy]|xy|positions?|coordinates?|trajector(y|ies)|lengths?|units?|distances?|points?|data|"
     r"all|everything|values)\b"
 )
-"""What a header calls positions where it says their unit in a sentence."""
+"""Words for positions in a sentence of a header that names their unit."""
 _NO_POSITIONS = re.compile(
     r"\b(errors?|accurac(y|ies)|precision|resolution|noise|uncertaint(y|ies)|deviations?|"
     r"tolerances?|walls?|cameras?)\b"
 )
-"""What is said of positions, or of distances, that is no position."""
+"""Words for properties of positions or distances that are no positions."""
 _CONVERTED = re.compile(
     r"\b(?:converted|transformed|rescaled) (?:in)?to ([cm]?m|metres?|meters?)\b"
 )
@@ -62,14 +63,14 @@ _TRACK_FIELDS = ("f", "p", "x", "y")
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """What the comments before the first row of a file say."""
+    """Contents of the comments before the first row of a file."""
 
     fps: float | None = None
-    unit: str = ""  # Of `recording.METRES`; empty if none is named.
+    unit: str = ""  # A unit of `recording.METRES`; empty if none is named.
     columns: Mapping[str, int] = field(default_factory=dict)
-    """Places of frame, id, x and y; empty if no line names all the columns of the first row."""
-    line: int = 0  # That names them.
-    marker: int | None = None  # Place of the person's number, which lasts over files.
+    """Places of frame, id, x and y; empty unless a line names all columns."""
+    line: int = 0  # The line that names the columns.
+    marker: int | None = None  # Column of the person's number, the same in all files.
 
 
 def read_columns(
@@ -82,60 +83,69 @@ def read_columns(
 ) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    `by_marker`: who it is says the header's marker; without one (-1) the id, made
-    negative. DataError names file and line, or says that `fps` is missing or
-    contradicts the file's.
+    With `by_marker` the header's marker identifies the person; a row without a marker
+    (-1) has its id, made negative. DataError names file and line, or says that `fps` is
+    missing or contradicts the file's.
     """
     recording.check_text(data=data, path=path)
     header = read_header(format_name, data=data, path=path)
-    rate = header.fps if fps is None else fps
-    if rate is None:
-        said = (
-            " and the file's header has no framerate" if format_name == "pedpy" else ""
-        )
-        raise DataError(
-            f"{path}: format {format_name} counts frames{said}; "
-            "give frames per second with --fps (25 for UCY)"
-        )
-    if header.fps not in {None, rate}:
-        raise DataError(
-            f"{path}: --fps {rate:g} contradicts the file's framerate {header.fps:g}"
-        )
+    rate = _choose_rate(fps, header.fps, format_name=format_name, path=path)
     fault: Exception | None = None
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", UserWarning
-            )  # of an empty table: an error below
-            table = np.loadtxt(recording.lines_of(data), dtype=np.float64, ndmin=2)
+            # The warning of an empty table: that is an error below.
+            warnings.simplefilter("ignore", UserWarning)
+            table = np.loadtxt(recording.iterate_lines(data), dtype=np.float64, ndmin=2)
     except (ValueError, OverflowError, MemoryError) as error:
         fault, table = error, np.zeros((1, 0))
     if not len(table):
         raise DataError(f"{path}: the file holds no rows")
-    if not _fits(table.shape[1], format_name):
+    if not _has_width(table.shape[1], format_name):
         n_first = 0
-        for number, fields in _split(data):
+        for number, fields in _split_rows(data):
             if message := _fault(fields, format_name, n_first):
                 raise DataError(f"{path}, line {number}: {message}")
             n_first = len(fields)
         raise DataError(f"{path}: cannot be read as {format_name}: {fault}")
     place = recording.Place(
-        path, lambda: np.fromiter((n for n, _ in _split(data)), dtype=np.int64)
+        path, lambda: np.fromiter((n for n, _ in _split_rows(data)), dtype=np.int64)
     )
     columns = header.columns or {
         name: COLUMNS[format_name].index(name) for name in _USED
     }
     if by_marker and header.marker is not None:
-        # -1 is PeTrack's word for no marker: such a trajectory keeps its id, below all
+        # -1 is PeTrack's sign for no marker: such a trajectory keeps its id, below all
         # markers.
         marker, own = table[:, header.marker], table[:, columns["id"]]
         table[:, columns["id"]] = np.where(marker < 0, -1 - own, marker)
-    rows = recording.framed({name: table[:, columns[name]] for name in _USED}, place)
+    rows = recording.build_rows(
+        {name: table[:, columns[name]] for name in _USED}, place
+    )
     return replace(rows, t=rows.t / rate, unit=header.unit)
 
 
+def _choose_rate(
+    fps: float | None, declared: float | None, *, format_name: str, path: str
+) -> float:
+    """Return the frame rate of user or header; DataError if none, or if they differ."""
+    rate = declared if fps is None else fps
+    if rate is None:
+        no_rate = ""
+        if format_name == "pedpy":
+            no_rate = " and the file's header has no framerate"
+        raise DataError(
+            f"{path}: format {format_name} counts frames{no_rate}; "
+            "give frames per second with --fps (25 for UCY)"
+        )
+    if declared not in {None, rate}:
+        raise DataError(
+            f"{path}: --fps {rate:g} contradicts the file's framerate {declared:g}"
+        )
+    return rate
+
+
 def read_header(format_name: str, *, data: bytes, path: str) -> Header:
-    """Return what the header says, if the format has one; DataError if it cannot be so."""
+    """Read the header, if the format has one; DataError if it is ambiguous."""
     if format_name != "pedpy":
         return Header()
     recording.check_text(data=data, path=path)
@@ -143,10 +153,9 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
     units: dict[str, int] = {}
     named: list[tuple[int, list[str]]] = []
     n_fields = 0
-    for number, line in enumerate(recording.lines_of(data), start=1):
-        text = line.strip()[
-            :_HEADER_CHARACTERS
-        ]  # the search is quadratic in the worst case
+    for number, line in enumerate(recording.iterate_lines(data), start=1):
+        # The search is quadratic in the worst case: the text must be short.
+        text = line.strip()[:_HEADER_CHARACTERS]
         if text and not text.startswith("#"):
             n_fields = len(text.split("#", 1)[0].split())
             break
@@ -156,33 +165,39 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
         for unit in _declared_units(text.lower()):
             units.setdefault(unit[:40], number)
         bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
-        names = [_CALLED.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())]
+        names = [
+            _COLUMN_NAMES.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())
+        ]
         if all(names.count(name) == 1 for name in _USED):
             named.append((number, names))
     _check_single(rates, units, path=path)
-    # As many names as the first row has fields: a sentence about the columns names
-    # none.
-    of_line, names = next((one for one in named if len(one[1]) == n_fields), (0, []))
-    places = {name: names.index(name) for name in _USED if of_line}
+    # There must be as many names as the first row has fields: a sentence about the
+    # columns does not count.
+    header_line, names = 0, list[str]()
+    for line_number, column_names in named:
+        if len(column_names) == n_fields:
+            header_line, names = line_number, column_names
+            break
+    places = {name: names.index(name) for name in _USED if header_line}
     marker = names.index("marker") if names.count("marker") == 1 else None
     return Header(
-        next(iter(rates), None), next(iter(units), ""), places, of_line, marker
+        next(iter(rates), None), next(iter(units), ""), places, header_line, marker
     )
 
 
 def _check_single(
     rates: Mapping[float, int], units: Mapping[str, int], *, path: str
 ) -> None:
-    """Raise DataError if a header names two frame rates or units, or a unit that is not known.
+    """Raise DataError if a header names two frame rates or units, or an unknown unit.
 
-    Both are by the number of the line that names them first.
+    `rates` and `units` map each to the number of the first line that names it.
     """
     if len(rates) > 1:
-        both = " and ".join(
+        rate_list = " and ".join(
             f"{rate:g} (line {number})" for rate, number in [*rates.items()][:2]
         )
         raise DataError(
-            f"{path}: the header names two framerates: {both}; leave the right one"
+            f"{path}: the header names two framerates: {rate_list}; leave the right one"
         )
     if len(units) > 1:
         raise DataError(
@@ -197,10 +212,10 @@ def _check_single(
 
 
 def _declared_rate(text: str, *, where: str) -> float | None:
-    """Return the frame rate that a comment gives, None if it gives none; DataError if unclear.
+    """Return the frame rate that a comment gives; None without, DataError if unclear.
 
-    A number, or a fraction, directly behind the word or behind the last colon or equals
-    sign.
+    It is a number, or a fraction, directly behind the word or behind the last colon or
+    equals sign.
     """
     keyword = _FRAME_RATE.search(text)
     if keyword is None:
@@ -221,16 +236,19 @@ def _declared_rate(text: str, *, where: str) -> float | None:
         raise DataError(
             f"{where}: the framerate {written!r} is not a single number{hint}"
         )
-    fps = recording.checked_fps(rate[1], where=where)
+    fps = recording.check_fps(rate[1], where=where)
     if rate[2]:
-        fps = recording.checked_fps(
-            fps / recording.checked_fps(rate[2], where=where), where=where
+        fps = recording.check_fps(
+            fps / recording.check_fps(rate[2], where=where), where=where
         )
     return fps
 
 
 def _declared_units(text: str) -> list[str]:
-    """Return the units of positions that a comment in small letters names; not those of height."""
+    """Return the units of positions that a comment names, in small letters.
+
+    Units of heights do not count.
+    """
     if converted := _CONVERTED.search(text):
         return [converted[1] if converted[1] in recording.METRES else "m"]
     units, end = [], 0
@@ -246,35 +264,34 @@ def _declared_units(text: str) -> list[str]:
     return units
 
 
-def _split(data: bytes) -> Iterator[tuple[int, list[str]]]:
-    """Yield line number and fields of every row, as loadtxt counts rows."""
-    for number, line in enumerate(recording.lines_of(data), start=1):
+def _split_rows(data: bytes) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and fields of every row, counted as np.loadtxt does."""
+    for number, line in enumerate(recording.iterate_lines(data), start=1):
         if fields := line.split("#", 1)[0].split():
             yield number, fields
 
 
-def _fits(n_fields: int, format_name: str) -> bool:
+def _has_width(n_fields: int, format_name: str) -> bool:
+    """Whether rows of the format may have so many fields."""
     needed = len(COLUMNS[format_name])
     return n_fields == needed or (format_name == "pedpy" and n_fields > needed)
 
 
 def _fault(fields: list[str], format_name: str, n_first: int) -> str:
-    """Return what is wrong with a row behind rows of `n_first` fields; empty if nothing is."""
+    """Return the fault of a row behind rows of `n_first` fields; empty for none."""
     for separator, name in ((";", "semicolons"), (",", "commas")):
-        found = [field for field in fields if separator in field]
+        fields_with = [field for field in fields if separator in field]
         if len(fields) > 1 and any(
-            re.fullmatch(r"[-+]?\d*,\d+", field) for field in found
+            re.fullmatch(r"[-+]?\d*,\d+", field) for field in fields_with
         ):
-            return f"{found[0][:40]!r} has a decimal comma; write a decimal point"
-        if found:
+            return f"{fields_with[0][:40]!r} has a decimal comma; write a decimal point"
+        if fields_with:
             way_out = "this format has spaces or tabs (or use --format csv)"
             return f"{name} between the numbers; {way_out}"
-    if not _fits(len(fields), format_name):
-        least, columns = (
-            "at least " if format_name == "pedpy" else "",
-            COLUMNS[format_name],
-        )
-        needed = f"{least}{len(columns)} ({' '.join(columns)})"
+    if not _has_width(len(fields), format_name):
+        columns = COLUMNS[format_name]
+        prefix = "at least " if format_name == "pedpy" else ""
+        needed = f"{prefix}{len(columns)} ({' '.join(columns)})"
         return f"{len(fields)} column(s) where {format_name} has {needed}"
     if n_first not in {0, len(fields)}:
         return f"{len(fields)} columns where the rows before have {n_first}"
@@ -290,16 +307,16 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
     """Read ``{"track": {"f", "p", "x", "y"}}`` and ``{"scene": {..., "fps"}}`` lines.
 
     A scene's `fps` counts *rows* a second, while `f` keeps the frame numbers of the
-    video (2.5 rows a second, 10 frames apart, are 25 frames a second): the frame rate
-    is that `fps` times the commonest frame step. The argument `fps` is frames a second.
-    A DataError names file and line; forecasts are one, as is no `fps` at all, or two
-    that contradict each other.
+    video (2.5 rows a second, 10 frames apart, are 25 frames a second). So the frame
+    rate is that `fps` times the commonest frame step. The argument `fps` is frames a
+    second. DataError names file and line. Forecasts, no `fps` at all, and two that
+    contradict each other are errors, too.
     """
     values: array[float] = array("d")
     lines, scene_lines = array("q"), array("q")
-    row_rate, said_in = None, 0
+    row_rate, rate_line = None, 0
     recording.check_text(data=data, path=path)
-    for number, line in enumerate(recording.lines_of(data), start=1):
+    for number, line in enumerate(recording.iterate_lines(data), start=1):
         if not line.strip():
             continue
         try:
@@ -311,28 +328,28 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
             scene_lines.append(number)
             rate = None if content.get("fps") is None else _number(content, "fps")
             if rate is not None and row_rate not in {None, rate}:
-                said = f"contradicts the {row_rate:g} of line {said_in}"
-                raise ValueError(f"scene fps {rate:g} {said}")  # noqa: TRY301 - told below
+                conflict = f"contradicts the {row_rate:g} of line {rate_line}"
+                raise ValueError(f"scene fps {rate:g} {conflict}")  # noqa: TRY301 - see below
         except (ValueError, RecursionError) as error:
             reason = (
                 "too deeply nested" if isinstance(error, RecursionError) else str(error)
             )
             raise DataError(f"{path}, line {number}: {reason}") from None
         if row_rate is None:
-            row_rate, said_in = rate, number
+            row_rate, rate_line = rate, number
     if not lines:
         raise DataError(f"{path}: the file holds no track rows")
     place = recording.Place(path, lambda: np.array(lines, dtype=np.int64))
     table = np.frombuffer(values).reshape(-1, 4).T
-    rows = recording.framed(dict(zip(_TRACK_FIELDS, table, strict=True)), place)
+    rows = recording.build_rows(dict(zip(_TRACK_FIELDS, table, strict=True)), place)
     scenes = recording.Place(path, lambda: np.array(scene_lines, dtype=np.int64))
-    every, text = np.arange(len(scene_lines)), "scene lines; whole tracks are used"
-    notes = scenes.noted("scene-lines", every, text)
+    scene_rows, text = np.arange(len(scene_lines)), "scene lines; whole tracks are used"
+    notes = scenes.note_rows("scene-lines", scene_rows, text)
     if row_rate is not None:
-        fps, more = _frame_rate(
-            rows, row_rate, where=f"{path}, line {said_in}", fps=fps
+        fps, rate_notes = _frame_rate(
+            rows, row_rate, where=f"{path}, line {rate_line}", fps=fps
         )
-        notes += more
+        notes += rate_notes
     if fps is None:
         raise DataError(
             f"{path}: no scene line gives fps; give frames per second with --fps "
@@ -344,13 +361,13 @@ def read_trajnet(*, data: bytes, path: str, fps: float | None) -> Rows:
 def _frame_rate(
     rows: Rows, row_rate: float, *, where: str, fps: float | None
 ) -> tuple[float, list[Repair]]:
-    """Return the frame rate that the scene lines give, and a note if it is not their `fps`."""
-    # The commonest step in frames between rows of one person; 1 if there is none.
+    """Return the frame rate of the scene lines, and a note if it is not their `fps`."""
+    # The commonest step in frames between rows of a person; 1 if there is none.
     order = np.lexsort((rows.t, rows.person))
     steps = np.diff(rows.t[order])[np.diff(rows.person[order]) == 0]
     commonest, counts = np.unique(steps[steps > 0], return_counts=True)
     step = float(commonest[counts.argmax()]) if commonest.size else 1.0
-    declared = recording.checked_fps(row_rate * step, where=where)
+    declared = recording.check_fps(row_rate * step, where=where)
     clock = f"{row_rate:g} rows a second, {step:g} frames apart"
     if fps is not None and not np.isclose(fps, declared, rtol=1e-6):
         raise DataError(
@@ -362,7 +379,7 @@ def _frame_rate(
 
 
 def _parse(line: str) -> tuple[str, dict[str, Any]]:
-    """Return the kind of line and what it holds."""
+    """Return the kind of a line, track or scene, and its content."""
     try:
         entry = json.loads(line)
     except json.JSONDecodeError as error:
@@ -387,12 +404,12 @@ def _parse(line: str) -> tuple[str, dict[str, Any]]:
 def _number(content: dict[str, Any], name: str) -> float:
     value = content.get(name)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        shown = (
+        description = (
             "missing"
             if name not in content
             else f"{json.dumps(value)[:40]}, not a number"
         )
-        raise ValueError(f"{name} is {shown}")  # noqa: TRY004 - all faults of a line are one
+        raise ValueError(f"{name} is {description}")  # noqa: TRY004 - all faults of a line are one
     try:
         return float(value)
     except OverflowError:

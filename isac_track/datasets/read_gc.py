@@ -1,9 +1,9 @@
-"""Reader of Grand Central: an archive or a folder with a file for each pedestrian, in pixels.
+"""Reader of Grand Central: an archive or a folder with a file for each pedestrian.
 
-``Annotation/NNNNNN.txt`` holds x, y (pixels) and frame, one number a line, again and
-again; ``H.json`` the homography of [x, y, 1] to metres. An archive is read in memory
-and never unpacked on disk: no name in it becomes a path, and limits end one that is not
-what it says.
+``Annotation/NNNNNN.txt`` holds x, y (pixels) and frame, one number a line, repeated.
+``H.json`` holds the homography of [x, y, 1] to metres. An archive is read in memory and
+never unpacked on disk: no name in it becomes a path. Limits reject an archive that is
+not Grand Central's.
 """
 
 import gzip
@@ -23,50 +23,51 @@ import numpy as np
 from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Repair, Rows
 from isac_track.datasets.registry import shown
-from isac_track.errors import DataError, told
+from isac_track.errors import DataError, error_text
 from isac_track.types import Floats, Tracks
 
 ARCHIVE = "gc.tgz"
 FPS = 25.0
 LONGEST_STEP_FRAMES = 20  # Between two annotations; a longer gap ends the track.
-# Nobody crosses a hall as fast: steps of the annotation, to be counted.
+# Nobody crosses a hall as fast: such steps are of the annotation, and are counted.
 FAST_PIECE_MPS = 4.0
 _USED = re.compile(r"(?:.*/)?(Annotation/\d{1,9}\.txt|H\.json)")
 MOST_MEMBERS = 30_000  # Files and folders of an archive; Grand Central's has 12,693.
-MOST_BYTES = 64_000_000  # Of an archive unpacked; Grand Central's takes 22 million.
+MOST_BYTES = 64_000_000  # Of an unpacked archive; Grand Central's takes 22 million.
 _MOST_FILE_BYTES = 1_000_000
 
 
 def read_gc(path: Path, *, where: str) -> tuple[Rows, str]:
-    """Return the rows of an archive or a folder, in m, and the digest of the files read.
+    """Return the rows of an archive or a folder, in m, and the digest of its files.
 
     The digest is that of ``sha256sum Annotation/*.txt H.json | sha256sum``: over the
-    hashes and names of the files in the order of the names. A DataError names what
+    hashes and names of the files in the order of the names. DataError names a file that
     cannot be read.
     """
-    found: dict[str, bytes] = {}
-    archive = next((one for one in (path / ARCHIVE, path) if os.path.isfile(one)), None)  # noqa: PTH113 - never raises
-    for name, data in (
-        _in_folder(path, where) if archive is None else _archived(archive, where)
-    ):
-        key = _called(name)
-        if key in found:
+    contents: dict[str, bytes] = {}
+    candidates = (path / ARCHIVE, path)
+    archive = next((file for file in candidates if os.path.isfile(file)), None)  # noqa: PTH113 - never raises
+    read = _read_folder if archive is None else _read_archive
+    for name, data in read(archive or path, where):
+        key = _used_name(name)
+        if key in contents:
             raise DataError(f"{where}: two files are called {key}")
-        found[key] = data
+        contents[key] = data
     hashes = (
-        f"{hashlib.sha256(found[key]).hexdigest()}  {key}\n" for key in sorted(found)
+        f"{hashlib.sha256(contents[key]).hexdigest()}  {key}\n"
+        for key in sorted(contents)
     )
     digest = hashlib.sha256("".join(hashes).encode()).hexdigest()
-    homography = _homography(found.pop("H.json", None), where)
-    if not found:
+    homography = _homography(contents.pop("H.json", None), where)
+    if not contents:
         raise DataError(
             f"{where}: no file Annotation/NUMBER.txt, one for each pedestrian"
         )
-    return _rows(found, homography, where), digest
+    return _build_rows(contents, homography, where), digest
 
 
 def fast_pieces(tracks: Tracks, *, where: str) -> list[Repair]:
-    """Return the note of how many tracks have a step above `FAST_PIECE_MPS`; they are kept."""
+    """Return a note of the tracks with a step above `FAST_PIECE_MPS`; they are kept."""
     within = recording.steps_within(tracks.offsets)
     distance_m = np.hypot(*np.diff(tracks.xy, axis=0)[within].T)
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets) - 1)
@@ -76,14 +77,14 @@ def fast_pieces(tracks: Tracks, *, where: str) -> list[Repair]:
     return [Repair("fast-piece", fast.size, text)] if fast.size else []
 
 
-def _called(name: str) -> str:
-    """Return the name in its folder of a file that is used; empty for any other."""
-    found = _USED.fullmatch(name)
-    return found[1] if found else ""
+def _used_name(name: str) -> str:
+    """Return a file's name in its folder, if the file is used; else an empty text."""
+    match = _USED.fullmatch(name)
+    return match[1] if match else ""
 
 
-def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of the files of an archive that are used; all members are checked."""
+def _read_archive(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of the used files of an archive; check all members."""
     try:
         with gzip.open(path) as stream:
             data = stream.read(MOST_BYTES + 1)
@@ -95,16 +96,16 @@ def _archived(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
             for count, member in enumerate(archive, start=1):
                 if fault := _fault(member, count):
                     raise DataError(f"{where}: {fault}")
-                if _called(member.name) and (file := archive.extractfile(member)):
+                if _used_name(member.name) and (file := archive.extractfile(member)):
                     yield member.name, file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError) as error:
         raise DataError(
-            f"{where}: not an archive that can be read ({told(error)})"
+            f"{where}: not an archive that can be read ({error_text(error)})"
         ) from None
 
 
 def _fault(member: tarfile.TarInfo, count: int) -> str:
-    """Return what is wrong with a member of an archive; empty if nothing is."""
+    """Return the fault of a member of an archive; empty without fault."""
     if count > MOST_MEMBERS:
         return f"over {MOST_MEMBERS} members: not Grand Central"
     name, path = recording.printable(member.name[:80]), PurePosixPath(member.name)
@@ -112,17 +113,16 @@ def _fault(member: tarfile.TarInfo, count: int) -> str:
         return f"member {name!r} leads out of the archive"
     if not (member.isreg() or member.isdir()):
         return f"member {name!r} is a link or a device, not a file"
-    if (
-        _called(member.name) and member.size > _MOST_FILE_BYTES
-    ):  # sparse, it may be of any size
+    # A sparse file may have any size.
+    if _used_name(member.name) and member.size > _MOST_FILE_BYTES:
         return f"member {name!r} has {member.size} bytes: not Grand Central"
     return ""
 
 
-def _in_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
-    """Yield name and content of the files of a folder: H.json, and Annotation beside it."""
+def _read_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of H.json and the files of Annotation in a folder."""
     roots = (path, path / "GC", path / "datasets" / "GC")
-    root = next((one for one in roots if (one / "H.json").is_file()), path)
+    root = next((folder for folder in roots if (folder / "H.json").is_file()), path)
     try:
         for file in (root / "H.json", *(root / "Annotation").glob("*.txt")):
             name = str(file.relative_to(root))
@@ -134,7 +134,7 @@ def _in_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
                 raise DataError(
                     f"{where}: {shown(name)} is no file here of a pedestrian's size"
                 )
-            if _called(name):
+            if _used_name(name):
                 yield name, file.read_bytes()
     except OSError as error:
         raise DataError(f"{where}: cannot be read ({error.strerror})") from None
@@ -153,12 +153,12 @@ def _homography(data: bytes | None, where: str) -> Floats:
     return matrix
 
 
-def _rows(found: Mapping[str, bytes], homography: Floats, where: str) -> Rows:
+def _build_rows(contents: Mapping[str, bytes], homography: Floats, where: str) -> Rows:
     """Return the rows of all pedestrians, by number, in m."""
     tables, numbers = [], []
-    for key in sorted(found):
+    for key in sorted(contents):
         try:
-            values = np.array(found[key].split(), dtype=np.float64)
+            values = np.array(contents[key].split(), dtype=np.float64)
         except ValueError:
             raise DataError(f"{where}, {key}: not numbers alone, one a line") from None
         if values.size % 3:
@@ -167,10 +167,10 @@ def _rows(found: Mapping[str, bytes], homography: Floats, where: str) -> Rows:
         tables.append(values.reshape(-1, 3))
         numbers.append(int(key[len("Annotation/") : -len(".txt")]))
     table = np.concatenate(tables)
-    person = np.repeat(numbers, [len(one) for one in tables])
+    person = np.repeat(numbers, [len(pedestrian) for pedestrian in tables])
     place = Place(where, lambda: person, unit="pedestrian")
     columns = {"frame": table[:, 2], "id": person.astype(np.float64)}
-    rows = recording.framed(columns | {"x": table[:, 0], "y": table[:, 1]}, place)
+    rows = recording.build_rows(columns | {"x": table[:, 0], "y": table[:, 1]}, place)
     metric = np.column_stack([rows.xy, np.ones(len(table))]) @ homography.T
     if not (metric[:, 2] > 0).all():
         raise DataError(f"{where}: H.json puts positions beyond the horizon")

@@ -1,4 +1,4 @@
-"""Readers of tables with named columns: csv and parquet, with t (s), id, x, y (m), group."""
+"""Readers of tables with named columns (csv, parquet): t (s), id, x, y (m), group."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from isac_track.datasets import recording
 from isac_track.datasets.recording import LENGTHS, TIMES, Column
-from isac_track.errors import DataError, told
+from isac_track.errors import DataError, error_text
 from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
@@ -32,18 +32,19 @@ _ISO = re.compile(
 _SIXTY = re.compile(r"(?<=\d\d:\d\d):60")
 _ZONE_0 = re.compile(r"\s*(UTC|GMT)$", re.IGNORECASE)
 _EPOCHS = ((1e17, "ns"), (1e14, "us"), (1e11, "ms"))
-"""Clocks since 1970, from when on a number is taken for which unit."""
+"""Clocks since 1970: usual times from this number on are taken for this unit."""
 _EPOCH_S = 1e9  # Seconds since 1970 in this millennium: 32 bits hold them to 64 s.
 _Names: TypeAlias = Mapping[str, Column]
 _UNITS = {"t": "seconds", "x": "metres", "y": "metres"}
 _DECIMAL = re.compile(r"[+-]?\d+\.\d*(e[+-]?\d+)?", re.IGNORECASE)
-_NUMBER = re.compile(r"[+-]?\d*\.?\d*(e[+-]?\d+)?", re.IGNORECASE)  # Or nothing at all.
+_NUMBER = re.compile(r"[+-]?\d*\.?\d*(e[+-]?\d+)?", re.IGNORECASE)  # Or empty.
 _LONGEST_NAME = 200  # Characters: ids stand in messages, tables and figures.
 _BLOCK_BYTES = 1 << 18
-# Above it a file needs a byte a row: equal rows pack a thousandfold.
+# Rows that a file of any size may claim; more take at least a byte a row, since
+# equal rows pack a thousandfold.
 _FREE_ROWS = 500_000
 _FREE_BYTES = 50_000_000
-# A file above `_FREE_BYTES` unpacked may be this many times its size.
+# Above that, a file unpacked may be this many times its size.
 _MOST_TIMES = 100
 
 
@@ -52,21 +53,21 @@ def read_csv(
 ) -> recording.Rows:
     """Read comma-separated values with a header line; DataError names file and line.
 
-    A second line may name the units of t, x and y. `columns` are what the columns are
-    called.
+    A second line may name the units of t, x and y. `columns` are the names of the
+    columns.
     """
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import csv as arrow_csv  # noqa: PLC0415 - only for such a file
 
     recording.check_text(data=data, path=path)
-    names = _csv_header(header=next(recording.lines_of(data), ""), path=path)
-    used = _columns_in(names, columns or {}, where=f"{path}, line 1")
+    names = _csv_header(header=next(recording.iterate_lines(data), ""), path=path)
+    used = _match_columns(names, columns or {}, where=f"{path}, line 1")
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
     used, body, begins = _unit_line(used, body=body, n_fields=len(names))
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
-    # Each text once: a long one that stands in every row would take as much memory as
-    # the file.
+    # A dictionary holds each text once: a long text in every row would otherwise take
+    # as much memory as the file.
     text = pa.dictionary(pa.int32(), pa.string())
     is_dated = _is_dated(body, place=used["t"].place)
     numbers = {*_UNITS} - ({"t"} if is_dated else set())
@@ -81,33 +82,36 @@ def read_csv(
             read_options=arrow_csv.ReadOptions(
                 use_threads=False,
                 column_names=[f"c{index}" for index in range(len(names))],
-                # Several blocks are under way at a time; no line may be longer than
-                # one.
+                # Several blocks are processed at a time; no line may be longer than a
+                # block.
                 block_size=max(_BLOCK_BYTES, 1 + max(map(len, io.BytesIO(body)))),
             ),
             convert_options=arrow_csv.ConvertOptions(
                 column_types=types, include_columns=[*types]
             ),
         )
-        if (
-            table.num_rows != n_rows
-        ):  # pyarrow lets quoted fields go on in the next line
+        # pyarrow lets quoted fields continue on the next line.
+        if table.num_rows != n_rows:
             raise pa.ArrowInvalid(f"{table.num_rows} rows in {n_rows} lines")
     except (pa.ArrowException, MemoryError, UnicodeError) as error:
-        for number, line in enumerate(recording.lines_of(body), start=begins):
+        for number, line in enumerate(recording.iterate_lines(body), start=begins):
             if message := _csv_fault(line, len(names), used, numbers) if line else "":
                 raise DataError(f"{path}, line {number}: {message}") from None
-        raise DataError(f"{path}: cannot be read as csv ({told(error)})") from None
+        raise DataError(
+            f"{path}: cannot be read as csv ({error_text(error)})"
+        ) from None
     place = recording.Place(
         path, lambda: np.fromiter(_csv_lines(body, begins), dtype=np.int64)
     )
-    return _rows(table.rename_columns([*used]), names=names, used=used, place=place)
+    return _build_rows(
+        table.rename_columns([*used]), names=names, used=used, place=place
+    )
 
 
 def read_parquet(
     *, data: bytes, path: str, columns: _Names | None = None
 ) -> recording.Rows:
-    """Read a parquet file; DataError names file and row. `columns` are what these are called."""
+    """Read a parquet file with these names of columns; DataError names file and row."""
     import pyarrow as pa  # noqa: PLC0415 - a plain import of the package stays quick
     from pyarrow import parquet  # noqa: PLC0415 - only for such a file
 
@@ -120,9 +124,9 @@ def read_parquet(
         n_rows = max(metadata.num_rows, sum(group.num_rows for group in groups))
         size = sum(group.total_byte_size for group in groups)
     except Exception as error:  # noqa: BLE001 - a damaged file makes pyarrow raise nearly anything
-        raise DataError(f"{path}: not a parquet file ({told(error)})") from None
+        raise DataError(f"{path}: not a parquet file ({error_text(error)})") from None
     names = tuple(schema.names)
-    places = _columns_in(names, columns or {}, where=path)
+    places = _match_columns(names, columns or {}, where=path)
     if n_rows > max(_FREE_ROWS, len(data)):
         raise DataError(
             f"{path}: claims {n_rows} rows in {len(data)} bytes; not a recording"
@@ -133,28 +137,29 @@ def read_parquet(
         )
     try:
         used = [column.name for column in places.values()]
-        # Each text once: a long one that stands in every row would not fit into the
-        # memory.
+        # A dictionary holds each text once: a long text in every row would otherwise
+        # not fit into memory.
         kinds = {pa.string(), pa.large_string()}
         texts = [name for name in used if schema.field(name).type in kinds]
         file = parquet.ParquetFile(pa.BufferReader(data), read_dictionary=texts)
         table = file.read(columns=used, use_threads=False)
-        table.validate(
-            full=True
-        )  # pyarrow reads codes beyond the dictionary as they are
-        for name in used:  # pyarrow passes over what its parts call differently
+        # pyarrow reads codes beyond the dictionary as they are.
+        table.validate(full=True)
+        for name in used:  # pyarrow skips columns that some parts name differently
             if name not in table.column_names:
-                raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - told below
+                raise ValueError(f"column {name} is not in it")  # noqa: TRY301 - see below
     except Exception as error:  # noqa: BLE001 - as above
         why = (
             "damaged, or too large for the memory"
             if isinstance(error, MemoryError)
             else "damaged"
         )
-        raise DataError(f"{path}: the parquet file is {why} ({told(error)})") from None
+        raise DataError(
+            f"{path}: the parquet file is {why} ({error_text(error)})"
+        ) from None
     place = recording.Place(path, lambda: np.arange(1, n_rows + 1), unit="row")
     table = table.select(used).rename_columns([*places])
-    return _rows(table, names=names, used=places, place=place)
+    return _build_rows(table, names=names, used=places, place=place)
 
 
 def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recording.Rows:
@@ -170,17 +175,19 @@ def read_frame(frame: pd.DataFrame, *, columns: _Names | None = None) -> recordi
     if index:
         frame = frame.reset_index(level=index)
     names = tuple(map(str, frame.columns))
-    places = _columns_in(names, columns or {}, where=path)
+    places = _match_columns(names, columns or {}, where=path)
     columns_read = [
         _arrow_column(frame, column, path=path) for column in places.values()
     ]
     table = pa.table(columns_read, names=[*places])
     place = recording.Place(path, lambda: np.arange(1, len(frame) + 1), unit="row")
-    return _rows(table, names=names, used=places, place=place)
+    return _build_rows(table, names=names, used=places, place=place)
 
 
-def _arrow_column(frame: pd.DataFrame, column: _Used, *, path: str) -> pa.ChunkedArray:
-    """Return a column of a frame as arrow has it; DataError names a column that it has not."""
+def _arrow_column(
+    frame: pd.DataFrame, column: _UsedColumn, *, path: str
+) -> pa.ChunkedArray:
+    """Return a column of a frame as an arrow array; DataError if that is impossible."""
     import pandas as pd  # noqa: PLC0415 - only for such data
     import pyarrow as pa  # noqa: PLC0415 - only for such data
 
@@ -194,11 +201,12 @@ def _arrow_column(frame: pd.DataFrame, column: _Used, *, path: str) -> pa.Chunke
         name = recording.printable(column.name[:40])
         way_out = "convert it first, all to numbers or all to text"
         raise DataError(
-            f"{path}: column {name} cannot be read ({told(error)}); {way_out}"
+            f"{path}: column {name} cannot be read ({error_text(error)}); {way_out}"
         ) from None
 
 
 def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
+    """Return the names of the columns; DataError if the line is no header of csv."""
     where = f"{path}, line 1"
     try:
         names = tuple(name.strip() for name in next(csv.reader([header]), []))
@@ -226,39 +234,43 @@ def _csv_header(*, header: str, path: str) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True, slots=True)
-class _Used(Column):
+class _UsedColumn(Column):
     """A column that is read, and its place in the file."""
 
     place: int = 0
 
 
-def _columns_in(
+def _match_columns(
     names: Sequence[str], columns: _Names, *, where: str
-) -> dict[str, _Used]:
-    """Return the columns that are read; DataError if one is missing or there twice.
+) -> dict[str, _UsedColumn]:
+    """Return the columns to read; DataError if a column is missing or there twice.
 
-    None is read twice; `_column` says how it is called.
+    No column is read twice. `_match_column` describes which names match.
     """
-    used, missing = dict[str, _Used](), []
+    used, missing = dict[str, _UsedColumn](), []
     for name in _USED:
         wanted = columns.get(name, Column(name))
-        found = _column(names, wanted, of=name, where=where)
-        if found is not None:
-            used[name] = found
+        match = _match_column(names, wanted, quantity=name, where=where)
+        if match is not None:
+            used[name] = match
         elif name in columns or name in _NEEDED:
             for header in names:
-                recording.check_unit(header, of=name, called=wanted.name, where=where)
+                recording.check_unit(
+                    header, quantity=name, name=wanted.name, where=where
+                )
             missing.append(wanted.name)
     if missing:
-        there = recording.listed([recording.printable(called[:40]) for called in names])
+        labels = recording.listed(
+            [recording.printable(called[:40]) for called in names]
+        )
         frames = next(
             (header for header in names if header.casefold().startswith("frame")), ""
         )
         hint = f"; --columns 't={frames[:40]}[25 fps]' counts frames" if frames else ""
         raise DataError(
             f"{where}: no column {', '.join(missing)} (needed: t in s, id, x and y in"
-            f" m); it has {there}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which is"
-            f" which{hint}"
+            f" m); it has {labels}: --columns t=NAME,id=NAME,x=NAME,y=NAME says which"
+            f" is which{hint}"
         )
     places = [column.place for column in used.values()]
     for name, column in used.items():
@@ -269,14 +281,15 @@ def _columns_in(
     return used
 
 
-def _column(
-    names: Sequence[str], wanted: Column, *, of: str, where: str
-) -> _Used | None:
-    """Return the column that is called so, exactly or nearly; None without, DataError if several.
+def _match_column(
+    names: Sequence[str], wanted: Column, *, quantity: str, where: str
+) -> _UsedColumn | None:
+    """Return the column with the wanted name, exactly or nearly; None without any.
 
-    Nearly: in other letters, small or capital, or with a unit in brackets behind it.
+    Nearly: with other capitals, or with a unit in brackets behind the name. DataError
+    for several such columns.
     """
-    headers = [recording.with_unit(name, of=of) for name in names]
+    headers = [recording.parse_header(name, quantity=quantity) for name in names]
     small = wanted.name.casefold()
     for matches in (
         [name == wanted.name for name in names],
@@ -294,21 +307,22 @@ def _column(
     unit = headers[place].unit
     if unit and wanted.unit and unit != wanted.unit:
         raise DataError(
-            f"{where}: --columns {of}: unit {wanted.unit} contradicts {names[place]}"
+            f"{where}: --columns {quantity}: unit {wanted.unit} contradicts"
+            f" {names[place]}"
         )
-    return _Used(names[place], wanted.unit or unit, place)
+    return _UsedColumn(names[place], wanted.unit or unit, place)
 
 
 def _unit_line(
-    used: dict[str, _Used], *, body: bytes, n_fields: int
-) -> tuple[dict[str, _Used], bytes, int]:
-    """Return the columns, with the units that a second line names, the rows, and their line."""
+    used: dict[str, _UsedColumn], *, body: bytes, n_fields: int
+) -> tuple[dict[str, _UsedColumn], bytes, int]:
+    """Return the columns with the units of a second line, the rows and their start."""
     first, _, rest = body.partition(b"\n")
     fields = [field.strip(" []()").lower() for field in _fields(first[:1000])]
     if len(fields) != n_fields:
         return used, body, 2
     units = {name: fields[used[name].place] for name in _UNITS}
-    if not all(recording.is_unit(unit, of=name) for name, unit in units.items()):
+    if not all(recording.is_unit(unit, quantity=name) for name, unit in units.items()):
         return used, body, 2
     named = {
         name: (
@@ -322,7 +336,7 @@ def _unit_line(
 
 
 def _is_dated(body: bytes, *, place: int) -> bool:
-    """Whether the times of a csv are dates, as its first row has it."""
+    """Whether the times of a csv are dates, judged by its first row."""
     first = next((line for line in io.BytesIO(body) if line.strip()), b"")
     fields = _fields(first[:4000])
     return len(fields) > place and bool(_ISO.fullmatch(fields[place].strip()))
@@ -337,7 +351,7 @@ def _fields(line: bytes) -> list[str]:
 
 
 def _csv_lines(body: bytes, begins: int) -> Iterator[int]:
-    """Yield the numbers of the lines that are rows; pyarrow leaves out empty ones alone."""
+    """Yield the numbers of the lines that are rows; pyarrow skips only empty lines."""
     return (
         number
         for number, line in enumerate(io.BytesIO(body), start=begins)
@@ -346,12 +360,14 @@ def _csv_lines(body: bytes, begins: int) -> Iterator[int]:
 
 
 def _csv_fault(
-    line: str, n_fields: int, used: Mapping[str, _Used], numbers: Collection[str]
+    line: str, n_fields: int, used: Mapping[str, _UsedColumn], numbers: Collection[str]
 ) -> str:
+    """Return what is wrong with a line of csv; empty if nothing is."""
     try:
         fields = next(csv.reader([line], strict=True))
     except csv.Error as error:
-        return f"{error}{'; each row must be on one line' if 'end of data' in str(error) else ''}"
+        is_open = "end of data" in str(error)
+        return f"{error}; each row must be on one line" if is_open else str(error)
     if len(fields) != n_fields:
         hints = {
             "; csv has no comments: leave the line out": line.lstrip().startswith("#"),
@@ -365,9 +381,8 @@ def _csv_fault(
             continue
         field = fields[used[name].place]
         try:
-            float(
-                field.replace("_", "?").encode("ascii", "replace") or "nan"
-            )  # as arrow has it
+            # Arrow reads no underscores and no digits beyond ASCII.
+            float(field.replace("_", "?").encode("ascii", "replace") or "nan")
         except ValueError:
             hint = " (a decimal comma?)" if "," in field else ""
             if name == "t" and re.search(r"\d[:/.]\d+[:/.]\d", field):
@@ -376,14 +391,14 @@ def _csv_fault(
     return ""
 
 
-def _rows(
+def _build_rows(
     table: pa.Table,
     *,
     names: Sequence[str],
-    used: Mapping[str, _Used],
+    used: Mapping[str, _UsedColumn],
     place: recording.Place,
 ) -> recording.Rows:
-    """Return the rows of arrow columns, called as we call them; `names` are the file's."""
+    """Build the rows from arrow columns t, id, x, y, group; `names` are the file's."""
     if not table.num_rows:
         raise DataError(f"{place.path}: the file holds no rows")
     t = _times(table["t"], used["t"], place=place)
@@ -392,13 +407,13 @@ def _rows(
     xy = np.column_stack([x, y])
     units = {name: used[name].unit for name in ("x", "y")}
     unit, notes = _common_unit(units, xy, place=place)
-    person, ids = _index(table["id"], is_group=False, place=place)
+    person, ids = _index_values(table["id"], is_group=False, place=place)
     groups: tuple[tuple[str, str], ...] = ()
-    if "group" in used:  # an empty cell is no group
-        group, labels = _index(table["group"], is_group=True, place=place)
+    if "group" in used:  # An empty cell is no group.
+        group, labels = _index_values(table["group"], is_group=True, place=place)
         pairs = np.unique(np.column_stack([person, group]), axis=0)
         groups = tuple(
-            (ids[who], labels[label]) for who, label in pairs if labels[label]
+            (ids[member], labels[label]) for member, label in pairs if labels[label]
         )
     read = {column.name for column in used.values()}
     if others := [recording.printable(name[:40]) for name in names if name not in read]:
@@ -407,30 +422,37 @@ def _rows(
             "ignored-column", len(others), f"{place.path}: {unused}"
         )
         notes = (note, *notes)
-    by = "the header or --columns"
+    unit_source = "the header or --columns"
     return recording.Rows(
-        person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=by
+        person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=unit_source
     )
 
 
 def _common_unit(
     units: Mapping[str, str], xy: Floats, *, place: recording.Place
 ) -> tuple[str, tuple[recording.Repair, ...]]:
-    """Return the unit of both x and y, empty if neither has one; with two, make (M, 2) `xy` m.
+    """Return the unit of x and y, empty if neither has one; two units become m.
 
-    Units of two lengths are noted; to convert from a common one is not for a reader.
+    `xy`, (M, 2), is then converted in place, with a note. A common unit is left for the
+    caller to convert.
+    here.
     """
     scales = [LENGTHS[unit or "m"] for unit in units.values()]
     if scales[0] == scales[1]:
         return units["x"] or units["y"], ()
     xy *= scales
-    both = " and ".join(f"{name} in {unit or 'm'}" for name, unit in units.items())
-    detail = f"{place.path}: {both}; converted to m"
+    lengths = " and ".join(f"{name} in {unit or 'm'}" for name, unit in units.items())
+    detail = f"{place.path}: {lengths}; converted to m"
     return "m", (recording.Repair("unit", len(xy), detail),)
 
 
-def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> Floats:
-    """Return (M,) s of numbers, time stamps, durations or ISO 8601 dates, from some origin."""
+def _times(
+    column: pa.ChunkedArray, used: _UsedColumn, *, place: recording.Place
+) -> Floats:
+    """Return times in s, (M,), from some origin.
+
+    The column holds numbers, time stamps, durations or ISO 8601 dates.
+    """
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
     kind, path = column.type, place.path
@@ -438,9 +460,8 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
     if pa.types.is_timestamp(value) or pa.types.is_duration(value):
         ticks = column.cast(pa.int64()).to_numpy().astype(np.float64)
         exact = column.drop_null().cast(pa.int64()).to_numpy()
-        if (
-            exact.size == ticks.size
-        ):  # the difference first: a double holds 1970 to 0.2 us
+        # The difference is taken first: a double holds times since 1970 only to 0.2 us.
+        if exact.size == ticks.size:
             ticks = (exact - exact.min()).astype(np.float64)
         seconds: Floats = ticks * TIMES[value.unit]
         return seconds
@@ -457,10 +478,8 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
             " sample on"
         )
     if used.unit:
-        scaled = (
-            t - (t.min() if np.isfinite(t).all() else 0.0)
-        ) * recording.seconds_per(used.unit)
-        return np.asarray(scaled)
+        origin = t.min() if np.isfinite(t).all() else 0.0
+        return np.asarray((t - origin) * recording.seconds_per(used.unit))
     for least, unit in _EPOCHS:
         if usual >= least:
             raise DataError(
@@ -471,7 +490,7 @@ def _times(column: pa.ChunkedArray, used: _Used, *, place: recording.Place) -> F
 
 
 def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
-    """Return (M,) s of ISO 8601 dates, of which all have a zone or none has."""
+    """Return ISO 8601 dates as times in s, (M,); all must have a zone or none."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     try:
@@ -480,13 +499,13 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         )
     except (ValueError, UnicodeError) as error:
         raise DataError(
-            f"{place.path}: column t cannot be read ({told(error)})"
+            f"{place.path}: column t cannot be read ({error_text(error)})"
         ) from None
     zones = set[bool]()
     for code, text in enumerate(texts):
         match = _ISO.fullmatch(text.strip()) if isinstance(text, str) else None
         if match is None:
-            if not code:  # no row is a date: the column is something else
+            if not code:  # The first row is no date: the column is something else.
                 raise DataError(
                     f"{place.path}: column t holds string, not numbers of seconds;"
                     " convert it first"
@@ -498,7 +517,7 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         zones.add(match[1] is not None)
     if len(zones) > 1:
         raise DataError(f"{place.path}: some times have a zone and others have none")
-    # A second of 60 is a leap second, or rounded.
+    # A second of 60 is a leap second, or a rounded time.
     leaps = np.array([bool(_SIXTY.search(text)) for text in texts])
     texts = [_SIXTY.sub(":59", text) for text in texts]
     written = [_ZONE_0.sub("Z", text.strip().replace(",", ".")) for text in texts]
@@ -507,7 +526,7 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
         ticks = dates.as_unit("ns").asi8
     except (ValueError, OverflowError) as error:
         raise DataError(
-            f"{place.path}: column t cannot be read ({told(error)})"
+            f"{place.path}: column t cannot be read ({error_text(error)})"
         ) from None
     if dates.isna().any():
         code = int(dates.isna().argmax())
@@ -520,16 +539,18 @@ def _dates(column: pa.ChunkedArray, *, place: recording.Place) -> Floats:
 
 
 def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
-    """Return (M,) the numbers of an arrow column; NaN for null, which a check names later."""
+    """Return the numbers of an arrow column, (M,); NaN for null: a check finds it."""
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
-    if pa.types.is_dictionary(column.type):  # pandas: categories
+    if pa.types.is_dictionary(column.type):  # Categories of pandas.
         column = column.cast(column.type.value_type)
     kind = column.type
-    if not any(
-        is_so(kind)
-        for is_so in (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
-    ):
+    is_number = (
+        pa.types.is_integer(kind)
+        or pa.types.is_floating(kind)
+        or pa.types.is_decimal(kind)
+    )
+    if not is_number:
         raise DataError(
             f"{path}: column {name} holds {kind}, not numbers of {_UNITS[name]};"
             " convert it first"
@@ -538,10 +559,10 @@ def _numbers(column: pa.ChunkedArray, *, name: str, path: str) -> Floats:
     return numbers
 
 
-def _index(
+def _index_values(
     column: pa.ChunkedArray, *, is_group: bool, place: recording.Place
 ) -> tuple[Ints, tuple[str, ...]]:
-    """Return (M,) index into the cleaned values of an arrow column, and these in order."""
+    """Return indices, (M,), into the cleaned values of an arrow column, and these."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
     import pyarrow as pa  # noqa: PLC0415 - only for such a file
 
@@ -556,33 +577,34 @@ def _index(
     try:
         values = column.to_pandas(integer_object_nulls=True)
     except (pa.ArrowException, UnicodeError) as error:
-        raise DataError(f"{place.path}: ids cannot be read ({told(error)})") from None
+        raise DataError(
+            f"{place.path}: ids cannot be read ({error_text(error)})"
+        ) from None
     codes, distinct = pd.factorize(values, use_na_sentinel=False)
     cleaned = []
     for code, value in enumerate(distinct):
         try:
-            # Null is "None" or "nan", which is no name.
-            cleaned.append(_cleaned(str(value).strip(), is_group=is_group))
+            # Null is "None" or "nan", which is no valid name.
+            cleaned.append(_clean_name(str(value).strip(), is_group=is_group))
         except ValueError as error:
             raise DataError(
                 f"{place.at(int((codes == code).argmax()))}: {error}"
             ) from None
-    # As numbers if all of them are, else as text.
+    # Sorted as numbers if all values are numbers, else as text.
     are_numbers = all(re.fullmatch(r"-?[0-9]{1,18}", name) for name in cleaned)
     names = sorted(
         set(cleaned), key=lambda name: (int(name) if are_numbers else 0, name)
     )
     position = {name: index for index, name in enumerate(names)}
-    return np.array([position[name] for name in cleaned], dtype=np.int64)[codes], tuple(
-        names
-    )
+    positions = np.array([position[name] for name in cleaned], dtype=np.int64)
+    return positions[codes], tuple(names)
 
 
-def _cleaned(name: str, *, is_group: bool) -> str:
-    """Return the id or group of a cell, ``1`` for ``1.0``; ValueError for what is none."""
+def _clean_name(name: str, *, is_group: bool) -> str:
+    """Return the id or group of a cell, ``1`` for ``1.0``; ValueError for none."""
     if len(name) > _LONGEST_NAME:
-        shown = f"{name[:20]!r}... has {len(name)} characters"
-        raise ValueError(f"the name {shown}, over {_LONGEST_NAME}")
+        start = f"{name[:20]!r}... has {len(name)} characters"
+        raise ValueError(f"the name {start}, over {_LONGEST_NAME}")
     if recording.printable(name) != name:
         raise ValueError(f"the name {name!r} has a control character")
     if name.lower() in {"", "nan", "none", "null"}:

@@ -1,6 +1,6 @@
-"""Readers of other tools: JuPedSim, the Pedestrian Data Archive, Vadere, MOT, SDD, Viswalk.
+"""Readers for JuPedSim, Pedestrian Data Archive, Vadere, MOT, SDD and Viswalk.
 
-Each by its name alone, never by the number of its columns. SQLite, HDF5 and pandas do
+The user names the format; the number of columns never does. SQLite, HDF5 and pandas do
 the parsing.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Rows
-from isac_track.errors import DataError, told
+from isac_track.errors import DataError, error_text
 from isac_track.types import Bools, Floats
 
 if TYPE_CHECKING:
@@ -25,17 +25,12 @@ if TYPE_CHECKING:
 
     import pandas as pd
 
-_MOT = (
-    "frame",
-    "id",
-    "left",
-    "top",
-    "width",
-    "height",
-)  # Further columns are not used.
-# Columns of MOT16 and later; before the last, visibility, the class:
+# Further columns are not used.
+_MOT = ("frame", "id", "left", "top", "width", "height")
+# Number of columns of MOT16 and later; the last is visibility, before it the class.
 _MOT_GROUND_TRUTH = 9
-_MOT_PEOPLE = (-1, 1, 7)  # not said, a pedestrian, somebody who stands.
+# Classes: not given, a pedestrian, a person who stands.
+_MOT_PEOPLE = (-1, 1, 7)
 _SDD = (
     "id",
     "xmin",
@@ -50,8 +45,10 @@ _SDD = (
 )
 
 
-def _rate(fps: float | None, declared: float | None, *, path: str, name: str) -> float:
-    """Return the frame rate that the user or the file gives; DataError if none or both differ."""
+def _choose_rate(
+    fps: float | None, declared: float | None, *, path: str, name: str
+) -> float:
+    """Return the frame rate of user or file; DataError if none, or if they differ."""
     if (
         fps is not None
         and declared is not None
@@ -66,21 +63,21 @@ def _rate(fps: float | None, declared: float | None, *, path: str, name: str) ->
             f"{path}: format {name} counts frames, and the file has no frame rate; "
             "give frames per second with --fps"
         )
-    return recording.checked_fps(rate, where=path)
+    return recording.check_fps(rate, where=path)
 
 
-def _framed(columns: Mapping[str, Floats], place: Place, *, fps: float) -> Rows:
+def _frame_rows(columns: Mapping[str, Floats], place: Place, *, fps: float) -> Rows:
     """Return rows of columns frame, id, x and y, on a clock in seconds."""
     if not columns["frame"].size:
         raise DataError(f"{place.path}: the file holds no rows")
-    rows = recording.framed(
+    rows = recording.build_rows(
         {name: columns[name] for name in ("frame", "id", "x", "y")}, place
     )
     return replace(rows, t=rows.t / fps)
 
 
-def _timed(t: Floats, person: Floats, xy: Floats, place: Place) -> Rows:
-    """Return rows whose clock is in seconds."""
+def _timed_rows(t: Floats, person: Floats, xy: Floats, place: Place) -> Rows:
+    """Return rows whose clock is in seconds, of positions (M, 2)."""
     if not t.size:
         raise DataError(f"{place.path}: the file holds no rows")
     columns = {"t": t, "id": person, "x": xy[:, 0], "y": xy[:, 1]}
@@ -90,44 +87,43 @@ def _timed(t: Floats, person: Floats, xy: Floats, place: Place) -> Rows:
     return Rows(np.searchsorted(ids, person), names, t - t.min(), xy, place)
 
 
-def _numbered(path: str, n_rows: int, unit: str = "row") -> Place:
+def _number_rows(path: str, n_rows: int, unit: str = "row") -> Place:
+    """Return the places of rows that are numbered from 1."""
     return Place(path, lambda: np.arange(1, n_rows + 1), unit=unit)
 
 
 def read_jupedsim(*, data: bytes, path: str, fps: float | None) -> Rows:
-    """Read the SQLite file of JuPedSim: trajectory_data and, in metadata, fps. Metres."""
+    """Read JuPedSim's SQLite file: trajectory_data and, in metadata, fps. In metres."""
     if not data.startswith(b"SQLite format 3\0"):
         raise DataError(f"{path}: not an SQLite file, as JuPedSim writes")
     try:
-        with closing(sqlite3.connect(":memory:")) as base:
-            base.deserialize(data)
-            asked = "SELECT frame, id, pos_x, pos_y FROM trajectory_data"
-            table = np.array(base.execute(asked).fetchall(), dtype=np.float64).reshape(
-                -1, 4
-            )
-            declared = base.execute(
+        with closing(sqlite3.connect(":memory:")) as database:
+            database.deserialize(data)
+            query = "SELECT frame, id, pos_x, pos_y FROM trajectory_data"
+            table = np.array(
+                database.execute(query).fetchall(), dtype=np.float64
+            ).reshape(-1, 4)
+            declared = database.execute(
                 "SELECT value FROM metadata WHERE key = 'fps'"
             ).fetchone()
     except (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError) as error:
         raise DataError(
-            f"{path}: cannot be read as JuPedSim's SQLite ({told(error)})"
+            f"{path}: cannot be read as JuPedSim's SQLite ({error_text(error)})"
         ) from None
     rate = (
-        None
-        if declared is None
-        else recording.checked_fps(str(declared[0]), where=path)
+        None if declared is None else recording.check_fps(str(declared[0]), where=path)
     )
     columns = dict(zip(("frame", "id", "x", "y"), table.T, strict=True))
-    rows = _framed(
+    rows = _frame_rows(
         columns,
-        _numbered(path, len(table)),
-        fps=_rate(fps, rate, path=path, name="jupedsim"),
+        _number_rows(path, len(table)),
+        fps=_choose_rate(fps, rate, path=path, name="jupedsim"),
     )
     return replace(rows, unit="m")
 
 
 def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
-    """Read the HDF5 file of the Pedestrian Data Archive: `trajectory` and its attribute fps."""
+    """Read the Pedestrian Data Archive's HDF5 file: `trajectory`, its attribute fps."""
     try:
         import h5py  # noqa: PLC0415 - optional
     except ImportError:
@@ -144,95 +140,102 @@ def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
             rate = None if declared is None else float(np.ravel(declared)[0])
     except Exception as error:  # noqa: BLE001 - a damaged file makes h5py raise nearly anything
         raise DataError(
-            f"{path}: cannot be read as HDF5 trajectories ({told(error)})"
+            f"{path}: cannot be read as HDF5 trajectories ({error_text(error)})"
         ) from None
-    rows = _framed(
+    rows = _frame_rows(
         columns,
-        _numbered(path, len(table)),
-        fps=_rate(fps, rate, path=path, name="hdf5"),
+        _number_rows(path, len(table)),
+        fps=_choose_rate(fps, rate, path=path, name="hdf5"),
     )
     return replace(rows, unit="m")
 
 
-def _table(
-    data: bytes, *, path: str, name: str, skip: int = 0, **how: object
+def _read_text_table(
+    data: bytes, *, path: str, name: str, skip: int = 0, **options: object
 ) -> pd.DataFrame:
     """Return the fields of a text file as text; DataError if it is no table."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     try:
-        # The stubs know no call whose options are handed on.
+        # The stubs of pandas know no call with further options.
         return pd.read_csv(  # type: ignore[call-overload, no-any-return]
-            io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **how
+            io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **options
         )
     except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
-        raise DataError(f"{path}: cannot be read as {name} ({told(error)})") from None
+        raise DataError(
+            f"{path}: cannot be read as {name} ({error_text(error)})"
+        ) from None
 
 
 def _number_columns(
     table: pd.DataFrame, names: Mapping[str, str], place: Place
 ) -> dict[str, Floats]:
-    """Return columns of text as numbers, under our names; DataError names the row of a bad one."""
+    """Return columns of text as numbers, (M,); `names` maps our names to headers.
+
+    DataError names the first row that is not a number.
+    """
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     columns = {}
-    for ours, theirs in names.items():
-        numbers = pd.to_numeric(table[theirs], errors="coerce").to_numpy(
+    for name, header in names.items():
+        numbers = pd.to_numeric(table[header], errors="coerce").to_numpy(
             dtype=np.float64
         )
         bad = np.isnan(numbers)
         if bad.any():
             row = int(bad.argmax())
-            text = recording.printable(str(table[theirs].iloc[row])[:40])
+            text = recording.printable(str(table[header].iloc[row])[:40])
             hint = "; write a decimal point" if "," in text else ""
-            raise DataError(f"{place.at(row)}: {ours} {text!r} is not a number{hint}")
-        columns[ours] = numbers
+            raise DataError(f"{place.at(row)}: {name} {text!r} is not a number{hint}")
+        columns[name] = numbers
     return columns
 
 
 def read_vadere(*, data: bytes, path: str) -> Rows:
-    """Read Vadere's trajectories: pedestrianId, simTime and startX, startY. Metres and seconds.
+    """Read Vadere's trajectories: pedestrianId, simTime, startX, startY. In m and s.
 
-    A row is a step of the foot; its start is where the person is at its time.
+    A row is a step of the foot; its start is where the person is at that time.
     """
     recording.check_text(data=data, path=path)
     header = next(
-        (line for line in recording.lines_of(data) if line[:1] not in {"", "#"}), ""
+        (line for line in recording.iterate_lines(data) if line[:1] not in {"", "#"}),
+        "",
     )
     is_csv = "," in header
-    table = _table(
+    table = _read_text_table(
         data, path=path, name="vadere", sep="," if is_csv else r"\s+", comment="#"
     )
-    found = {
+    headers = {
         str(name).partition("-PID")[0].lower(): str(name) for name in table.columns
     }
     wanted = {"id": "pedestrianid", "t": "simtime", "x": "startx", "y": "starty"}
-    if "startx" not in found:
+    if "startx" not in headers:
         wanted |= {"x": "x", "y": "y"}
-    if missing := [name for name in wanted.values() if name not in found]:
+    if missing := [name for name in wanted.values() if name not in headers]:
         raise DataError(
             f"{path}: no column {', '.join(missing)}, as Vadere's trajectories have"
         )
-    place = _numbered(path, len(table))
+    place = _number_rows(path, len(table))
     columns = _number_columns(
-        table, {ours: found[name] for ours, name in wanted.items()}, place
+        table, {ours: headers[name] for ours, name in wanted.items()}, place
     )
     xy = np.column_stack([columns["x"], columns["y"]])
-    return replace(_timed(columns["t"], columns["id"], xy, place), unit="m")
+    return replace(_timed_rows(columns["t"], columns["id"], xy, place), unit="m")
 
 
 def read_mot(*, data: bytes, path: str, fps: float | None) -> Rows:
-    """Read MOTChallenge boxes: frame, id, left, top, width, height; the foot is where one stands.
+    """Read MOTChallenge boxes: frame, id, left, top, width, height.
 
-    Pixels, unless ``--unit`` says how many metres a pixel is.
+    A person stands at the middle of the lower edge. In pixels, unless ``--unit`` gives
+    the metres of a pixel.
     """
     recording.check_text(data=data, path=path)
-    table = _table(data, path=path, name="mot", header=None, comment="#")
+    table = _read_text_table(data, path=path, name="mot", header=None, comment="#")
     if table.shape[1] < len(_MOT):
         raise DataError(
             f"{path}: {table.shape[1]} column(s) where mot has {', '.join(_MOT)}, ..."
         )
-    place = _numbered(path, len(table))
+    place = _number_rows(path, len(table))
     named = table.iloc[:, : len(_MOT)].set_axis(_MOT, axis=1)
     columns = _number_columns(named, {name: name for name in _MOT}, place)
     if (columns["id"] < 0).all():
@@ -241,27 +244,29 @@ def read_mot(*, data: bytes, path: str, fps: float | None) -> Rows:
         )
     columns["x"] = columns["left"] + columns["width"] / 2.0
     columns["y"] = columns["top"] + columns["height"]
-    return _of_people(
-        columns, *_mot_marks(table), place, fps=_rate(fps, None, path=path, name="mot")
+    return _keep_people(
+        columns,
+        *_mot_marks(table),
+        place,
+        fps=_choose_rate(fps, None, path=path, name="mot"),
     )
 
 
 def _mot_marks(table: pd.DataFrame) -> tuple[Bools, Bools]:
-    """Return (M,) which boxes of a ground truth are to be ignored, and which are no people."""
+    """Return which boxes of a ground truth are ignored, which are no people, (M,)."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     further = table.iloc[:, len(_MOT) :].apply(pd.to_numeric, errors="coerce")
     ignored = others = np.zeros(len(table), dtype=bool)
-    if (
-        further.shape[1] and further.iloc[:, 0].isin((0, 1)).all()
-    ):  # no confidence, but a flag
+    # Values of 0 and 1 alone are a flag, not a confidence.
+    if further.shape[1] and further.iloc[:, 0].isin((0, 1)).all():
         ignored = further.iloc[:, 0].to_numpy() == 0
     if table.shape[1] == _MOT_GROUND_TRUTH:
         others = ~further.iloc[:, 1].isin(_MOT_PEOPLE).to_numpy()
     return ignored, others
 
 
-def _of_people(
+def _keep_people(
     columns: Mapping[str, Floats],
     lost: Bools,
     others: Bools,
@@ -269,51 +274,56 @@ def _of_people(
     *,
     fps: float,
 ) -> Rows:
-    """Return the rows of boxes that are neither lost nor anything but people; counts the rest."""
-    notes = place.noted(
+    """Return the rows of people's boxes that are not lost; notes count the others."""
+    notes = place.note_rows(
         "lost", np.flatnonzero(lost), "the box is marked as lost; dropped"
     )
     text = "no pedestrian; dropped"
-    notes += place.noted("other-label", np.flatnonzero(~lost & others), text)
-    there = ~(lost | others)
-    if not there.any():
+    notes += place.note_rows("other-label", np.flatnonzero(~lost & others), text)
+    is_person = ~(lost | others)
+    if not is_person.any():
         raise DataError(
-            f"{place.path}: all {there.size} boxes are lost, or no pedestrian's"
+            f"{place.path}: all {is_person.size} boxes are lost, or no pedestrian's"
         )
-    line = np.flatnonzero(there) + 1
-    left = {name: column[there] for name, column in columns.items()}
-    rows = _framed(left, Place(place.path, lambda: line, unit=place.unit), fps=fps)
+    line = np.flatnonzero(is_person) + 1
+    people = {name: column[is_person] for name, column in columns.items()}
+    rows = _frame_rows(
+        people, Place(place.path, lambda: line, unit=place.unit), fps=fps
+    )
     return replace(rows, notes=tuple(notes))
 
 
 def read_sdd(*, data: bytes, path: str, fps: float | None) -> Rows:
-    """Read annotations of the Stanford Drone Dataset; boxes that are lost are left out.
+    """Read annotations of the Stanford Drone Dataset, without boxes that are lost.
 
-    The middle of the box; pixels, unless ``--unit`` says how many metres a pixel is.
+    A person stands in the middle of the box. In pixels, unless ``--unit`` gives the
+    metres of a pixel.
     """
     recording.check_text(data=data, path=path)
-    table = _table(data, path=path, name="sdd", header=None, sep=r"\s+", quotechar='"')
+    table = _read_text_table(
+        data, path=path, name="sdd", header=None, sep=r"\s+", quotechar='"'
+    )
     if table.shape[1] != len(_SDD):
         raise DataError(
             f"{path}: {table.shape[1]} column(s) where sdd has {', '.join(_SDD)}"
         )
     table = table.set_axis(_SDD, axis=1)
-    place = _numbered(path, len(table))
+    place = _number_rows(path, len(table))
     columns = _number_columns(table, {name: name for name in _SDD[:7]}, place)
     columns["x"] = (columns["xmin"] + columns["xmax"]) / 2.0
     columns["y"] = (columns["ymin"] + columns["ymax"]) / 2.0
     others = table["label"].to_numpy() != "Pedestrian"
-    rate = _rate(fps, None, path=path, name="sdd")
-    return _of_people(columns, columns["lost"] != 0, others, place, fps=rate)
+    rate = _choose_rate(fps, None, path=path, name="sdd")
+    return _keep_people(columns, columns["lost"] != 0, others, place, fps=rate)
 
 
 def read_viswalk(*, data: bytes, path: str) -> Rows:
-    """Read Viswalk's pedestrian protocol (.fzp): SIMSEC, NO, COORDCENTX and COORDCENTY.
+    """Read Viswalk's pedestrian protocol (.fzp), in seconds and metres.
 
-    Or COORDCENT, which holds both. Seconds and metres.
+    Its columns are SIMSEC, NO, and COORDCENTX and COORDCENTY, or COORDCENT with both.
     """
     recording.check_text(data=data, path=path)
-    lines = [line.strip() for line in recording.lines_of(data)]
+    lines = [line.strip() for line in recording.iterate_lines(data)]
     begins = next(
         (n for n, line in enumerate(lines) if line.upper().startswith("$PED")), None
     )
@@ -330,7 +340,7 @@ def read_viswalk(*, data: bytes, path: str) -> Rows:
     text = "\n".join(body).encode()
     if not body:
         raise DataError(f"{path}: the file holds no rows")
-    table = _table(text, path=path, name="viswalk", header=None, sep=";")
+    table = _read_text_table(text, path=path, name="viswalk", header=None, sep=";")
     if table.shape[1] < len(names):
         raise DataError(
             f"{path}: {table.shape[1]} column(s) where the header has {len(names)}"
@@ -346,7 +356,7 @@ def read_viswalk(*, data: bytes, path: str) -> Rows:
         raise DataError(
             f"{path}: no column {', '.join(missing)}, which Viswalk can write"
         )
-    place = _numbered(path, len(table))
+    place = _number_rows(path, len(table))
     columns = _number_columns(table, wanted, place)
     xy = np.column_stack([columns["x"], columns["y"]])
-    return replace(_timed(columns["t"], columns["id"], xy, place), unit="m")
+    return replace(_timed_rows(columns["t"], columns["id"], xy, place), unit="m")

@@ -1,4 +1,4 @@
-"""Rows of a recording as a reader found them, and the means to say where a row stands."""
+"""Rows of a recording as read from a file, and the lines or rows where they stand."""
 
 import io
 import math
@@ -11,16 +11,14 @@ import numpy as np
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
-COLUMNS = ("t", "id", "x", "y", "group")  # Of a table.
-WHOLE_LIMIT = (
-    2.0**53
-)  # Frames and ids are float64, which holds every whole number below this.
+COLUMNS = ("t", "id", "x", "y", "group")  # Columns of a table.
+# Frames and ids are float64, which holds every whole number below this.
+WHOLE_LIMIT = 2.0**53
 _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
     "t": 1e12,
-    # No coordinate on Earth is larger; beyond it differences would overflow or lose the
-    # metre.
+    # No coordinate on Earth is larger; differences of larger ones could overflow.
     "x": 1e9,
     "y": 1e9,
 }
@@ -39,7 +37,7 @@ LENGTHS: Mapping[str, float] = {
     **dict.fromkeys(("in", "inch", "inches"), 0.0254),
     "km": 1000.0,
 }
-"""Metres by the name of a unit, of a column."""
+"""Metres per unit of length, by the names of the unit in a column's header."""
 TIMES: Mapping[str, float] = {
     **dict.fromkeys(("s", "sec", "second", "seconds"), 1.0),
     **dict.fromkeys(("ms", "millisecond", "milliseconds"), 1e-3),
@@ -48,21 +46,20 @@ TIMES: Mapping[str, float] = {
     **dict.fromkeys(("min", "minute", "minutes"), 60.0),
     **dict.fromkeys(("h", "hour", "hours"), 3600.0),
 }
-"""Seconds by the name of a unit, of a column."""
-_FRAMES = re.compile(r"(\d+\.?\d*)\s*fps")  # Frames of such a rate are a unit of time.
-_UNITS_OF: Mapping[str, Mapping[str, float]] = {"t": TIMES, "x": LENGTHS, "y": LENGTHS}
+"""Seconds per unit of time, by the names of the unit in a column's header."""
+# A frame at a rate such as ``25 fps`` is a unit of time.
+_FRAMES = re.compile(r"(\d+\.?\d*)\s*fps")
+_UNITS: Mapping[str, Mapping[str, float]] = {"t": TIMES, "x": LENGTHS, "y": LENGTHS}
 CRS = ("degrees",)
 ON_DUPLICATE = ("error", "first", "mean")
-_EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84,
-_FLATNESS = 0.00669437999014  # and its first eccentricity, squared.
-_SEVERAL = 5  # People whose walks say which axis is which; of fewer it may be chance.
-# Of how unsteady a walk is: so much less speaks for another order of the axes.
+_EARTH_M = 6_378_137.0  # Semi-major axis of WGS 84.
+_FLATNESS = 0.00669437999014  # Its first eccentricity, squared.
+_SEVERAL = 5  # Least number of people whose walks show which axis is which.
+# Walks must be this much steadier to speak for another order of the axes.
 _STEADIER = 0.8
-FPS_LIMITS = (
-    1e-3,
-    1e6,
-)  # Frames per second outside are a mistake, and would overflow the clock.
-_SHOWN = 5
+# Frames per second outside are a mistake, and would overflow the clock.
+FPS_LIMITS = (1e-3, 1e6)
+_SHOWN = 5  # Names that a list shows before it counts the others.
 _EXCEL = (
     'an Excel workbook or a zip archive; convert it first: python -c "import pandas; '
     "pandas.read_excel('FILE.xlsx').to_csv('FILE.csv', index=False)\""
@@ -71,29 +68,28 @@ _EXCEL = (
 
 @dataclass(frozen=True, slots=True)
 class Repair:
-    """Something that was mended, left out or let pass on reading, and how often."""
+    """A repair on reading: what was mended, left out or let pass, and how often."""
 
-    kind: str  # One of the kinds of ``docs/data.md``, such as `duplicate` or `gap`.
+    kind: str  # One of the kinds of ``docs/how-to/data.md``, such as `duplicate` or `gap`.
     count: int  # Rows, steps or tracks, as `detail` says.
     detail: str  # File, first line numbers, and what was done.
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where the rows of one file stand in it."""
+    """The places of rows in a file: line or row numbers."""
 
     path: str
-    lines: Callable[
-        [], Ints
-    ]  # (M,) line of every row, from 1; called only if a row is named.
+    # Return the line of every row, (M,), from 1; called only if a row is named.
+    lines: Callable[[], Ints]
     unit: str = "line"
 
     def at(self, row: int) -> str:
         """Return ``FILE, line N`` of one row."""
         return f"{self.path}, {self.unit} {int(self.lines()[row])}"
 
-    def noted(self, kind: str, rows: Ints, text: str) -> list[Repair]:
-        """Return the repair that concerns `rows`, with the first of them; none if they are none."""
+    def note_rows(self, kind: str, rows: Ints, text: str) -> list[Repair]:
+        """Return a repair of `rows` that names the first of them; none for no rows."""
         if not rows.size:
             return []
         numbers = np.sort(self.lines()[rows])
@@ -106,27 +102,26 @@ class Place:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Rows:
-    """M rows of a recording: numbers checked, nothing sorted or mended yet."""
+    """M rows of a recording: numbers are checked, nothing is sorted or mended yet."""
 
     person: Ints  # (M,) index into `ids`
-    ids: tuple[
-        str, ...
-    ]  # Who was recorded, each id once, in the order of the tracks to be.
+    # The people who were recorded, each id once, in the order of the tracks to be.
+    ids: tuple[str, ...]
     t: Floats  # (M,) s, on the file's own clock
     xy: Floats  # (M, 2) in the file's unit of length
     place: Place
     groups: tuple[tuple[str, str], ...] = ()  # (id, label of a walking group) pairs
     notes: tuple[Repair, ...] = ()  # What the reader itself mended or left out.
-    # Of `LENGTHS`, that the file says its lengths are in; empty if it says nothing.
+    # A unit of `LENGTHS`, if the file names it; else empty.
     unit: str = ""
-    unit_by: str = "the header"  # Who says so, for messages.
+    unit_by: str = "the header"  # The source of the unit, for messages.
     # The longest step within a track, if the format says so.
     split_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """What a column of a table is called, and its unit; an empty unit is the usual one."""
+    """The name of a column of a table, and its unit; an empty unit is the usual one."""
 
     name: str
     unit: str = ""
@@ -134,17 +129,16 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What a user says of a file of their own beyond format, frame rate and unit."""
+    """Options of a user for their own file, besides format, frame rate and unit."""
 
-    columns: Mapping[str, Column] = field(
-        default_factory=dict
-    )  # By t, id, x, y and group.
-    on_duplicate: str = "error"  # Of `ON_DUPLICATE`.
-    crs: str | None = None  # Of `CRS`; None is a plane.
-    drop_frozen_s: float | None = None  # Longer stretches at one place are dropped.
+    # By t, id, x, y and group.
+    columns: Mapping[str, Column] = field(default_factory=dict)
+    on_duplicate: str = "error"  # One of `ON_DUPLICATE`.
+    crs: str | None = None  # One of `CRS`; None is a plane.
+    drop_frozen_s: float | None = None  # Drop longer stretches at one place.
 
     def __post_init__(self) -> None:
-        """Raise DataError for what cannot be meant."""
+        """Raise DataError for options that are out of range."""
         seconds = self.drop_frozen_s
         if seconds is not None and not isinstance(seconds, int | float):
             raise DataError(f"--drop-frozen takes seconds above 0, got {seconds!r:.40}")
@@ -159,8 +153,8 @@ class Reading:
             raise DataError(f"--drop-frozen takes seconds above 0, got {seconds:g}")
 
 
-def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
-    """Return the columns that ``t=time[ms],x=pos_x`` names; DataError if that is no such list."""
+def parse_columns(text: str | Mapping[str, str] | None) -> dict[str, Column]:
+    """Parse column names such as ``t=time[ms],x=pos_x``, else raise DataError."""
     if not text:
         return {}
     if not isinstance(text, str | Mapping):
@@ -169,82 +163,87 @@ def columns_named(text: str | Mapping[str, str] | None) -> dict[str, Column]:
         )
     pairs = text.items() if isinstance(text, Mapping) else _pairs(text)
     columns = {}
-    for name, called in pairs:
+    for name, raw_name in pairs:
         if name not in COLUMNS:
             raise DataError(
                 f"--columns names {', '.join(COLUMNS)}, got {str(name)[:40]!r}"
             )
         if name in columns:
             raise DataError(f"--columns names {name} twice")
-        bare, unit = _apart(str(called).strip())
-        has_unit = bool(unit) and name in _UNITS_OF
-        if has_unit and not is_unit(unit, of=name):
-            known = _units_known(name)
+        called = str(raw_name).strip()
+        bare, unit = _split_unit(called)
+        if not unit or name not in _UNITS:
+            columns[name] = Column(called)
+            continue
+        if not is_unit(unit, quantity=name):
+            known = _known_units(name)
             raise DataError(
                 f"--columns {name}: unknown unit {unit[:40]!r} (known: {known})"
             )
-        columns[name] = Column(
-            bare if has_unit else str(called).strip(), unit if has_unit else ""
-        )
+        columns[name] = Column(bare, unit)
     return columns
 
 
-def with_unit(header: str, *, of: str) -> Column:
-    """Return a column of a header such as ``x [cm]``, ``t(s)`` or ``y/m``; no unit without one.
+def parse_header(header: str, *, quantity: str) -> Column:
+    """Return name and unit of a header such as ``x [cm]``, ``t(s)`` or ``y/m``.
 
-    `of` is t, id, x, y or group: only t has units of time, only x and y have units of
-    length. What stands in brackets behind an id or a group says nothing.
+    `quantity` is t, id, x, y or group: only t has units of time, only x and y have
+    units of length. Text in brackets behind an id or a group is no unit. Without a
+    known unit the column has the name of the header.
     """
-    bare, unit = _apart(header.strip())
-    if of not in _UNITS_OF:
+    bare, unit = _split_unit(header.strip())
+    if quantity not in _UNITS:
         return Column(bare)
     if not unit:
         bare, _, unit = header.strip().partition("/")
         bare, unit = bare.strip(), unit.strip().lower()
-    return Column(bare, unit) if is_unit(unit, of=of) else Column(header)
+    return Column(bare, unit) if is_unit(unit, quantity=quantity) else Column(header)
 
 
-def check_unit(header: str, *, of: str, called: str, where: str) -> None:
-    """Raise DataError if a header names the column `called`, with a unit that is not known."""
-    bare, unit = _apart(header.strip())
-    if of in _UNITS_OF and unit and bare.casefold() == called.casefold():
-        way_out = "give its metres by --unit" if of != "t" else "convert it first"
-        hint = (
-            " (degrees: --crs degrees)"
-            if unit[:3] in {"deg", "\u00b0"} and of != "t"
-            else ""
-        )
-        raise DataError(
-            f"{where}: column {printable(header[:40])}: unknown unit {unit[:40]!r}"
-            f" (known: {_units_known(of)}); take it out of the header, and"
-            f" {way_out}{hint}"
-        )
+def check_unit(header: str, *, quantity: str, name: str, where: str) -> None:
+    """Raise DataError if a header is the column `name` with an unknown unit."""
+    bare, unit = _split_unit(header.strip())
+    if quantity not in _UNITS or not unit or bare.casefold() != name.casefold():
+        return
+    way_out, hint = "convert it first", ""
+    if quantity != "t":
+        way_out = "give its metres by --unit"
+        if unit[:3] in {"deg", "\u00b0"}:
+            hint = " (degrees: --crs degrees)"
+    raise DataError(
+        f"{where}: column {printable(header[:40])}: unknown unit {unit[:40]!r}"
+        f" (known: {_known_units(quantity)}); take it out of the header, and"
+        f" {way_out}{hint}"
+    )
 
 
-def is_unit(text: str, *, of: str) -> bool:
+def is_unit(text: str, *, quantity: str) -> bool:
     """Whether this is a unit of t, of x or of y, by its name in small letters."""
-    return text in _UNITS_OF[of] or (of == "t" and _FRAMES.fullmatch(text) is not None)
+    is_frame = quantity == "t" and _FRAMES.fullmatch(text) is not None
+    return text in _UNITS[quantity] or is_frame
 
 
 def seconds_per(unit: str) -> float:
-    """Return the seconds of a unit of time: by its name, or of a frame of ``25 fps``."""
+    """Return the seconds of a unit of time, by its name or a rate as ``25 fps``."""
     frames = _FRAMES.fullmatch(unit)
     if frames is None:
         return TIMES[unit]
-    return 1.0 / checked_fps(frames[1], where=f"--columns t: {unit}")
+    return 1.0 / check_fps(frames[1], where=f"--columns t: {unit}")
 
 
-def _units_known(of: str) -> str:
+def _known_units(quantity: str) -> str:
     """Return the units of t, x or y, each by its first name."""
     first_names: dict[float, str] = {}
-    for name, scale in _UNITS_OF[of].items():
+    for name, scale in _UNITS[quantity].items():
         first_names.setdefault(scale, name)
-    frames = ["a frame as 25 fps"] if of == "t" else []
-    return ", ".join([*first_names.values(), *frames])
+    names = list(first_names.values())
+    if quantity == "t":
+        names.append("a frame as 25 fps")
+    return ", ".join(names)
 
 
-def _apart(text: str) -> tuple[str, str]:
-    """Return a name and the unit in brackets behind it, in small letters; empty without."""
+def _split_unit(text: str) -> tuple[str, str]:
+    """Split off a unit in brackets, in small letters; it is empty if there is none."""
     match = re.fullmatch(r"(.+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))", text)
     if match is None:
         return text, ""
@@ -252,6 +251,7 @@ def _apart(text: str) -> tuple[str, str]:
 
 
 def _pairs(text: str) -> list[tuple[str, str]]:
+    """Split ``t=NAME,id=NAME`` into pairs; DataError for anything else."""
     pairs = []
     for part in text.split(","):
         name, equals, called = part.partition("=")
@@ -263,12 +263,12 @@ def _pairs(text: str) -> list[tuple[str, str]]:
     return pairs
 
 
-def projected(rows: Rows) -> Rows:
-    """Return rows of longitude (x) and latitude (y) in degrees as local metres, east and north.
+def project_degrees(rows: Rows) -> Rows:
+    """Project longitude (x) and latitude (y) in degrees to local metres.
 
-    A plane that touches the ellipsoid WGS 84 at the middle of the recording; within 5
-    km of it distances are right to some 0.1 %. DataError for what is no degree or spans
-    more than a degree.
+    The axes point east and north. The plane touches the ellipsoid WGS 84 at the middle
+    of the recording; within 5 km of it distances are right to some 0.1 %. DataError for
+    positions that are no degrees or span more than a degree.
     """
     path = rows.place.path
     x, y = rows.xy.T
@@ -296,7 +296,7 @@ def projected(rows: Rows) -> Rows:
     notes = [*rows.notes, Repair("crs", rows.t.size, detail)]
     if abs(middle[0]) <= 90 and len(rows.ids) >= _SEVERAL:  # noqa: PLR2004 - as above
         swapped = np.radians(rows.xy - middle) * _metres_per_radian(middle[0])[::-1]
-        if _unsteady(rows, swapped) < _STEADIER * _unsteady(rows, xy):
+        if _speed_variation(rows, swapped) < _STEADIER * _speed_variation(rows, xy):
             text = (
                 "x looks like latitude and y like longitude (walks are steadier so); "
                 "swap their columns: --columns x=y,y=x where they are called so"
@@ -306,14 +306,14 @@ def projected(rows: Rows) -> Rows:
 
 
 def _metres_per_radian(latitude: float) -> Floats:
-    """Return the metres of a radian to the east and to the north, on WGS 84."""
+    """Return the metres of a radian to the east and to the north, (2,), on WGS 84."""
     bend = 1.0 - _FLATNESS * np.sin(np.radians(latitude)) ** 2
     north_m = _EARTH_M * (1.0 - _FLATNESS) / bend**1.5
     return np.array([_EARTH_M / bend**0.5 * np.cos(np.radians(latitude)), north_m])
 
 
-def _unsteady(rows: Rows, xy: Floats) -> float:
-    """Return how much the speed of a walk usually varies, as a share of its mean."""
+def _speed_variation(rows: Rows, xy: Floats) -> float:
+    """Return the median variation of a walk's speed, as a share of its mean."""
     order = np.lexsort((rows.t, rows.person))
     person, step_s = rows.person[order], np.diff(rows.t[order])
     moves = (person[1:] == person[:-1]) & (step_s > 0)
@@ -327,30 +327,31 @@ def _unsteady(rows: Rows, xy: Floats) -> float:
     return float(np.median(np.sqrt(variance))) if walks.any() else 0.0
 
 
-def in_metres(rows: Rows, *, unit: str | None) -> Rows:
-    """Return rows in m, a conversion noted; DataError if `unit` contradicts what the file says."""
-    told, path = str(unit or rows.unit or "m"), rows.place.path
-    scale = _metres_per(told)
+def convert_to_metres(rows: Rows, *, unit: str | None) -> Rows:
+    """Convert rows to m, with a note; DataError if `unit` contradicts the file."""
+    path = rows.place.path
+    chosen = str(unit or rows.unit or "m")
+    scale = _metres_per(chosen)
     if scale is None:
         hint = (
             f"must be one of {', '.join(METRES)}, ft, or metres a unit, got"
-            f" {told[:40]!r}"
+            f" {chosen[:40]!r}"
         )
         raise DataError(f"{path}: --unit {hint}")
     if rows.unit and scale != _metres_per(rows.unit):
         raise DataError(
-            f"{path}: --unit {told} contradicts the file's header: {rows.unit}"
+            f"{path}: --unit {chosen} contradicts the file's header: {rows.unit}"
         )
     if scale == 1.0:
         return rows
-    by = "--unit" if unit else rows.unit_by
-    detail = f"{path}: positions in {told}, as {by} says; converted to m"
+    source = "--unit" if unit else rows.unit_by
+    detail = f"{path}: positions in {chosen}, as {source} says; converted to m"
     notes = (*rows.notes, Repair("unit", rows.t.size, detail))
     return replace(rows, xy=rows.xy * scale, unit="m", notes=notes)
 
 
 def _metres_per(unit: str) -> float | None:
-    """Return the metres of a unit by its name, or of a number of metres; None if it is neither."""
+    """Return the metres of a unit, given its name or a number; None for others."""
     if unit in LENGTHS:
         return LENGTHS[unit]
     try:
@@ -360,24 +361,27 @@ def _metres_per(unit: str) -> float | None:
     return scale if 1e-6 <= scale <= 1e6 else None  # noqa: PLR2004 - beyond is no length
 
 
-def framed(columns: Mapping[str, Floats], place: Place) -> Rows:
-    """Return rows, `t` in frames from the first, of the format's frame, id, x and y, (M,) each."""
+def build_rows(columns: Mapping[str, Floats], place: Place) -> Rows:
+    """Return rows of the columns frame, id, x and y, (M,) each, in this order.
+
+    Time `t` is in frames from the first frame.
+    """
     check_numbers(columns, place)
     frame, person, x, y = columns.values()
     ids = np.unique(person)
     return Rows(
-        person=np.searchsorted(
-            ids, person
-        ),  # np.unique's own takes six times the memory
+        # The inverse that np.unique returns takes six times the memory.
+        person=np.searchsorted(ids, person),
         ids=tuple(str(int(value)) for value in ids),
-        t=frame - frame.min(),  # a large frame number over fps would round
+        # From the first frame: a large frame number over fps would round.
+        t=frame - frame.min(),
         xy=np.column_stack([x, y]),
         place=place,
     )
 
 
 def check_numbers(columns: Mapping[str, Floats], place: Place) -> None:
-    """Raise DataError for the first row with a number not finite, too large, or not whole."""
+    """Raise DataError for the first row with a number that is out of range."""
     offending = []
     for index, (name, column) in enumerate(columns.items()):
         bad = ~(np.abs(column) < _LIMITS[name])  # True for NaN
@@ -398,7 +402,7 @@ def check_numbers(columns: Mapping[str, Floats], place: Place) -> None:
 
 
 def steps_within(offsets: Ints) -> Bools:
-    """Return (M - 1,) which steps lead from a sample to the next one of the same track."""
+    """Return whether each step leads to a sample of the same track, (M - 1,)."""
     within = np.ones(max(offsets[-1] - 1, 0), dtype=bool)
     within[offsets[1:-1] - 1] = False
     return within
@@ -406,21 +410,21 @@ def steps_within(offsets: Ints) -> Bools:
 
 def listed(names: Sequence[str] | Ints) -> str:
     """Join the first few of `names` and count the others."""
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    return ", ".join(str(name) for name in names[:_SHOWN]) + more
+    others = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    return ", ".join(str(name) for name in names[:_SHOWN]) + others
 
 
 def printable(text: str) -> str:
-    """Return `text` with a question mark for all that would steer a terminal or end a line."""
+    """Return `text` with a question mark for every control character and line end."""
     return re.sub("[\x00-\x1f\x7f-\x9f\u2028\u2029]", "?", text)
 
 
-def lines_of(data: bytes) -> Iterator[str]:
-    r"""Yield the lines of what `check_text` accepts, ended by any of ``\n \r\n \r``.
+def iterate_lines(data: bytes) -> Iterator[str]:
+    r"""Yield the lines of text that `check_text` accepts, ended by ``\n \r\n \r``.
 
-    One by one, without mark and line end: a list, or a text with a single wide
-    character, needs many times the memory of the file. Not splitlines: that also breaks
-    at form feeds and the like.
+    They come one by one, without byte order mark and line end: a list, or a text with a
+    single wide character, needs many times the memory of the file. str.splitlines would
+    also break at form feeds and the like.
     """
     for line in io.TextIOWrapper(io.BytesIO(data), encoding="utf-8-sig"):
         yield line.removesuffix("\n")
@@ -428,7 +432,7 @@ def lines_of(data: bytes) -> Iterator[str]:
 
 def check_text(*, data: bytes, path: str) -> None:
     """Raise DataError if a file is empty, compressed, binary, or not UTF-8."""
-    for is_so, message in (
+    for is_wrong, message in (
         (not data, "the file is empty"),
         (
             data.startswith(b"\x1f\x8b"),
@@ -453,7 +457,7 @@ def check_text(*, data: bytes, path: str) -> None:
         ),
         (b"\0" in data, f"the file is binary, not text (zero byte at {data.find(0)})"),
     ):
-        if is_so:
+        if is_wrong:
             raise DataError(f"{path}: {message}")
     try:
         data.decode("utf-8-sig")
@@ -467,8 +471,8 @@ def check_text(*, data: bytes, path: str) -> None:
         ) from None
 
 
-def checked_fps(fps: float | str, *, where: str) -> float:
-    """Return `fps` if it lies within `FPS_LIMITS`, else raise DataError; `where` opens it."""
+def check_fps(fps: float | str, *, where: str) -> float:
+    """Return `fps` as a number within `FPS_LIMITS`, or raise DataError at `where`."""
     try:
         rate = float(fps)
     except (TypeError, ValueError):

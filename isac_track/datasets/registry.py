@@ -1,4 +1,4 @@
-"""The data sets known by name: where on this machine their files are, and how they get there."""
+"""Data sets that are known by name: their files on this machine, and downloads."""
 
 from __future__ import annotations
 
@@ -21,15 +21,12 @@ from isac_track.errors import DataError, did_you_mean
 if TYPE_CHECKING:
     import requests
 
-DATA_VARIABLE = (  # The user's folder of data sets, ``NAME/obsmat.txt``. Only read.
-    "ISAC_TRACK_DATA"
-)
-CACHE_VARIABLE = (  # Folder for downloads, instead of the user's cache.
-    "ISAC_TRACK_CACHE"
-)
-MIRROR_VARIABLE = (  # Base URL instead of GitHub's; hashes are checked anyway.
-    "ISAC_TRACK_MIRROR"
-)
+# Environment variables: the user's folder of data sets, ``NAME/obsmat.txt``, which is
+# only read; the folder for downloads, instead of the user's cache; the base URL instead
+# of GitHub's, with hashes checked all the same.
+DATA_VARIABLE = "ISAC_TRACK_DATA"
+CACHE_VARIABLE = "ISAC_TRACK_CACHE"
+MIRROR_VARIABLE = "ISAC_TRACK_MIRROR"
 DEFAULT = "students03"
 FALLBACK = "plaza"
 MAIN_FILE = "obsmat.txt"
@@ -41,17 +38,17 @@ _OPENTRAJ = (
 )
 CONNECT_TIMEOUT_S = 5.0
 READ_TIMEOUT_S = 30.0
-# A download may take this long, plus what a slow line takes for its size.
+# A download may take this long, plus the time of a slow line for its size.
 LEAST_S = 60.0
 LEAST_BYTES_PER_S = 50_000.0
 _CHUNK_BYTES = 16_384
-# Far more than any known file: what goes on for longer is none.
+# Far more than any known file: a longer answer is another file.
 _MOST_BYTES = 100_000_000
 
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A data set that is known by name, or a file of one's own."""
+    """A data set that is known by name, or a file of the user's own."""
 
     name: str
     about: str = ""
@@ -62,11 +59,11 @@ class Known:
     format: str = ""
     fps: float | None = None
     sha256: Mapping[str, str] = field(default_factory=dict)
-    """Hash of every file, by file name; empty if bundled or of one's own."""
+    """Hash of every file, by file name; empty for a bundled or the user's own file."""
     remote: str = ""  # Its folder in OpenTraj.
-    # Which of its files are sessions; hashes, where known, are in `sha256`.
+    # Pattern of the files that are sessions; known hashes are in `sha256`.
     sessions: str = ""
-    # How to get what is never downloaded from here: a folder, named like it.
+    # How to get a data set that is never downloaded from here: a folder of its name.
     get: str = ""
 
 
@@ -79,7 +76,7 @@ KNOWN: Mapping[str, Known] = {
 
 
 def known(name: str) -> Known:
-    """Return the data set called `name`; DataError with the nearest name if there is none."""
+    """Return the data set called `name`; DataError, with a hint, if there is none."""
     if name in KNOWN:
         return KNOWN[name]
     hint = did_you_mean(name.lower(), KNOWN)
@@ -105,11 +102,14 @@ def cache_folder() -> Path:
 
 
 def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
-    """Return where the files of a data set are, by name, and what is missing; the cache is last."""
+    """Return the paths of a data set's files by name, and the names of missing files.
+
+    The user's folder comes before the cache.
+    """
     folders = [folder for folder in (cache_folder(), _folder(DATA_VARIABLE)) if folder]
     is_folder = WHOLE in data_set.sha256
     names = [WHOLE] if is_folder else [*data_set.sha256]
-    is_here = os.path.isdir if is_folder else os.path.isfile  # these never raise
+    is_here = os.path.isdir if is_folder else os.path.isfile  # These never raise.
     files = {
         file_name: folder / data_set.name / file_name
         for folder in folders
@@ -119,8 +119,8 @@ def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
     return files, [file_name for file_name in names if file_name not in files]
 
 
-def searched() -> str:
-    """Return in words where a data set was looked for."""
+def describe_lookup() -> str:
+    """Return in words the places where a data set was looked for."""
     folder = _folder(DATA_VARIABLE)
     first = f"{DATA_VARIABLE} is not set"
     if folder is not None:
@@ -130,18 +130,18 @@ def searched() -> str:
 
 
 def searched_folders() -> list[str]:
-    """Return the folders that `searched` names, as it shows them."""
+    """Return the folders that `describe_lookup` names, as it shows them."""
     folders = (_folder(DATA_VARIABLE), cache_folder())
     return [shown(folder) for folder in folders if folder is not None]
 
 
 def shown(path: Path | str) -> str:
-    """Return a path as one line that can be printed whatever bytes its name has."""
+    """Return a path as a printable line, whatever bytes its name has."""
     return printable(str(path).encode("utf-8", "replace").decode())
 
 
 def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
-    """Return what a file holds; DataError if it cannot be had, or is not what `data_set` means."""
+    """Return the bytes of a file; DataError if it is unreadable or the wrong file."""
     try:
         if not path.is_file():
             reason = "this is a folder, not a file" if path.is_dir() else "no such file"
@@ -157,7 +157,7 @@ def read_bytes(path: Path, *, data_set: Known | None = None) -> bytes:
 
 
 def check(path: Path, data_set: Known, *, file_name: str, actual: str) -> None:
-    """Raise DataError if a file or folder of a known data set has another hash than it must."""
+    """Raise DataError if a file or folder of a known data set has a wrong hash."""
     if actual != (expected := data_set.sha256.get(file_name, actual)):
         raise DataError(
             f"{shown(path)} is not the {file_name or 'folder'} of {data_set.name}:"
@@ -168,23 +168,26 @@ def check(path: Path, data_set: Known, *, file_name: str, actual: str) -> None:
         )
 
 
-def url_of(data_set: Known, file_name: str) -> str:
-    """Return where a file of a known data set is downloaded from."""
+def file_url(data_set: Known, file_name: str) -> str:
+    """Return the address from which a file of a known data set is downloaded."""
     if base := os.environ.get(MIRROR_VARIABLE, "").strip():
         return f"{base.rstrip('/')}/{data_set.name}/{file_name}"
     return f"{_OPENTRAJ}/{data_set.remote}/{file_name}"
 
 
-def files_of(data_set: Known, *, download: bool) -> dict[str, Path]:
-    """Return the path of every file of a known data set, downloaded if it is missing and may be."""
+def find_data_files(data_set: Known, *, download: bool) -> dict[str, Path]:
+    """Return the path of every file of a known data set; download what is missing.
+
+    DataError if a file is missing and `download` is False.
+    """
     files, absent = locate(data_set)
     if absent and download:
         return fetch(data_set)[0]
     if absent:
-        here = "".join(f"; {shown(path)} is" for path in files.values())
-        what = " and ".join(filter(None, absent)) or "its folder"
+        present = "".join(f"; {shown(path)} is" for path in files.values())
+        missing = " and ".join(filter(None, absent)) or "its folder"
         raise DataError(
-            f"{data_set.name}: {what} not found{here} ({searched()}). "
+            f"{data_set.name}: {missing} not found{present} ({describe_lookup()}). "
             f"To get it: python -m isac_track.datasets fetch {data_set.name}"
         )
     return files
@@ -194,9 +197,9 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     """Return the path of every file, and whether any was downloaded.
 
     Files go to the cache whole and checked, or not at all. A damaged file in the cache
-    is ours to replace; one in the user's own folder is not. What is downloaded is said
-    on stderr. It is a DataError if a file cannot be had, with the way out, or if the
-    user's own is not the right one.
+    is replaced; a damaged file in the user's own folder is not. Downloads are announced
+    on stderr. DataError, with the way out, if a file cannot be had, or if the user's
+    own file is not the right one.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
     import urllib3  # noqa: PLC0415 - as above
@@ -204,7 +207,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     folder = cache_folder() / data_set.name
     files, absent = locate(data_set)
     if data_set.get and absent:
-        way_out = f"and set {DATA_VARIABLE}=DIR ({searched()})"
+        way_out = f"and set {DATA_VARIABLE}=DIR ({describe_lookup()})"
         raise DataError(f"{data_set.name}: {data_set.get}, {way_out}")
     for file_name, path in files.items() if not data_set.get else ():
         try:
@@ -214,7 +217,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
                 raise
             absent.append(file_name)
     for file_name in absent:
-        url, target = url_of(data_set, file_name), folder / file_name
+        url, target = file_url(data_set, file_name), folder / file_name
         way_out = (
             f"Way out: get {' and '.join(data_set.sha256)} of that folder by any means,"
             f" save in DIR/{data_set.name} and set {DATA_VARIABLE}=DIR"
@@ -225,7 +228,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
             _remove_leftovers(folder, file_name)
             actual = _download(url, unchecked)
             if actual != data_set.sha256[file_name]:
-                raise ValueError(  # noqa: TRY301 - told below
+                raise ValueError(  # noqa: TRY301 - see below
                     f"sha256 is {actual}, expected {data_set.sha256[file_name]}"
                 )
             unchecked.replace(target)
@@ -246,25 +249,25 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
 
 
 def _remove_leftovers(folder: Path, file_name: str) -> None:
-    """Remove what killed downloads left: the file says which process it was."""
+    """Remove files left by killed downloads; a file's name ends with a process id."""
     for path in folder.glob(f".{file_name}.*"):
-        number = path.name.rpartition(".")[2]
-        if number.isdecimal():
+        process_id = path.name.rpartition(".")[2]
+        if process_id.isdecimal():
             try:
-                os.kill(int(number), 0)  # asks whether it is there
+                os.kill(int(process_id), 0)  # Only asks whether the process exists.
             except OSError:
                 path.unlink(missing_ok=True)
 
 
 def _reason(error: Exception) -> str:
-    """Return in words why requests got nothing."""
+    """Return in words why a download failed."""
     from requests import exceptions  # noqa: PLC0415 - as above
     from urllib3.exceptions import (  # noqa: PLC0415 - as above
         ProtocolError,
         ReadTimeoutError,
     )
 
-    # A server that falls silent in the middle is no Timeout to requests.
+    # requests has no Timeout for a server that falls silent in the middle.
     silent = "no answer in time"
     broken = (
         silent
@@ -286,7 +289,7 @@ def _reason(error: Exception) -> str:
 
 
 def _answer(url: str) -> requests.Response:
-    """Return what a server answers, its body still to come, within `LEAST_S`.
+    """Return a server's answer, its body still to come, within `LEAST_S`.
 
     The limits of requests count from byte to byte: header and redirections may trickle
     for ever.
@@ -296,7 +299,7 @@ def _answer(url: str) -> requests.Response:
     answer: Future[requests.Response] = Future()
 
     def ask() -> None:
-        # Unpacked on the way, a body could not be measured against its announced
+        # A body that requests unpacks could not be compared with its announced
         # length.
         headers = {"Accept-Encoding": "identity"}
         timeout_s = (CONNECT_TIMEOUT_S, READ_TIMEOUT_S)
@@ -304,7 +307,7 @@ def _answer(url: str) -> requests.Response:
             answer.set_result(
                 requests.get(url, stream=True, timeout=timeout_s, headers=headers)
             )
-        except Exception as error:  # noqa: BLE001 - raised again by who waits
+        except Exception as error:  # noqa: BLE001 - raised again in the waiting thread
             answer.set_exception(error)
 
     Thread(target=ask, daemon=True).start()
@@ -315,7 +318,7 @@ def _answer(url: str) -> requests.Response:
 
 
 def _download(url: str, into: Path) -> str:
-    """Write what `url` gives to a file; return its sha256."""
+    """Write the content of `url` to a file; return its sha256."""
     import requests  # noqa: PLC0415 - as above
 
     began_s, digest = time.monotonic(), hashlib.sha256()
@@ -327,7 +330,7 @@ def _download(url: str, into: Path) -> str:
             min(int(announced), _MOST_BYTES) if announced.isdecimal() else _MOST_BYTES
         )
         limit_s = LEAST_S + expected / LEAST_BYTES_PER_S
-        # What is there, each time: a whole chunk may take a slow server for ever.
+        # Read only available bytes: a slow server may never fill a whole chunk.
         while chunk := response.raw.read1(_CHUNK_BYTES):
             if time.monotonic() - began_s > limit_s:
                 raise requests.Timeout(f"timed out: over {limit_s:.0f} s")

@@ -1,4 +1,4 @@
-"""From rows to tracks: sort, mend, split, and count everything that was not taken as it stood."""
+"""From rows to tracks: sort, mend, split, and count all that was changed."""
 
 import re
 from collections.abc import Iterable
@@ -10,37 +10,36 @@ from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_wit
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
 
-# Closer samples of an id are one: no rate is above 1 MHz, slopes overflow.
+# Closer samples of an id are the same: no rate is above 1 MHz, slopes overflow.
 SAME_TIME_S = 1e-7
-# With a longer usual step no walk is seen, and interpolation eats memory.
+# With a longer usual step the walk cannot be seen, and interpolation eats memory.
 LONGEST_STEP_S = 10.0
 # A step of more median steps of the file is a gap (a lost frame makes 2).
 GAP_STEPS = 1.75
-# A gap over this and `SPLIT_STEPS` ends the track: to bridge it invents a walk.
+# A longer gap, also over `SPLIT_STEPS`, ends the track: no walk is invented.
 SPLIT_S = 2.0
-SPLIT_STEPS = 3.0  # Slow recordings may have longer gaps: this many median steps.
-SPEED_LIMITS_MPS = (
-    0.01,
-    5.0,
-)  # Of the median of all steps that move; beyond them units are wrong.
-_WALKING_MPS = (
-    0.2,
-    2.5,
-)  # A median in another unit that lies here is proposed, never taken.
+# Slow recordings may have longer gaps: this many median steps.
+SPLIT_STEPS = 3.0
+# Limits of the median of all steps that move; outside, the units are wrong.
+SPEED_LIMITS_MPS = (0.01, 5.0)
+# Another unit whose median is within these is proposed, never used.
+_WALKING_MPS = (0.2, 2.5)
 FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
 JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
 WALK_MPS = 4.0  # Nobody walks faster.
-REUSE_M = 2.0  # Who is further away behind a gap than a walk leads is somebody else.
-# A longer jump without a gap leads to somebody else; a shorter one is an error.
+REUSE_M = 2.0  # Further away behind a gap than a walk leads is another person.
+# A longer jump without a gap leads to another person; a shorter jump is an error.
 SWITCH_M = 4.0
-DETOUR_CUTS = 3  # An id is back from somebody else behind at most so many further cuts.
-METRES_PER_DEGREE = 111_320.0  # Of latitude.
-NEAR_STEPS = 0.5  # A step of fewer usual steps of its id is the same sample twice,
+# An id returns from another person within this number of further cuts.
+DETOUR_CUTS = 3
+METRES_PER_DEGREE = 111_320.0  # Along a meridian.
+# A step of fewer usual steps of its id is the same sample twice,
+NEAR_STEPS = 0.5
 NEAR_M = 0.5  # unless it leads further than this.
-# Shorter steps are those of no sensor: they say nothing of the usual step.
+# No sensor has shorter steps: they do not count in the usual step.
 CLOCK_S = 1e-4
-FROZEN_S = 2.0  # At exactly one place for so long: a box that is repeated.
-_ZIGZAG_M = 0.02  # Beside a walk at `WALK_MPS`.
+FROZEN_S = 2.0  # At exactly the same place for this long: a repeated box.
+_ZIGZAG_M = 0.02  # Tolerance of a walk at `WALK_MPS`.
 _LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.
 
 
@@ -51,98 +50,114 @@ def to_tracks(
     on_duplicate: str = "error",
     drop_frozen_s: float | None = None,
 ) -> tuple[Tracks, tuple[Repair, ...]]:
-    """Return the tracks of a recording and all that was mended or let pass on the way.
+    """Convert the rows of a recording to tracks; return all that was mended, too.
 
     The tracks do not depend on the order of the rows, unless a clock falls back.
-    `groups` are (id, label) pairs beside those of the file itself. `on_duplicate`: what
-    becomes of a person at two places at one time. Who stands at exactly one place for
-    `drop_frozen_s` ends a track. It is a DataError if no track has two samples, or if
-    steps or speeds show that units, frame rate or columns are wrong.
+    `groups` are (id, label) pairs besides those of the file itself. `on_duplicate` is
+    the treatment of a person at two places at one time. A person who stays at exactly
+    the same place for `drop_frozen_s` ends a track. DataError if no track has two
+    samples, or if steps or speeds show that units, frame rate or columns are wrong.
     """
     place, members = rows.place, [*rows.groups, *groups]
-    notes = [*rows.notes]
+    order, run, repairs = _sort(rows)
+    notes = [*rows.notes, *repairs]
+    rows = _take(rows, order)
+    rows, order, run, repairs = _drop_copies(
+        rows, order, run, on_duplicate=on_duplicate
+    )
+    notes += repairs
+    rows, order, run, repairs = _merge_near(rows, order, run)
+    notes += repairs
 
+    _check_speeds(rows)
+    rows, cut, repairs = _cut_tracks(rows, order, run)
+    notes += repairs
+    ids = rows.ids
+    keep, cut, repairs = _find_frozen(rows, order, cut, drop_s=drop_frozen_s)
+    notes += repairs
+    if not keep.all():
+        rows, order = _take(rows, keep), order[keep]
+    lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
+    single = np.repeat(lengths == 1, lengths)
+    notes += place.note_rows(
+        "one-point", order[single], "a single sample of an id; dropped"
+    )
+    if single.any():
+        rows, order = _take(rows, ~single), order[~single]
+    offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
+    if not rows.t.size:
+        raise DataError(f"{place.path}: no track has two samples")
+    notes += _note_fast_steps(rows, offsets, order)
+    _check_usual_step(rows, offsets)
+    clusters = walking_groups(ids=ids, members=members)
+    return _build_tracks(rows, offsets, ids=ids, clusters=clusters), tuple(notes)
+
+
+def _sort(rows: Rows) -> tuple[Ints, Ints, list[Repair]]:
+    """Sort rows by person, run of the clock and time; return order, runs and notes."""
     order = np.argsort(rows.person, kind="stable")
-    run, fallen = _clock_runs(rows, order)
+    run, fallen = _find_clock_runs(rows, order)
     text = (
         "earlier than the row before of the same id, which walks on: the clock falls"
         " back; cut"
     )
-    notes += place.noted("clock", order[1:][fallen], text)
+    notes = rows.place.note_rows("clock", order[1:][fallen], text)
     late = (np.diff(rows.t[order]) < 0) & (np.diff(rows.person[order]) == 0) & ~fallen
     text = "earlier than the row before of the same id; sorted"
-    notes += place.noted("unsorted", order[1:][late], text)
-    order, run = _sorted(rows, order, run)
-    rows = _taken(rows, order)
-    rows, order, run, more = _without_copies(
-        rows, order, run, on_duplicate=on_duplicate
-    )
-    notes += more
-    rows, order, run, more = _without_near(rows, order, run)
-    notes += more
+    notes += rows.place.note_rows("unsorted", order[1:][late], text)
+    order, run = _sort_rows(rows, order, run)
+    return order, run, notes
 
-    _check_speeds(rows)
-    rows, cut, more = _cuts(rows, order, run)
-    notes += more
-    ids = rows.ids
-    keep, cut, more = _frozen(rows, order, cut, drop_s=drop_frozen_s)
-    notes += more
-    if not keep.all():
-        rows, order = _taken(rows, keep), order[keep]
-    lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
-    single = np.repeat(lengths == 1, lengths)
-    notes += place.noted(
-        "one-point", order[single], "a single sample of an id; dropped"
-    )
-    if single.any():
-        rows, order = _taken(rows, ~single), order[~single]
-    offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
-    t, owner = rows.t, rows.person[offsets[:-1]]
-    if not t.size:
-        raise DataError(f"{place.path}: no track has two samples")
-    notes += _fast_steps(rows, offsets, order)
-    usual_s = float(np.median(np.diff(t)[steps_within(offsets)], overwrite_input=True))
+
+def _check_usual_step(rows: Rows, offsets: Ints) -> None:
+    """Raise DataError if the usual step is too long for a walk."""
+    steps_s = np.diff(rows.t)[steps_within(offsets)]
+    usual_s = float(np.median(steps_s, overwrite_input=True))
     if usual_s > LONGEST_STEP_S:
         raise DataError(
-            f"{place.path}: the usual step is {usual_s:.3g} s, over {LONGEST_STEP_S:g}"
-            " s: milliseconds for seconds, or a wrong --fps?"
+            f"{rows.place.path}: the usual step is {usual_s:.3g} s, over"
+            f" {LONGEST_STEP_S:g} s: milliseconds for seconds, or a wrong --fps?"
         )
 
-    cluster = walking_groups(ids=ids, members=members)
-    # The source id of a track is the person's, numbered where it was split.
+
+def _build_tracks(
+    rows: Rows, offsets: Ints, *, ids: tuple[str, ...], clusters: tuple[str, ...]
+) -> Tracks:
+    """Return the tracks of sorted rows; `clusters` are those of the people `ids`."""
+    owner = rows.person[offsets[:-1]]
+    # The source id of a track is the person's, numbered if the person has several.
     longest = max(
-        (len(run) for name in ids for run in re.findall("#+", name)), default=0
+        (len(marks) for name in ids for marks in re.findall("#+", name)), default=0
     )
     mark = "#" * (longest + 1)
     pieces = np.bincount(owner, minlength=len(ids))
-    first = np.cumsum(pieces) - pieces  # the tracks of a person follow each other
-    tracks = Tracks(
-        t=t,
+    first = np.cumsum(pieces) - pieces  # The tracks of a person follow each other.
+    sources = []
+    for track, index in enumerate(owner):
+        name = ids[index]
+        if pieces[index] > 1:
+            name += f"{mark}{track - first[index] + 1}"
+        sources.append(name)
+    return Tracks(
+        t=rows.t,
         xy=rows.xy,
         offsets=offsets,
-        source=tuple(
-            (
-                f"{ids[index]}{mark}{track - first[index] + 1}"
-                if pieces[index] > 1
-                else ids[index]
-            )
-            for track, index in enumerate(owner)
-        ),
-        group=tuple(cluster[index] for index in owner),
+        source=tuple(sources),
+        group=tuple(clusters[index] for index in owner),
         person=tuple(ids[index] for index in owner),
     )
-    return tracks, tuple(notes)
 
 
 def walking_groups(
     *, ids: tuple[str, ...], members: Iterable[tuple[str, str]]
 ) -> tuple[str, ...]:
-    """Return the cluster of every id: those who share a label, directly or over others.
+    """Return the cluster of every id: ids that share a label, directly or by others.
 
-    An id without a label is a cluster of its own, called like the id; a labelled one is
-    ``group:LABEL``, never called like another id. `members` are (id, label) pairs.
+    An id without a label is a cluster of its own, called like the id; a labelled
+    cluster is ``group:LABEL``, never called like another id. `members` are (id, label)
+    pairs.
     """
-    label_of: dict[str, str] = {}
+    name_label: dict[str, str] = {}
     parent: dict[str, str] = {}
 
     def root(label: str) -> str:
@@ -152,23 +167,25 @@ def walking_groups(
         return label
 
     for name, label in members:
-        # The lesser label names the cluster, whatever the order of the members.
-        first, second = sorted((root(label_of.setdefault(name, label)), root(label)))
+        # The smaller label names the cluster, whatever the order of the members.
+        first, second = sorted((root(name_label.setdefault(name, label)), root(label)))
         parent[second] = first
     prefix = "group:"
     while any(name.startswith(prefix) for name in ids):
         prefix = f"group{prefix}"
     return tuple(
-        prefix + root(label_of[name]) if name in label_of else name for name in ids
+        prefix + root(name_label[name]) if name in name_label else name for name in ids
     )
 
 
-def _taken(rows: Rows, which: Ints | Bools) -> Rows:
-    return replace(rows, person=rows.person[which], t=rows.t[which], xy=rows.xy[which])
+def _take(rows: Rows, selection: Ints | Bools) -> Rows:
+    return replace(
+        rows, person=rows.person[selection], t=rows.t[selection], xy=rows.xy[selection]
+    )
 
 
-def _sorted(rows: Rows, order: Ints, run: Ints | None) -> tuple[Ints, Ints]:
-    """Return the rows by person, run of the clock and time, and the run of each."""
+def _sort_rows(rows: Rows, order: Ints, run: Ints | None) -> tuple[Ints, Ints]:
+    """Return the rows in order of person, run of the clock and time, and their runs."""
     if run is None:
         order = np.lexsort((rows.t, rows.person))  # stable
         return order, np.zeros(order.size, dtype=np.int8)
@@ -176,12 +193,12 @@ def _sorted(rows: Rows, order: Ints, run: Ints | None) -> tuple[Ints, Ints]:
     return order[inner], run[inner]
 
 
-def _clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
-    """Return (M,) in which run of its clock a row is, None if no clock falls, and (M - 1,) where.
+def _find_clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
+    """Return each row's run of its clock, (M,), and where the clock falls, (M - 1,).
 
-    A clock falls back where the rows of an id go back in time, the walk goes on, and
-    sorting by time would make a zigzag of it that nobody walks. `order` sorts the rows
-    by person.
+    The runs are None if no clock falls. A clock falls back where the rows of an id go
+    back in time while the walk goes on, and sorting them by time would make a zigzag
+    that nobody walks. `order` sorts the rows by person.
     """
     t, person = rows.t[order], rows.person[order]
     same = person[1:] == person[:-1]
@@ -201,37 +218,39 @@ def _clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
         stride_m = float(np.hypot(*(xy[middle] - xy[middle - 1])))
         if stride_m > WALK_MPS * usual_s * GAP_STEPS + _ZIGZAG_M:
             continue
-        both = np.argsort(t[first:last], kind="stable")
-        crossing = np.diff(both >= middle - first)
-        step_s = np.diff(t[first:last][both])[crossing]
-        step_m = np.hypot(*np.diff(xy[first:last][both], axis=0)[crossing].T)
+        merged = np.argsort(t[first:last], kind="stable")
+        crossing = np.diff(merged >= middle - first)
+        step_s = np.diff(t[first:last][merged])[crossing]
+        step_m = np.hypot(*np.diff(xy[first:last][merged], axis=0)[crossing].T)
         fallen[middle - 1] = np.median(step_m - WALK_MPS * step_s) > _ZIGZAG_M
     if not fallen.any():
         return None, fallen
     return np.concatenate([[0], np.cumsum(fallen)]), fallen
 
 
-def _without_copies(
+def _drop_copies(
     rows: Rows, order: Ints, run: Ints, *, on_duplicate: str
 ) -> tuple[Rows, Ints, Ints, list[Repair]]:
-    """Return sorted rows with each id once at a time, and what was dropped or averaged."""
-    again = _copies(rows, run)
+    """Drop or average rows with the id and time of another; rows are sorted."""
+    again = _find_copies(rows, run)
     if not again.any():
         return rows, order, run, []
     place, notes = rows.place, list[Repair]()
-    other = again & (rows.xy[1:] != rows.xy[:-1]).any(axis=1)
+    elsewhere = again & (rows.xy[1:] != rows.xy[:-1]).any(axis=1)
     text = "the same id, time and position again; dropped"
-    notes += place.noted("duplicate", order[1:][again & ~other], text)
+    notes += place.note_rows("duplicate", order[1:][again & ~elsewhere], text)
     keep = np.concatenate([[True], ~again])
-    if other.any() and on_duplicate == "error":
-        at = int(other.argmax())
-        first, second = sorted((int(order[at]), int(order[at + 1])))
-        rounded = "; are the times rounded?" if other.sum() > other.size / 2 else ""
+    if elsewhere.any() and on_duplicate == "error":
+        index = int(elsewhere.argmax())
+        first, second = sorted((int(order[index]), int(order[index + 1])))
+        rounded = (
+            "; are the times rounded?" if elsewhere.sum() > elsewhere.size / 2 else ""
+        )
         raise DataError(
-            f"{place.at(second)}: id {rows.ids[rows.person[at]]} is somewhere else at"
-            f" the same time in {place.unit} {int(place.lines()[first])}"
-            f" ({int(other.sum())} such rows); --on-duplicate first or mean takes the"
-            f" first or their mean{rounded}"
+            f"{place.at(second)}: id {rows.ids[rows.person[index]]} is somewhere else"
+            f" at the same time in {place.unit} {int(place.lines()[first])}"
+            f" ({int(elsewhere.sum())} such rows); --on-duplicate first or mean takes"
+            f" the first or their mean{rounded}"
         )
     how = (
         "their mean stands"
@@ -239,29 +258,29 @@ def _without_copies(
         else "the first in the file stands"
     )
     text = f"the same id and time at another place; {how}"
-    notes += place.noted("same-time", order[1:][other], text)
+    notes += place.note_rows("same-time", order[1:][elsewhere], text)
     if on_duplicate == "mean":
-        rows = _averaged(rows, keep, and_time=False)
-    return _taken(rows, keep), order[keep], run[keep], notes
+        rows = _average(rows, keep, average_time=False)
+    return _take(rows, keep), order[keep], run[keep], notes
 
 
-def _averaged(rows: Rows, keep: Bools, *, and_time: bool) -> Rows:
-    """Return rows in which those that stay are the mean of themselves and those behind them."""
+def _average(rows: Rows, keep: Bools, *, average_time: bool) -> Rows:
+    """Average each row that stays with the dropped rows behind it."""
     begins = np.flatnonzero(keep)
     sizes = np.diff(np.append(begins, keep.size))
     xy, t = rows.xy.copy(), rows.t.copy()
     several = sizes > 1  # The others stay to the bit.
-    for column in (xy[:, 0], xy[:, 1], *([t] if and_time else [])):
+    for column in (xy[:, 0], xy[:, 1], *([t] if average_time else [])):
         base = column[begins]
         excess = np.add.reduceat(column - np.repeat(base, sizes), begins)
         column[begins[several]] = (base + excess / sizes)[several]
     return replace(rows, xy=xy, t=t)
 
 
-def _without_near(
+def _merge_near(
     rows: Rows, order: Ints, run: Ints
 ) -> tuple[Rows, Ints, Ints, list[Repair]]:
-    """Return sorted rows with samples of an id that are much closer than usual made one."""
+    """Merge samples of an id that are much closer than usual; rows are sorted."""
     steps = np.diff(rows.t)
     within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
     usual_s = _usual_steps(rows, steps, within & (steps > CLOCK_S))
@@ -269,7 +288,7 @@ def _without_near(
     near &= np.hypot(*np.diff(rows.xy, axis=0).T) <= NEAR_M
     if not near.any():
         return rows, order, run, []
-    # In a chain of them no sample is further from the first than half a step.
+    # In a chain of such samples none is further from the first than half a step.
     behind = np.flatnonzero(near) + 1
     keep = np.ones(rows.t.size, dtype=bool)
     anchor = -1
@@ -280,36 +299,36 @@ def _without_near(
             rows.t[row] - rows.t[anchor] >= NEAR_STEPS * usual_s[rows.person[row]]
         )
     text = "less than half a usual step behind the row before of the same id; merged"
-    notes = rows.place.noted("near-duplicate", order[~keep], text)
-    rows = _averaged(rows, keep, and_time=True)
-    return _taken(rows, keep), order[keep], run[keep], notes
+    notes = rows.place.note_rows("near-duplicate", order[~keep], text)
+    rows = _average(rows, keep, average_time=True)
+    return _take(rows, keep), order[keep], run[keep], notes
 
 
-def _usual_steps(rows: Rows, steps: Floats, which: Bools) -> Floats:
-    """Return (P,) s the median of some steps of each id; 0 where there are none."""
-    owner, length = rows.person[1:][which], steps[which]
+def _usual_steps(rows: Rows, steps: Floats, chosen: Bools) -> Floats:
+    """Return the median in s of the chosen steps of each id, (P,); 0 without steps."""
+    owner, length = rows.person[1:][chosen], steps[chosen]
     inner = np.lexsort((length, owner))
     counts = np.bincount(owner, minlength=len(rows.ids))
     ends = np.cumsum(counts)
     usual = np.zeros(len(rows.ids))
-    some = counts > 0
-    usual[some] = length[inner][(ends - counts + (counts - 1) // 2)[some]]
+    has_steps = counts > 0
+    usual[has_steps] = length[inner][(ends - counts + (counts - 1) // 2)[has_steps]]
     return usual
 
 
-def _copies(rows: Rows, run: Ints) -> Bools:
-    """Return (M - 1,) which of the sorted rows have the id and the time of the one before."""
+def _find_copies(rows: Rows, run: Ints) -> Bools:
+    """Return whether sorted rows repeat the id and time of the row before, (M - 1,)."""
     person = rows.person
     again: Bools = (np.diff(rows.t) < SAME_TIME_S) & (person[1:] == person[:-1])
     same_run: Bools = run[1:] == run[:-1]
     return np.asarray(again & same_run)
 
 
-def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
-    """Return the rows, who came back as somebody else under a new id, and (M - 1,) the cuts.
+def _cut_tracks(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
+    """Return the rows with new ids for reused ids, the cuts, (M - 1,), and notes.
 
     A new track begins at a new person, behind a long gap or a jump, and where the clock
-    fell back.
+    fell back. An id that returns as another person gets a new id.
     """
     steps = np.diff(rows.t)
     new = rows.person[1:] != rows.person[:-1]
@@ -327,43 +346,41 @@ def _cuts(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]
     jumped = within & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
     elsewhere = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
     elsewhere |= jumped & (distance > SWITCH_M)
-    detour = _detours(
+    detour = _find_detours(
         rows, run, new | fell | long | jumped | elsewhere, longest_s=longest_s
     )
     reused = elsewhere & ~detour
     fast = (jumped | elsewhere) & ~reused & ~long
     notes = []
-    for where, kind, done in (
+    for selected, kind, action in (
         (gap & ~long & ~reused & ~fast, "gap", "kept, to be interpolated"),
         (long & ~reused, "split", "too long to interpolate; two tracks of one group"),
     ):
-        longest = steps[where].max(initial=0)
+        longest = steps[selected].max(initial=0)
         text = (
             f"behind a gap (longest {longest:.3g} s, usual step {nominal:.3g} s);"
-            f" {done}"
+            f" {action}"
         )
-        notes += rows.place.noted(kind, order[1:][where], text)
+        notes += rows.place.note_rows(kind, order[1:][selected], text)
     text = "from the sample before, further than anybody walks; cut"
-    notes += rows.place.noted("jump", order[1:][fast], text)
+    notes += rows.place.note_rows("jump", order[1:][fast], text)
     text = "at another place, where no walk leads; the id is taken for another person"
-    notes += rows.place.noted("id-reuse", order[1:][reused], text)
+    notes += rows.place.note_rows("id-reuse", order[1:][reused], text)
     return _with_new_ids(rows, reused, new), new | fell | long | fast | reused, notes
 
 
-def _detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
-    """Return (M - 1,) the cuts of an id that is soon back where its own walk leads.
+def _find_detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
+    """Return the cuts, (M - 1,), of an id that soon returns to its own walk.
 
-    A tracker that strays for a moment, by one sample or several, is no other person.
-    `cut` (M - 1,) are the cuts between sorted rows; back is who is there within
+    A tracker that strays for a moment, by a sample or several, is no other person.
+    `cut` (M - 1,) are the cuts between sorted rows. The id must return within
     `longest_s` s and `DETOUR_CUTS`.
     """
-    at = np.flatnonzero(cut)
+    positions = np.flatnonzero(cut)
     detour = np.zeros(cut.size, dtype=bool)
     for lag in range(1, DETOUR_CUTS + 1):
-        leaves, returns = (
-            at[:-lag],
-            at[lag:] + 1,
-        )  # the last row before, the first row behind
+        leaves = positions[:-lag]  # The last row before.
+        returns = positions[lag:] + 1  # The first row behind.
         lasting_s = rows.t[returns] - rows.t[leaves]
         away_m = np.hypot(*(rows.xy[returns] - rows.xy[leaves]).T)
         is_back = (rows.person[returns] == rows.person[leaves]) & (
@@ -372,22 +389,22 @@ def _detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
         is_back &= lasting_s <= longest_s + SAME_TIME_S
         is_back &= away_m <= np.maximum(WALK_MPS * lasting_s, REUSE_M)
         for shift in range(lag + 1):
-            detour[at[shift : at.size - lag + shift][is_back]] = True
+            detour[positions[shift : positions.size - lag + shift][is_back]] = True
     return detour
 
 
 def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
-    """Return rows in which an id that came back as somebody else is another person's."""
+    """Return rows in which an id that returns as another person is a new id."""
     if not reused.any():
         return rows
-    taken = {*rows.ids}
+    known_ids = {*rows.ids}
     mark = "~"
-    while any(mark in name for name in taken):
+    while any(mark in name for name in known_ids):
         mark += "~"
     begins = np.concatenate([[True], new | reused])
     numbers = np.cumsum(begins) - 1
     owners = rows.person[begins]
-    # How many times its id was on somebody before.
+    # How often its id belonged to somebody before.
     first = np.concatenate([[True], owners[1:] != owners[:-1]])
     nth = np.arange(owners.size) - np.maximum.accumulate(
         np.where(first, np.arange(owners.size), 0)
@@ -399,15 +416,15 @@ def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
     return replace(rows, person=numbers, ids=ids)
 
 
-def _frozen(
+def _find_frozen(
     rows: Rows, order: Ints, cut: Bools, *, drop_s: float | None
 ) -> tuple[Bools, Bools, list[Repair]]:
-    """Return which rows stay (M,), the cuts between them, and a note of frozen stretches."""
+    """Return which rows stay, (M,), the cuts between them, and a note of the frozen."""
     still = ~cut & (rows.xy[1:] == rows.xy[:-1]).all(axis=1)
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
     )
-    first, last = edges[::2], edges[1::2]  # rows of a stretch, both ends included
+    first, last = edges[::2], edges[1::2]  # Rows of a stretch, both ends included.
     least_s = FROZEN_S if drop_s is None else drop_s
     long = rows.t[last] - rows.t[first] >= least_s - SAME_TIME_S
     first, last = first[long], last[long]
@@ -415,35 +432,35 @@ def _frozen(
     if not first.size:
         return keep, cut, []
     n_samples = int((last - first + 1).sum())
-    where = (
+    description = (
         f"at exactly one place for {least_s:g} s or longer ({n_samples} of {keep.size}"
         " samples)"
     )
     if drop_s is None:
-        text = f"{where}; kept, --drop-frozen {least_s:g} drops it"
-        return keep, cut, rows.place.noted("frozen", order[first], text)
+        text = f"{description}; kept, --drop-frozen {least_s:g} drops it"
+        return keep, cut, rows.place.note_rows("frozen", order[first], text)
     begins = np.concatenate([[True], cut])
     for start, end in zip(first.tolist(), last.tolist(), strict=True):
         keep[start + 1 : end] = False
         begins[end] = True
-    note = rows.place.noted(
-        "frozen-dropped", order[first], f"{where}; dropped, the track is cut"
+    note = rows.place.note_rows(
+        "frozen-dropped", order[first], f"{description}; dropped, the track is cut"
     )
     return keep, begins[keep][1:], note
 
 
-def _fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
+def _note_fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
     """Return the note of steps that are fast, but too short for a jump."""
     within = steps_within(offsets)
     distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * np.diff(rows.t)[within]
     text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
-    return rows.place.noted("fast-step", order[1:][within][fast], text)
+    return rows.place.note_rows("fast-step", order[1:][within][fast], text)
 
 
 def _check_speeds(rows: Rows) -> None:
-    """Raise DataError if the steps of sorted rows show that no unit, rate or column fits."""
+    """Raise DataError if speeds of sorted rows show a wrong unit, rate or column."""
     within = (rows.person[1:] == rows.person[:-1]) & (np.diff(rows.t) > 0)
     distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
     duration = np.diff(rows.t)[within]
@@ -466,30 +483,31 @@ def _check_speeds(rows: Rows) -> None:
                 " m/s, as of degrees of longitude and latitude; --crs degrees makes"
                 " metres of x (longitude) and y (latitude)"
             )
-        hints = _ways_out(speed, has_unit=bool(rows.unit))
+        hints = _suggest_options(speed, has_unit=bool(rows.unit))
         is_projected = any(note.kind == "crs" for note in rows.notes)
-        guess = (
-            "degrees of too few decimals (the sixth is 0.1 m), or a clock not in"
-            f" seconds{hints}"
-            if is_projected and speed > high
-            else (
+        if speed > high and is_projected:
+            guess = (
+                "degrees of too few decimals (the sixth is 0.1 m), or a clock not in"
+                f" seconds{hints}"
+            )
+        elif speed > high:
+            guess = (
                 f"pixels or centimetres for metres{hints}, a wrong --fps, or frame and"
                 " id swapped"
-                if speed > high
-                else (
-                    "milliseconds for seconds (of a table: --columns t=t[ms]),"
-                    f" kilometres for metres (--unit 1000), or a wrong --fps{hints}"
-                )
             )
-        )
+        else:
+            guess = (
+                "milliseconds for seconds (of a table: --columns t=t[ms]),"
+                f" kilometres for metres (--unit 1000), or a wrong --fps{hints}"
+            )
         raise DataError(
             f"{rows.place.path}: the median speed of moving people is {speed:.3g} m/s,"
             f" not within {low:g} to {high:g}: {guess}?"
         )
 
 
-def _ways_out(speed_mps: float, *, has_unit: bool) -> str:
-    """Return each option that makes a walk of a median speed, in brackets; empty without any."""
+def _suggest_options(speed_mps: float, *, has_unit: bool) -> str:
+    """Suggest options with which this median speed is a walk; empty without any."""
     lengths = (
         {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
     )

@@ -1,15 +1,15 @@
-"""Kalman filters and smoothers of many tracks at once: the fronts of the compiled loops.
+"""Kalman filters and smoothers of many tracks at once: fronts of compiled loops.
 
 Two models, each per axis: constant velocity, with state (position, velocity), and
-constant acceleration, with state (position, velocity, acceleration). What is held
-constant is driven by continuous white noise of spectral density q, so that predictions
-over irregular steps compose. Both axes have the same measurement variance and no
+constant acceleration, with state (position, velocity, acceleration). Continuous white
+noise of spectral density q drives the constant quantity, so that predictions over
+irregular steps compose. Both axes have the same measurement variance and no
 correlation; they share one covariance.
 
-Interacting multiple models (IMM) are two of constant velocity, each with a spectral
-density of its own; which one holds is a Markov chain in continuous time. One cycle is
-Blom and Bar-Shalom's: mix, predict, update, weigh; `docs/kernels.md` lists where
-filterpy's departs from it.
+Interacting multiple models (IMM) are two models of constant velocity, each with its own
+spectral density; the current model follows a Markov chain in continuous time. A cycle
+is Blom and Bar-Shalom's: mix, predict, update, weigh; `docs/reference/kernels.md` lists where
+filterpy's differs.
 
 Nothing here imports numba before the first call (see `prepare`).
 
@@ -33,17 +33,19 @@ __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
 __all__ += ["imm_last", "imm_smoother", "kalman_last", "prepare", "smooth_positions"]
 
 MAX_REJECTIONS = 3
-"""After so many rejected samples in a row the next is accepted whatever it says: a gate may
-drop outliers, it may not lose a track."""
+"""After this many rejected samples in a row the next is accepted.
+
+A gate may drop outliers; it may not lose a track.
+"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Batch:
-    """N tracks of M noisy positions in all, and how little is known before the first of each.
+    """N tracks of M noisy positions in all, and the prior of each track's first state.
 
-    That times increase and positions are finite is checked by the release that they
-    come from; it is a ValueError if shapes disagree, a track is empty, or a variance or
-    standard deviation is not positive.
+    The release checks that times increase and positions are finite. ValueError if
+    shapes disagree, a track is empty, or a variance or standard deviation is not
+    positive.
     """
 
     t: Floats  # (M,) s, strictly increasing within a track.
@@ -52,9 +54,12 @@ class Batch:
     # (N + 1,) track i owns the samples ``offsets[i]:offsets[i + 1]``; none is empty.
     offsets: Ints
     prior_std: tuple[float, ...]
-    """m around the first sample, m/s and, of acceleration, m/s^2 around rest, per axis and
-    independent: the state at the time of that sample, which is then measured like any
-    other."""
+    """Standard deviations of the prior, per axis and independent.
+
+    m around the first sample; m/s and, for constant acceleration, m/s^2 around rest.
+    The prior holds at the time of the first sample, which is then measured like any
+    other.
+    """
 
     def __post_init__(self) -> None:
         offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
@@ -75,7 +80,7 @@ class Batch:
         return self.offsets.size - 1
 
     def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-        """Return what a compiled loop of that many states per axis takes, or raise ValueError."""
+        """Return a loop's arguments; ValueError for another number of states."""
         if len(self.prior_std) not in n_states:
             numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
             raise ValueError(
@@ -109,9 +114,11 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     states.
     """
     arrays, d = batch.arrays(2, 3), len(batch.prior_std)
-    out = LastState(*(np.empty((len(batch), *size)) for size in ((2, d), (d, d), ())))
+    n = len(batch)
+    out = LastState(np.empty((n, 2, d)), np.empty((n, d, d)), np.empty(n))
     loops = import_module("isac_track.kalman._linear_loops")
-    (loops.cv_last if d == 2 else loops.ca_last)(  # noqa: PLR2004 - position and velocity
+    filter_tracks = loops.cv_last if d == 2 else loops.ca_last  # noqa: PLR2004 - p and v
+    filter_tracks(
         arrays,
         positive("q", q),
         positive("gate", gate, finite=False),
@@ -126,22 +133,22 @@ def smooth_positions(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    One pass is a Rauch-Tung-Striebel smoother of constant velocity; velocities are left
-    out. Further passes are for errors of the radial law, whose length is |N(0, sigma)|
-    in any direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to a
-    constant, is infinite at zero: a sample that lies close to the walk is very likely
+    One pass is a Rauch-Tung-Striebel smoother of constant velocity; it returns no
+    velocities. Further passes are for errors of the radial law, whose length is |N(0,
+    sigma)| in any direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to
+    a constant, is infinite at zero: a sample that lies close to the walk is very likely
     almost exact. The posterior mode solves a smoother with the weights 1 / r^2 + 1 /
-    sigma^2 per axis, r the sample's distance from the smoothed position; they are
-    iterated as 1 / (r^2 + delta^2) + 1 / sigma^2. With delta^2 = 2 P + anneal^(m - 1)
-    sigma^2 after the m-th pass a residual counts as no smaller than the position itself
-    is known (P is its variance per axis), and the first passes are nearly those of
-    Gaussian errors, lest the walk be drawn to samples that only happen to lie where it
-    starts.
+    sigma^2 per axis, r the sample's distance from the smoothed position. They are
+    iterated as 1 / (r^2 + delta^2) + 1 / sigma^2, with delta^2 = 2 P + anneal^(m - 1)
+    sigma^2 after the m-th pass. So a residual counts as no smaller than the uncertainty
+    of the position (P is its variance per axis). The first passes are nearly those of
+    Gaussian errors, lest the walk be drawn to samples that happen to lie near its
+    start.
 
     The `batch` has a prior of two states, and sigma^2 is twice its variance per axis;
-    `q` is the spectral density of the acceleration, m^2/s^3, positive. Of the `passes`,
-    at least 1, the first is that of Gaussian errors; `anneal` is in [0, 1). Anything
-    else is a ValueError.
+    `q` is the spectral density of the acceleration, m^2/s^3, positive. There are
+    `passes` passes, at least 1; the first is that of Gaussian errors. `anneal` is in
+    [0, 1). ValueError otherwise.
 
     References
     ----------
@@ -168,8 +175,9 @@ class Moods:
     ValueError if a number is not positive and finite.
     """
 
-    q: tuple[float, float]  # m^2/s^3, spectral density of the acceleration in either.
-    stay_s: tuple[float, float]  # s, mean time until it gives way to the other.
+    # m^2/s^3, spectral density of the acceleration in each mode.
+    q: tuple[float, float]
+    stay_s: tuple[float, float]  # s, mean time until a mode gives way to the other.
 
     def __post_init__(self) -> None:
         for name, values in (("q", self.q), ("mean times", self.stay_s)):
@@ -178,14 +186,14 @@ class Moods:
 
     @property
     def probability(self) -> Floats:
-        """(2,) of the modes in the long run, and before a track's first sample."""
+        """Probabilities of the modes in the long run and at first, (2,)."""
         return np.array(self.stay_s) / sum(self.stay_s)
 
     def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return what the compiled loops take: q, `probability`, and exp(rates * step) of steps.
+        """Return q, `probability`, and the transition probabilities to each sample.
 
-        The last, (M, 2, 2), row by row of the mode before; no step counts to a track's
-        first sample.
+        The last are exp(rates * step), (M, 2, 2), indexed by the mode before, then the
+        mode now; there is no step to a track's first sample.
         """
         rates = 1.0 / np.array(self.stay_s)
         step_s = np.abs(np.diff(t, prepend=t[:1]))
@@ -234,13 +242,13 @@ def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
 
 
 def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
-    """Return smoothed positions, (M, 2) m, and their mean variance over both axes, (M,) m^2.
+    """Return smoothed positions, (M, 2) m, and their mean variance per axis, (M,) m^2.
 
-    Expectation correction (Barber 2006) with one Gaussian per mode: backwards in time,
-    every mode now is smoothed from every mode next by Rauch-Tung-Striebel; the pair's
-    weight is that of the filter times the density of the next smoothed mean under the
-    pair's prediction; the pairs of each mode are then collapsed into one Gaussian. Like
-    the filter it is an approximation: exact with modes of equal q. Parameters and
+    Expectation correction (Barber 2006) with one Gaussian per mode. Backwards in time,
+    every mode now is smoothed from every mode next by Rauch-Tung-Striebel. The weight
+    of a pair is that of the filter times the density of the next smoothed mean under
+    the pair's prediction. The pairs of each mode are then collapsed into one Gaussian.
+    Like the filter it is an approximation: exact with modes of equal q. Parameters and
     errors are those of `imm_last`.
 
     References

@@ -1,12 +1,11 @@
-"""Compiled loops for a walk of constant velocity that is seen through a slowly changing error.
+"""Compiled loops for a constant-velocity walk behind a slowly changing error.
 
 Per axis the state is (p, v, u): position, velocity, and an Ornstein-Uhlenbeck process
-of variance 1; what is measured is p + s u plus white noise, with an amplitude s for
-every sample. The error itself is e = s u. The velocity may be such a process, too: of a
-`motion`, three numbers, it has the variance at the start, the correlation time
-(infinite: none, it wanders) and the spectral density of the acceleration. Neither the
-filter nor the smoother inverts a covariance: with a constant error, or none, it is
-singular.
+of variance 1. The measurement is p + s u plus white noise, with an amplitude s for
+every sample: the error is e = s u. The velocity may be such a process, too. A `motion`
+has three numbers: the variance of the velocity at the start, its correlation time (the
+velocity wanders if it is infinite) and the spectral density of the acceleration. Filter
+and smoother invert no covariance: with a constant error, or none, it is singular.
 """
 
 from math import exp, expm1, inf, log, pi
@@ -26,25 +25,29 @@ from isac_track.compiling import (
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats, Floats]
-"""Times, places, variances, offsets, variances of the prior of p and v, and amplitudes."""
-_Six: TypeAlias = tuple[float, float, float, float, float, float]
+"""Times, positions, variances, offsets, prior variances of p and v, and amplitudes."""
+_Symmetric: TypeAlias = tuple[float, float, float, float, float, float]
 """Symmetric matrix: pp, pv, vv, pu, vu, uu."""
 _Step: TypeAlias = tuple[float, float, float, float, float, float]
-"""How far a unit of velocity moves the position, what is left of velocity and error, and what the
-acceleration adds to pp, pv and vv."""
+"""The displacement per velocity, what remains of velocity and error, and the increments
+of pp, pv and vv by the acceleration.
+"""
 _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1), read(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
-_SMALL = 0.03  # Steps over correlation time: below, a series is more exact.
+_SMALL = 0.03  # Step over correlation time; below it a series is more exact.
 _ROW = 23
-"""A sample as the filter leaves it: state, covariance, gain, innovation, its variance, a variance
-for the next pass, the `_Step`."""
-_STEP = 17  # Where that begins.
+"""Length of a sample's row.
+
+Its fields are state, covariance, gain, innovation, its variance, a variance for the
+next pass, and the `_Step`.
+"""
+_STEP = 17  # Where the `_Step` begins.
 
 
 @compiled(read(1), written(2))
 def recursion(decay: Floats, step: Floats) -> None:
-    """Add to each step what is left of the one before it."""
+    """Add to each step the decayed step before it."""
     for k in range(1, len(step)):
         for axis in range(step.shape[1]):
             step[k, axis] += decay[k] * step[k - 1, axis]
@@ -52,12 +55,12 @@ def recursion(decay: Floats, step: Floats) -> None:
 
 @part_of_loop
 def _memory(dt: float, tau_s: float) -> float:
-    """Correlation of the error over dt; of none (0 s) it is 0, of a constant one (inf) 1."""
+    """Correlation of the error over dt: 0 if white (0 s), 1 if constant (infinite)."""
     return exp(-dt / tau_s) if tau_s > 0.0 else 0.0
 
 
 @part_of_loop
-def _stepped(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
+def _integrate(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
     """Integrate an Ornstein-Uhlenbeck velocity of time `memory_s` over dt, exactly."""
     f = _memory(dt, tau_s)
     grown = q * dt
@@ -68,9 +71,9 @@ def _stepped(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
     fades = (
         x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
     )
-    both = left * (2.0 - left)  # 1 - exp(-2 x)
+    double_decay = left * (2.0 - left)  # 1 - exp(-2 x)
     if x > _SMALL:
-        fades = x - 2 * left + both / 2
+        fades = x - 2 * left + double_decay / 2
     half = q * memory_s / 2
     return (
         memory_s * left,
@@ -78,12 +81,13 @@ def _stepped(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
         f,
         2 * half * memory_s * memory_s * fades,
         half * memory_s * left * left,
-        half * both,
+        half * double_decay,
     )
 
 
 @part_of_loop
-def _predicted(cov: _Six, step: _Step) -> _Six:
+def _predict(cov: _Symmetric, step: _Step) -> _Symmetric:
+    """Return the covariance after a step: F P F' + Q."""
     pp, pv, vv, pu, vu, uu = cov
     a, g, f, qpp, qpv, qvv = step
     return (
@@ -97,8 +101,8 @@ def _predicted(cov: _Six, step: _Step) -> _Six:
 
 
 @part_of_loop
-def _measured(cov: _Six, s: float, r: float, inverse: float) -> _Six:
-    """P - P H' H P / S, multiplied out: the vague prior cancels before anything is rounded."""
+def _update(cov: _Symmetric, s: float, r: float, inverse: float) -> _Symmetric:
+    """Return P - P H' H P / S, multiplied out: a vague prior cancels exactly."""
     pp, pv, vv, pu, vu, uu = cov
     minor = pp * uu - pu * pu
     across, beside = pu * pv - pp * vu, uu * pv - pu * vu
@@ -122,7 +126,10 @@ def filter_tracks(
     patience: int,
     out: tuple[Floats, ...],
 ) -> None:
-    """Filter to the last state (p, v, error) of every track; `causal` are positions by the way."""
+    """Filter to the last state (p, v, error) of every track, and write positions.
+
+    `causal`, (M, 2), gets the position after each sample.
+    """
     t, xy, variance, offsets, prior, amplitude = batch
     mean, covariance, log_likelihood, causal = out
     for i in range(offsets.size - 1):
@@ -134,8 +141,8 @@ def filter_tracks(
         for k in range(first, offsets[i + 1]):
             if k > first:
                 dt = t[k] - t[k - 1]
-                step = _stepped(dt, tau_s, inf, q)
-                cov = _predicted(cov, step)
+                step = _integrate(dt, tau_s, inf, q)
+                cov = _predict(cov, step)
                 px, py, ux, uy = px + dt * vx, py + dt * vy, step[2] * ux, step[2] * uy
             s, r = amplitude[k], variance[k]
             pp, pv, _, pu, vu, uu = cov
@@ -151,7 +158,7 @@ def filter_tracks(
                 px, py = px + hp * inverse * ex, py + hp * inverse * ey
                 vx, vy = vx + hv * inverse * ex, vy + hv * inverse * ey
                 ux, uy = ux + hu * inverse * ex, uy + hu * inverse * ey
-                cov = _measured(cov, s, r, inverse)
+                cov = _update(cov, s, r, inverse)
                 total += square / 2 + _LOG_2PI
                 scale *= spread
                 if scale > _BIG or scale < 1 / _BIG:
@@ -162,11 +169,8 @@ def filter_tracks(
         pp, pv, vv, pu, vu, uu = cov
         mean[i, 0, 0], mean[i, 0, 1], mean[i, 0, 2] = px, vx, s * ux
         mean[i, 1, 0], mean[i, 1, 1], mean[i, 1, 2] = py, vy, s * uy
-        covariance[i, 0, 0], covariance[i, 1, 1], covariance[i, 2, 2] = (
-            pp,
-            vv,
-            s * s * uu,
-        )
+        covariance[i, 0, 0], covariance[i, 1, 1] = pp, vv
+        covariance[i, 2, 2] = s * s * uu
         covariance[i, 0, 1] = covariance[i, 1, 0] = pv
         covariance[i, 0, 2] = covariance[i, 2, 0] = s * pu
         covariance[i, 1, 2] = covariance[i, 2, 1] = s * vu
@@ -175,21 +179,21 @@ def filter_tracks(
 
 @compiled(_BATCH, FLOAT, read(2), written(2))
 def log_likelihoods(batch: _Batch, tau_s: float, motions: Floats, out: Floats) -> None:
-    """Fill `out`, (N, K), with the log density of each track under each of K motions, (K, 3)."""
+    """Fill `out`, (N, K), with log densities of tracks under K motions, (K, 3)."""
     t, xy, variance, offsets, prior, amplitude = batch
     for i in range(offsets.size - 1):
-        for which in range(len(motions)):
+        for motion in range(len(motions)):
             first = offsets[i]
-            start_m2, memory_s, q = motions[which]
+            start_m2, memory_s, q = motions[motion]
             px, py = xy[first, 0], xy[first, 1]
             vx = vy = ux = uy = 0.0
             cov = (prior[0], 0.0, start_m2, 0.0, 0.0, 1.0)
             scale, total = 1.0, 0.0
             for k in range(first, offsets[i + 1]):
                 if k > first:
-                    step = _stepped(t[k] - t[k - 1], tau_s, memory_s, q)
+                    step = _integrate(t[k] - t[k - 1], tau_s, memory_s, q)
                     a, g, f = step[0], step[1], step[2]
-                    cov = _predicted(cov, step)
+                    cov = _predict(cov, step)
                     px, py = px + a * vx, py + a * vy
                     vx, vy, ux, uy = g * vx, g * vy, f * ux, f * uy
                 s, r = amplitude[k], variance[k]
@@ -202,12 +206,12 @@ def log_likelihoods(batch: _Batch, tau_s: float, motions: Floats, out: Floats) -
                 ex, ey = ex * inverse, ey * inverse
                 px, vx, ux = px + hp * ex, vx + hv * ex, ux + hu * ex
                 py, vy, uy = py + hp * ey, vy + hv * ey, uy + hu * ey
-                cov = _measured(cov, s, r, inverse)
+                cov = _update(cov, s, r, inverse)
                 scale *= spread
                 if scale > _BIG or scale < 1 / _BIG:
                     total += log(scale)
                     scale = 1.0
-            out[i, which] = -total - log(scale)
+            out[i, motion] = -total - log(scale)
 
 
 @part_of_loop
@@ -218,7 +222,7 @@ def _forward(
     start_m2: tuple[float, float],
     rows: Floats,
 ) -> None:
-    """Filter one track; `rows` hold the steps already."""
+    """Filter a track; `rows` hold the steps already."""
     px, py = xy[0, 0], xy[0, 1]
     vx = vy = ux = uy = 0.0
     cov = (start_m2[0], 0.0, start_m2[1], 0.0, 0.0, 1.0)
@@ -226,7 +230,7 @@ def _forward(
         row = rows[k]
         if k > 0:
             a, g, f = row[_STEP], row[_STEP + 1], row[_STEP + 2]
-            cov = _predicted(
+            cov = _predict(
                 cov, (a, g, f, row[_STEP + 3], row[_STEP + 4], row[_STEP + 5])
             )
             px, py = px + a * vx, py + a * vy
@@ -240,7 +244,7 @@ def _forward(
         px, py = px + gp * ex, py + gp * ey
         vx, vy = vx + gv * ex, vy + gv * ey
         ux, uy = ux + gu * ex, uy + gu * ey
-        cov = _measured(cov, s, r, inverse)
+        cov = _update(cov, s, r, inverse)
         row[0], row[1], row[2], row[3] = px, py, ux, uy
         row[4], row[5], row[6], row[7], row[8], row[9] = cov
         row[10], row[11], row[12] = gp, gv, gu
@@ -249,10 +253,10 @@ def _forward(
 
 @part_of_loop
 def _backward(amplitude: Floats, rows: Floats) -> None:
-    """Smooth one track: each row's p and u give way to the smoothed ones, pp to its variance.
+    """Smooth a track: each row's p, u and pp become the smoothed ones.
 
     Modified Bryson-Frazier: the adjoint l and its variance m = (pp, pv, vv, pu, vu, uu)
-    run backwards, x + = -P l and P + = -P m P. Row field 16 is then the variance of p +
+    run backwards, x + = -P l and P + = -P m P. Row field 16 becomes the variance of p +
     s u.
     """
     lxp = lxv = lxu = lyp = lyv = lyu = 0.0
@@ -267,8 +271,8 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
         row[3] -= pu * lyp + vu * lyv + uu * lyu
         hp, hv, hu = pp + s * pu, pv + s * vu, pu + s * uu
         m = mpp, mpv, mvv, mpu, mvu, muu
-        row[4] = pp - _form(pp, pv, pu, m)
-        row[16] = hp + s * hu - _form(hp, hv, hu, m)
+        row[4] = pp - _quadratic_form(pp, pv, pu, m)
+        row[16] = hp + s * hu - _quadratic_form(hp, hv, hu, m)
 
         gp, gv, gu = row[10], row[11], row[12]
         nx = gp * lxp + gv * lxv + gu * lxu + row[13]
@@ -276,11 +280,11 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
         bp = mpp * gp + mpv * gv + mpu * gu
         bv = mpv * gp + mvv * gv + mvu * gu
         bu = mpu * gp + mvu * gv + muu * gu
-        both = gp * bp + gv * bv + gu * bu + row[15]
+        total = gp * bp + gv * bv + gu * bu + row[15]
         lxp, lxu, lyp, lyu = lxp - nx, lxu - s * nx, lyp - ny, lyu - s * ny
-        mpp, mpv = mpp - 2 * bp + both, mpv - bv
-        mpu, mvu = mpu - bu - s * bp + s * both, mvu - s * bv
-        muu += s * (s * both - 2 * bu)
+        mpp, mpv = mpp - 2 * bp + total, mpv - bv
+        mpu, mvu = mpu - bu - s * bp + s * total, mvu - s * bv
+        muu += s * (s * total - 2 * bu)
 
         a, g, f = row[_STEP], row[_STEP + 1], row[_STEP + 2]
         lxv, lyv = g * lxv + a * lxp, g * lyv + a * lyp
@@ -293,7 +297,7 @@ def _backward(amplitude: Floats, rows: Floats) -> None:
 
 
 @part_of_loop
-def _form(a: float, b: float, c: float, m: _Six) -> float:
+def _quadratic_form(a: float, b: float, c: float, m: _Symmetric) -> float:
     """Return (a, b, c) m (a, b, c)'."""
     mpp, mpv, mvv, mpu, mvu, muu = m
     ahead: float = a * (a * mpp + 2 * (b * mpv + c * mpu)) + b * (b * mvv + 2 * c * mvu)
@@ -301,7 +305,7 @@ def _form(a: float, b: float, c: float, m: _Six) -> float:
 
 
 @part_of_loop
-def _again(
+def _reweigh(
     xy: Floats,
     amplitude: Floats,
     variance: Floats,
@@ -309,7 +313,7 @@ def _again(
     rows: Floats,
     noise: Floats,
 ) -> None:
-    """Weigh the samples of one track anew, by what the pass before left in its rows."""
+    """Weigh the samples of a track anew by the rows that the last pass left."""
     for k in range(len(xy)):
         row, s, square = rows[k], amplitude[k], 2.0 * variance[k]
         rx = xy[k, 0] - row[0] - s * row[2]
@@ -319,16 +323,19 @@ def _again(
 
 
 @part_of_loop
-def _mixed(
-    rows: Floats, weight: float, before: float, position: Floats, spread: Floats
+def _add_to_mixture(
+    rows: Floats, weight: float, weight_before: float, position: Floats, spread: Floats
 ) -> None:
-    """Add one smoothed track of a `weight` to the mean of those `before`, and to its variance."""
-    share = weight / (before + weight)
+    """Add a smoothed track with a `weight` to the mixture of the tracks before.
+
+    `position` and `spread` hold the mean and its variance, `weight_before` the weight.
+    """
+    share = weight / (weight_before + weight)
     for k in range(len(rows)):
         x, y = rows[k, 0] - position[k, 0], rows[k, 1] - position[k, 1]
-        apart = before * share * (x * x + y * y) / 2
-        spread[k] = (before * spread[k] + weight * rows[k, 4] + apart) / (
-            before + weight
+        apart = weight_before * share * (x * x + y * y) / 2
+        spread[k] = (weight_before * spread[k] + weight * rows[k, 4] + apart) / (
+            weight_before + weight
         )
         position[k, 0] += share * x
         position[k, 1] += share * y
@@ -350,16 +357,14 @@ def smooth_tracks(
     anneal: float,
     out: tuple[Floats, Floats, Floats],
 ) -> None:
-    """Smooth tracks, `passes` times, as `smooth_positions` re-weighs what is not the error.
+    """Smooth tracks in `passes` passes, with weights as in `smooth_positions`.
 
-    Of the `runs` each has a track, a motion, (R, 3), and a weight; positions and their
-    variances are those of the mixture of a track's runs. `out` begins as zeros; the
-    last holds the weights.
+    Each of the R `runs` has a track, a motion, (R, 3), and a weight. Positions and
+    variances are those of the mixture of a track's runs. `out` begins as zeros; its
+    last array gets the sums of weights.
     """
-    (t, xy, variance, offsets, prior, amplitude), (position, spread, so_far) = (
-        batch,
-        out,
-    )
+    t, xy, variance, offsets, prior, amplitude = batch
+    position, spread, total_weight = out
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -369,37 +374,35 @@ def smooth_tracks(
         i = track[run]
         first, end = offsets[i], offsets[i + 1]
         n = end - first
-        rows, own, places, noise = (
-            buffer[:n],
-            amplitude[first:end],
-            xy[first:end],
-            weighed[:n],
-        )
+        rows, noise = buffer[:n], weighed[:n]
+        own_amplitude, places = amplitude[first:end], xy[first:end]
         start_m2, memory_s, q = motion[run]
         for k in range(n):
             dt = t[first + k] - t[first + k - 1] if k > 0 else 0.0
-            step = _stepped(dt, tau_s, memory_s, q)
+            step = _integrate(dt, tau_s, memory_s, q)
             for field in range(6):
                 rows[k, _STEP + field] = step[field]
             noise[k] = variance[first + k]
         blur = 1.0
         for turn in range(passes):
             if turn > 0:
-                _again(places, own, variance[first:end], blur, rows, noise)
+                _reweigh(places, own_amplitude, variance[first:end], blur, rows, noise)
                 blur *= anneal
-            _forward(places, own, noise, (prior[0], start_m2), rows)
-            _backward(own, rows)
-        _mixed(rows, weight[run], so_far[i], position[first:end], spread[first:end])
-        so_far[i] += weight[run]
+            _forward(places, own_amplitude, noise, (prior[0], start_m2), rows)
+            _backward(own_amplitude, rows)
+        _add_to_mixture(
+            rows, weight[run], total_weight[i], position[first:end], spread[first:end]
+        )
+        total_weight[i] += weight[run]
 
 
 LANES = 8
-"""Runs side by side, as in `_linear_loops`: there it says why, and what lies beyond a run's end."""
+"""Runs side by side: `_linear_loops` says why, and what lies beyond a run's end."""
 _FAR = 2.0**600
 _NOTHING = 2.0**200
 
-# Where the fields of a row begin: sample, sigma^2, state and covariance, what the
-# backward run reads, and of the `_Step` what an error has no part in.
+# Starts of the fields of a row: sample, sigma^2, state and covariance, the values that
+# the backward run reads, and the `_Step` without the error's part.
 _X, _Y, _SQUARE, _PX, _VX, _PY, _VY, _A, _B, _C, *_OTHER = range(0, 20 * LANES, LANES)
 _GP, _GV, _EX, _EY, _INVERSE, _MOVE, _LEFT, _QPP, _QPV, _QVV = _OTHER
 _LANE_ROW = 20 * LANES
@@ -407,42 +410,45 @@ _LANE_ROW = 20 * LANES
 
 @part_of_loop
 def _lanes_forward(buffer: Floats, n: int, blur: float) -> None:
-    """Filter as `_forward` without an error; row 0 is the prior, a sample is weighed on the way."""
+    """Filter as `_forward` without an error; row 0 is the prior.
+
+    A sample is weighed on the way.
+    """
     for k in range(n):
         rows = buffer[k * _LANE_ROW : (k + 2) * _LANE_ROW]
         for lane in range(LANES):
-            at = lane + _LANE_ROW
-            move, left = rows[at + _MOVE], rows[at + _LEFT]
+            after = lane + _LANE_ROW
+            move, left = rows[after + _MOVE], rows[after + _LEFT]
             vx, vy = rows[lane + _VX], rows[lane + _VY]
             px, py = rows[lane + _PX] + move * vx, rows[lane + _PY] + move * vy
             vx, vy = left * vx, left * vy
             a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
-            a += move * (2 * b + move * c) + rows[at + _QPP]
-            b = left * (b + move * c) + rows[at + _QPV]
-            c = left * left * c + rows[at + _QVV]
-            x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
-            rx, ry = x - rows[at + _PX], y - rows[at + _PY]
+            a += move * (2 * b + move * c) + rows[after + _QPP]
+            b = left * (b + move * c) + rows[after + _QPV]
+            c = left * left * c + rows[after + _QVV]
+            x, y, square = rows[after + _X], rows[after + _Y], rows[after + _SQUARE]
+            rx, ry = x - rows[after + _PX], y - rows[after + _PY]
             far = _FAR if square == _NOTHING else 0.0
-            near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
+            near = rx * rx + ry * ry + 2 * rows[after + _A] + blur * square + far
             r = near * (square / (near + square))
             inverse = 1 / (a + r)
             ex, ey = x - px, y - py
             gain_p, gain_v = a * inverse, b * inverse
-            rows[at + _PX], rows[at + _VX] = px + gain_p * ex, vx + gain_v * ex
-            rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
-            rows[at + _A], rows[at + _B] = gain_p * r, gain_v * r
-            rows[at + _C] = (c * r + (a * c - b * b)) * inverse
-            rows[at + _GP], rows[at + _GV], rows[at + _INVERSE] = (
+            rows[after + _PX], rows[after + _VX] = px + gain_p * ex, vx + gain_v * ex
+            rows[after + _PY], rows[after + _VY] = py + gain_p * ey, vy + gain_v * ey
+            rows[after + _A], rows[after + _B] = gain_p * r, gain_v * r
+            rows[after + _C] = (c * r + (a * c - b * b)) * inverse
+            rows[after + _GP], rows[after + _GV], rows[after + _INVERSE] = (
                 gain_p,
                 gain_v,
                 inverse,
             )
-            rows[at + _EX], rows[at + _EY] = ex * inverse, ey * inverse
+            rows[after + _EX], rows[after + _EY] = ex * inverse, ey * inverse
 
 
 @part_of_loop
 def _lanes_backward(buffer: Floats, n: int, adjoint: Floats) -> None:
-    """Smooth as `_backward` without an error: positions and their variances only."""
+    """Smooth as `_backward` without an error: only positions and their variances."""
     adjoint[:] = 0.0
     for step in range(n):
         rows = buffer[(n - step) * _LANE_ROW : (n - step + 1) * _LANE_ROW]
@@ -475,7 +481,7 @@ def _lanes_backward(buffer: Floats, n: int, adjoint: Floats) -> None:
 
 
 @part_of_loop
-def _filled(
+def _fill_rows(
     batch: _Batch, track: Ints, motion: Floats, group: int, buffer: Floats
 ) -> None:
     """Fill the rows of a group of runs; the shortest fills empty lanes."""
@@ -489,17 +495,19 @@ def _filled(
         buffer[lane + _VX] = buffer[lane + _VY] = buffer[lane + _B] = 0.0
         buffer[lane + _A], buffer[lane + _C] = prior[0], start_m2
         for k in range(n):
-            own = min(first + k, end - 1)
-            dt = t[own] - t[own - 1] if 0 < k < end - first else 0.0
-            move, left, _, qpp, qpv, qvv = _stepped(dt, 0.0, memory_s, q)
+            sample = min(first + k, end - 1)
+            dt = t[sample] - t[sample - 1] if 0 < k < end - first else 0.0
+            move, left, _, qpp, qpv, qvv = _integrate(dt, 0.0, memory_s, q)
             row = buffer[(k + 1) * _LANE_ROW : (k + 2) * _LANE_ROW]
-            row[lane + _X], row[lane + _Y] = xy[own, 0], xy[own, 1]
+            row[lane + _X], row[lane + _Y] = xy[sample, 0], xy[sample, 1]
             row[lane + _PX], row[lane + _PY], row[lane + _A] = (
-                xy[own, 0],
-                xy[own, 1],
+                xy[sample, 0],
+                xy[sample, 1],
                 0.0,
             )
-            row[lane + _SQUARE] = 2.0 * variance[own] if k < end - first else _NOTHING
+            row[lane + _SQUARE] = (
+                2.0 * variance[sample] if k < end - first else _NOTHING
+            )
             row[lane + _MOVE], row[lane + _LEFT] = move, left
             row[lane + _QPP], row[lane + _QPV], row[lane + _QVV] = qpp, qpv, qvv
 
@@ -518,15 +526,14 @@ def smooth_lanes(
     anneal: float,
     out: tuple[Floats, Floats, Floats],
 ) -> None:
-    """Smooth as `smooth_tracks` where there is no slow error; the longest runs come last."""
+    """Smooth as `smooth_tracks` without a slow error; the longest runs come last."""
     (track, motion, weight), offsets = runs, batch[3]
-    position, spread, so_far = out
+    position, spread, total_weight = out
     longest = offsets[track[-1] + 1] - offsets[track[-1]] if track.size > 0 else 0
     buffer, adjoint = np.zeros((longest + 1) * _LANE_ROW), np.empty(7 * LANES)
-    for group in range(
-        -(-track.size % LANES), track.size, LANES
-    ):  # the first may be incomplete
-        _filled(batch, track, motion, group, buffer)
+    # The first group may be incomplete.
+    for group in range(-(-track.size % LANES), track.size, LANES):
+        _fill_rows(batch, track, motion, group, buffer)
         last = track[group + LANES - 1]
         n, blur = offsets[last + 1] - offsets[last], 1.0
         for turn in range(passes):
@@ -536,17 +543,19 @@ def smooth_lanes(
                 blur *= anneal
         for lane in range(max(-group, 0), LANES):
             i = track[group + lane]
-            before, own = so_far[i], weight[group + lane]
-            share = own / (before + own)
+            weight_before, run_weight = total_weight[i], weight[group + lane]
+            share = run_weight / (weight_before + run_weight)
             for k in range(offsets[i + 1] - offsets[i]):
-                at, row = offsets[i] + k, (k + 1) * _LANE_ROW + lane
-                x, y = (
-                    buffer[row + _PX] - position[at, 0],
-                    buffer[row + _PY] - position[at, 1],
+                sample, row = offsets[i] + k, (k + 1) * _LANE_ROW + lane
+                x = buffer[row + _PX] - position[sample, 0]
+                y = buffer[row + _PY] - position[sample, 1]
+                apart = weight_before * share * (x * x + y * y) / 2
+                total = (
+                    weight_before * spread[sample]
+                    + run_weight * buffer[row + _A]
+                    + apart
                 )
-                apart = before * share * (x * x + y * y) / 2
-                total = before * spread[at] + own * buffer[row + _A] + apart
-                spread[at] = total / (before + own)
-                position[at, 0] += share * x
-                position[at, 1] += share * y
-            so_far[i] += own
+                spread[sample] = total / (weight_before + run_weight)
+                position[sample, 0] += share * x
+                position[sample, 1] += share * y
+            total_weight[i] += run_weight

@@ -1,4 +1,4 @@
-"""Compiled loops of `isac_track.kalman`: several constant-velocity models that interact.
+"""Compiled loops of `isac_track.kalman`: interacting constant-velocity models.
 
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance
 per mode.
@@ -22,10 +22,13 @@ from isac_track.compiling import (
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
-"""Times, places, variances, offsets, variances of the prior."""
+"""Times, positions, variances, offsets, variances of the prior."""
 _Moods: TypeAlias = tuple[Floats, Floats, Floats]
-"""Densities, probabilities, and (M, 2, 2) chances: ``[k, m, n]`` is that of mode n at sample k
-after mode m at the sample before."""
+"""Spectral densities, probabilities, and transition probabilities, (M, 2, 2).
+
+``[k, m, n]`` is the probability of mode n at sample k after mode m at the sample
+before.
+"""
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
 _STATES = 4
@@ -35,18 +38,20 @@ _LAST = together(written(3), written(4), written(2), written(1))
 
 
 _State: TypeAlias = tuple[float, ...]
-"""Mean of (x, vx, y, vy) under one mode, and the lower triangle of its covariance, row by row: in
-registers, while arrays would be read and written for every sample."""
+"""Mean of (x, vx, y, vy) under a mode, and the lower triangle of its covariance.
+
+Row by row, in registers: arrays would be read and written for every sample.
+"""
 
 
 @part_of_loop
-def _mix(w: float, v: float, one: _State, other: _State) -> _State:
-    """Return mean and covariance of a mixture of two Gaussians with the weights `w` and `v`."""
-    x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = one
-    ox, ovx, oy, ovy, o00, o10, o11, o20, o21, o22, o30, o31, o32, o33 = other
+def _mix(w: float, v: float, first: _State, second: _State) -> _State:
+    """Return the state of a mixture of two Gaussians with the weights `w` and `v`."""
+    x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = first
+    ox, ovx, oy, ovy, o00, o10, o11, o20, o21, o22, o30, o31, o32, o33 = second
     d0, d1, d2, d3 = x - ox, vx - ovx, y - oy, vy - ovy
-    both = w * v  # with w + v = 1 that of the spread of the means, d d'
-    g0, g1, g2, g3 = both * d0, both * d1, both * d2, both * d3
+    product = w * v  # With w + v = 1 the weight of the spread of the means, d d'.
+    g0, g1, g2, g3 = product * d0, product * d1, product * d2, product * d3
     x, vx, y, vy = w * x + v * ox, w * vx + v * ovx, w * y + v * oy, w * vy + v * ovy
     p00, p10 = w * p00 + v * o00 + g0 * d0, w * p10 + v * o10 + g1 * d0
     p11, p20 = w * p11 + v * o11 + g1 * d1, w * p20 + v * o20 + g2 * d0
@@ -58,7 +63,7 @@ def _mix(w: float, v: float, one: _State, other: _State) -> _State:
 
 @part_of_loop
 def _predict(dt: float, q: float, state: _State) -> _State:
-    """Return one mode moved by `dt`: F x, F P F' + Q."""
+    """Return the state of a mode moved by `dt`: F x, F P F' + Q."""
     x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
     y_vx = p21 + dt * p31
     p20 += dt * (p30 + y_vx)
@@ -73,16 +78,15 @@ def _predict(dt: float, q: float, state: _State) -> _State:
 
 @part_of_loop
 def _update(zx: float, zy: float, r: float, state: _State) -> _State:
-    """Return one mode after a measurement, x first: what is measured shrinks by a factor."""
+    """Return the state of a mode after a measurement, x first, then y.
+
+    The entries of the measured position shrink by a factor: nothing is subtracted.
+    """
     x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
     inverse = 1 / (p00 + r)
     error, k1, k2, k3 = (zx - x), p10 * inverse, p20 * inverse, p30 * inverse
-    x, vx, y, vy = (
-        x + p00 * inverse * error,
-        vx + k1 * error,
-        y + k2 * error,
-        vy + k3 * error,
-    )
+    x, vx = x + p00 * inverse * error, vx + k1 * error
+    y, vy = y + k2 * error, vy + k3 * error
     p11, p21, p22 = p11 - k1 * p10, p21 - k2 * p10, p22 - k2 * p20
     p31, p32, p33 = p31 - k3 * p10, p32 - k3 * p20, p33 - k3 * p30
     shrink = r * inverse
@@ -90,12 +94,8 @@ def _update(zx: float, zy: float, r: float, state: _State) -> _State:
 
     inverse = 1 / (p22 + r)
     error, k0, k1, k3 = (zy - y), p20 * inverse, p21 * inverse, p32 * inverse
-    x, vx, y, vy = (
-        x + k0 * error,
-        vx + k1 * error,
-        y + p22 * inverse * error,
-        vy + k3 * error,
-    )
+    x, vx = x + k0 * error, vx + k1 * error
+    y, vy = y + p22 * inverse * error, vy + k3 * error
     p00, p10, p11 = p00 - k0 * p20, p10 - k1 * p20, p11 - k1 * p21
     p30, p31, p33 = p30 - k3 * p20, p31 - k3 * p21, p33 - k3 * p32
     shrink = r * inverse
@@ -105,7 +105,7 @@ def _update(zx: float, zy: float, r: float, state: _State) -> _State:
 
 @part_of_loop
 def _surprise(zx: float, zy: float, r: float, state: _State) -> tuple[float, float]:
-    """Return the determinant of the innovation's covariance and its normalised square."""
+    """Return the determinant and the normalised square of the innovation."""
     s00, s01, s11 = state[4] + r, state[7], state[9] + r
     e0, e1 = zx - state[0], zy - state[2]
     det = s00 * s11 - s01 * s01
@@ -114,17 +114,18 @@ def _surprise(zx: float, zy: float, r: float, state: _State) -> tuple[float, flo
 
 @part_of_loop
 def _write(state: _State, x: Floats, p: Floats) -> None:
-    at = _STATES
+    """Write a state to arrays: mean, (4,), and covariance, (4, 4)."""
+    entry = _STATES
     for a in range(_STATES):
         x[a] = state[a]
         for b in range(a + 1):
-            p[a, b] = p[b, a] = state[at]
-            at += 1
+            p[a, b] = p[b, a] = state[entry]
+            entry += 1
 
 
 @part_of_loop
 def _collapse(weight: Floats, x: Floats, p: Floats, mean: Floats, cov: Floats) -> None:
-    """Write mean and covariance of a Gaussian mixture: the weighted ones and the spread."""
+    """Write mean and covariance of a Gaussian mixture: weighted sums and spread."""
     mean[:] = 0.0
     cov[:] = 0.0
     for n in range(weight.size):
@@ -150,50 +151,50 @@ def _filter(
     patience: int,
     out: tuple[Floats, ...],
 ) -> float:
-    """Filter one track and return its log-likelihood.
+    """Filter a track and return its log-likelihood.
 
-    Mean, covariance and probability after each sample are written to a row each, or
-    those after the last one to the only row.
+    Mean, covariance and probability are written for every sample, or, if `out` has a
+    single row, for the last sample only.
     """
     t, xy, variance, offsets, prior = batch
     (q, probability, chances), (x, p, mu) = moods, out
     first = offsets[i]
     a, c = prior[0], prior[1]
     x0, y0 = xy[first, 0], xy[first, 1]
-    one: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
-    other = one
-    mu_one, mu_other = probability[0], probability[1]
+    state_0: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
+    state_1 = state_0
+    mu_0, mu_1 = probability[0], probability[1]
     misses, log_likelihood = 0, 0.0
-    scale = 1.0  # of the squared likelihood: one logarithm for many samples
+    scale = 1.0  # Of the squared likelihood: one logarithm serves many samples.
     for k in range(first, offsets[i + 1]):
         if k > first:
             dt = t[k] - t[k - 1]
-            before_one, before_other = one, other
-            stay, come = chances[k, 0, 0] * mu_one, chances[k, 1, 0] * mu_other
-            leave, remain = chances[k, 0, 1] * mu_one, chances[k, 1, 1] * mu_other
-            mu_one, mu_other = stay + come, leave + remain
-            w, v = (stay / mu_one, come / mu_one) if mu_one > 0 else (1.0, 0.0)
-            one = _predict(dt, q[0], _mix(w, v, before_one, before_other))
-            w, v = (leave / mu_other, remain / mu_other) if mu_other > 0 else (0.0, 1.0)
-            other = _predict(dt, q[1], _mix(w, v, before_one, before_other))
+            before_0, before_1 = state_0, state_1
+            stay, come = chances[k, 0, 0] * mu_0, chances[k, 1, 0] * mu_1
+            leave, remain = chances[k, 0, 1] * mu_0, chances[k, 1, 1] * mu_1
+            mu_0, mu_1 = stay + come, leave + remain
+            w, v = (stay / mu_0, come / mu_0) if mu_0 > 0 else (1.0, 0.0)
+            state_0 = _predict(dt, q[0], _mix(w, v, before_0, before_1))
+            w, v = (leave / mu_1, remain / mu_1) if mu_1 > 0 else (0.0, 1.0)
+            state_1 = _predict(dt, q[1], _mix(w, v, before_0, before_1))
 
         zx, zy, r = xy[k, 0], xy[k, 1], variance[k]
-        det_one, d2_one = _surprise(zx, zy, r, one)
-        det_other, d2_other = _surprise(zx, zy, r, other)
-        if misses < patience and min(d2_one, d2_other) > gate:
+        det_0, d2_0 = _surprise(zx, zy, r, state_0)
+        det_1, d2_1 = _surprise(zx, zy, r, state_1)
+        if misses < patience and min(d2_0, d2_1) > gate:
             misses += 1
         else:
             misses = 0
-            one, other = _update(zx, zy, r, one), _update(zx, zy, r, other)
-            # Relative to the nearer mode: far outliers underflow in both otherwise.
-            if mu_other > 0 and (d2_other < d2_one or not mu_one > 0):
-                det, d2 = det_other, d2_other
-                mu_one *= exp(min((d2 - d2_one) / 2, 0.0)) * sqrt(det / det_one)
+            state_0, state_1 = _update(zx, zy, r, state_0), _update(zx, zy, r, state_1)
+            # Relative to the nearer mode: far outliers would underflow in both modes.
+            if mu_1 > 0 and (d2_1 < d2_0 or not mu_0 > 0):
+                det, d2 = det_1, d2_1
+                mu_0 *= exp(min((d2 - d2_0) / 2, 0.0)) * sqrt(det / det_0)
             else:
-                det, d2 = det_one, d2_one
-                mu_other *= exp(min((d2 - d2_other) / 2, 0.0)) * sqrt(det / det_other)
-            total = mu_one + mu_other
-            mu_one, mu_other = mu_one / total, mu_other / total
+                det, d2 = det_0, d2_0
+                mu_1 *= exp(min((d2 - d2_1) / 2, 0.0)) * sqrt(det / det_1)
+            total = mu_0 + mu_1
+            mu_0, mu_1 = mu_0 / total, mu_1 / total
             log_likelihood -= d2 / 2 + _LOG_2PI
             scale *= total * total / det
             if scale > _BIG or scale < 1 / _BIG:
@@ -201,9 +202,9 @@ def _filter(
                 scale = 1.0
         row = min(k - first, mu.shape[0] - 1)
         if row == k - first or k + 1 == offsets[i + 1]:
-            _write(one, x[row, 0], p[row, 0])
-            _write(other, x[row, 1], p[row, 1])
-            mu[row, 0], mu[row, 1] = mu_one, mu_other
+            _write(state_0, x[row, 0], p[row, 0])
+            _write(state_1, x[row, 1], p[row, 1])
+            mu[row, 0], mu[row, 1] = mu_0, mu_1
     return log_likelihood + log(scale) / 2
 
 
@@ -220,13 +221,13 @@ def imm_last(
 
 @part_of_loop
 def _factorise(matrix: Floats, work: Floats) -> None:
-    """Write D and L of a positive matrix = L D L' to ``work[0, 0, :4]`` and ``work[1]``."""
+    """Write D and L of a positive L D L' to ``work[0, 0, :4]`` and ``work[1]``."""
     weight, lower = work[0, 0], work[1]
     for n in range(_STATES):
         pivot = matrix[n, n]
         for j in range(n):
             pivot -= lower[n, j] * lower[n, j] * weight[j]
-        # Rounding alone could push a nearly singular matrix below zero.
+        # Rounding could push a nearly singular matrix below zero.
         weight[n] = max(pivot, 0.0)
         lower[n, n] = 1.0
         for m in range(n + 1, _STATES):
@@ -239,19 +240,16 @@ def _factorise(matrix: Floats, work: Floats) -> None:
 
 @part_of_loop
 def _orthogonal(dt: float, q: float, work: Floats) -> None:
-    """Factorise F P F' + Q = M D' M' by modified weighted Gram-Schmidt, without a subtraction.
+    """Factorise F P F' + Q = M D' M' by modified weighted Gram-Schmidt.
+
+    Nothing is subtracted from a covariance.
 
     On entry ``weight[:4]`` and `lower` are D and L of P = L D L'. On return `rows` is
     (4, 8) with ``M @ rows = [F L, Lq]``, its rows orthogonal under the eight weights
     (those of P, then those of Q = Lq Dq Lq'), `factor` is M and `moved` D'.
     """
-    weight, moved, lower, rows, factor = (
-        work[0, 0],
-        work[0, 1],
-        work[1],
-        work[2],
-        work[3],
-    )
+    weight, moved, lower = work[0, 0], work[0, 1], work[1]
+    rows, factor = work[2], work[3]
     for m in range(_STATES):
         for j in range(_STATES, 8):
             rows[m, j] = 0.0
@@ -288,7 +286,7 @@ def _smooth_pair(
     out_x: Floats,
     out_p: Floats,
 ) -> float:
-    """Rauch-Tung-Striebel from one mode to one next mode, in Joseph's form.
+    """Smooth from one mode to one next mode: Rauch-Tung-Striebel in Joseph's form.
 
     Returns the log density of the next smoothed mean under the prediction, up to a
     constant.
@@ -303,7 +301,7 @@ def _smooth_pair(
         for j in range(m):
             solved[m] -= factor[m, j] * solved[j]
         log_density -= (solved[m] * solved[m] / moved[m] + log(moved[m])) / 2
-    # product = L E with E = D V1' D'^-1; gain = product M^-1
+    # product = L E with E = D V1' D'^-1; gain = product M^-1.
     for m in range(_STATES):
         for n in range(_STATES):
             entry = 0.0
@@ -324,7 +322,7 @@ def _smooth_pair(
             for j in range(_STATES):
                 entry += gain[m, j] * next_p[j, n]
             carried[m, n] = entry
-    # what the next state leaves open: [L - L E V1, -L E V2], weighted
+    # What the next state leaves open: [L - L E V1, -L E V2], weighted.
     for m in range(_STATES):
         for n in range(8):
             entry = lower[m, n] if n < _STATES else 0.0
@@ -346,28 +344,24 @@ def _smooth_pair(
 def imm_smoother(
     batch: _Batch, moods: _Moods, position: Floats, spread: Floats
 ) -> None:
-    """Filter, then smooth by expectation correction, one Gaussian per mode, from the last back."""
+    """Filter, then smooth backwards by expectation correction, a Gaussian per mode."""
     t, offsets, (q, _, chances) = batch[0], batch[3], moods
     modes = q.size
     longest = 0
     for i in range(offsets.size - 1):
         longest = max(longest, offsets[i + 1] - offsets[i])
-    x, p = (
-        np.empty((longest, modes, _STATES)),
-        np.empty((longest, modes, _STATES, _STATES)),
-    )
+    x = np.empty((longest, modes, _STATES))
+    p = np.empty((longest, modes, _STATES, _STATES))
     mu = np.empty((longest, modes))
-    pair_x, pair_p = (
-        np.empty((modes, modes, _STATES)),
-        np.empty((modes, modes, _STATES, _STATES)),
-    )
-    share = np.empty((modes, modes))  # of mode m now and n next
-    work = np.empty((8, _STATES, 8))  # some rows of it are half as long
+    pair_x = np.empty((modes, modes, _STATES))
+    pair_p = np.empty((modes, modes, _STATES, _STATES))
+    share = np.empty((modes, modes))  # Weight of mode m now and n next.
+    work = np.empty((8, _STATES, 8))  # Some of its rows are only half used.
     mean, cov = np.empty(_STATES), np.empty((_STATES, _STATES))
     for i in range(offsets.size - 1):
         first = offsets[i]
         _filter(i, batch, moods, inf, 0, (x, p, mu))
-        # The smoothed states of the next sample take the place of the filtered ones.
+        # The smoothed states of the next sample replace the filtered states.
         for k in range(offsets[i + 1] - first - 1, -1, -1):
             if first + k + 1 < offsets[i + 1]:
                 dt = t[first + k + 1] - t[first + k]

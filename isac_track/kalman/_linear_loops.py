@@ -1,17 +1,17 @@
-"""Compiled loops of `isac_track.kalman`: filters to the last state, and the smoother of positions.
+"""Compiled loops of `isac_track.kalman`: filters to the last state, and the smoother.
 
-The forms avoid every subtraction of nearly equal numbers that can be avoided, so that
-the covariance stays positive over ten decades of noise and step without a square-root
-filter.
+The forms avoid subtracting nearly equal numbers, so that the covariance stays positive
+over ten decades of noise and step without a square-root filter.
 
-For the smoother eight tracks lie side by side in one buffer, so that one vector
-instruction moves several of them: three times as fast as one track after the other. A
-row of the buffer is one sample, a field of the row eight numbers, one a track. The
-inner loops run over the tracks, from 0 to `LANES`; all that they touch lies at fixed
-distances in one row and its neighbour, which is what a compiler needs to see to
-vectorise them. Tracks differ in length. Beyond its end a track has samples that change
-nothing, bit by bit: no time passes, and the variance is a power of two so large that
-its gain vanishes. A track's result thus does not depend on its neighbours.
+The smoother has eight tracks side by side in one buffer, so that one vector instruction
+moves several of them: three times as fast as one track after the other. A row of the
+buffer is a sample; a field of the row holds eight numbers, one for each track. The
+inner loops run over the tracks, from 0 to `LANES`. They only touch fixed distances in a
+row and its neighbour, which a compiler needs to see to vectorise them.
+
+Tracks differ in length. Beyond its end a track has samples that change nothing, bit by
+bit: no time passes, and the variance is a power of two so large that the gain vanishes.
+So a track's result does not depend on its neighbours.
 """
 
 from math import log, pi
@@ -31,27 +31,23 @@ from isac_track.compiling import (
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
-"""Times, places, variances, offsets, variances of the prior."""
+"""Times, positions, variances, offsets, variances of the prior."""
 _Last: TypeAlias = tuple[Floats, Floats, Floats]
-"""Mean, covariance and log-likelihood, in which row i is after the last sample of track i."""
+"""Mean, covariance and log-likelihood of every track after its last sample."""
 _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
 _LAST = _BATCH, FLOAT, FLOAT, INT, together(written(3), written(3), written(1))
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
-_THIRD, _SIXTH, _TWELFTH = (
-    1 / 3,
-    1 / 6,
-    1 / 12,
-)  # to multiply by takes a tenth of the time
+# To multiply by these takes a tenth of the time of a division.
+_THIRD, _SIXTH, _TWELFTH = 1 / 3, 1 / 6, 1 / 12
 
 LANES = 8
-_FAR = (
-    2.0**600
-)  # m^2, so far off are they that their weight is that of their variance alone.
+# m^2, so far off that the weight of a sample is that of its variance alone.
+_FAR = 2.0**600
 _NOTHING = 2.0**200  # m^2, variance of the samples beyond the end of a track.
 
-# Where the fields of a row begin: sigma^2 of the error's length, and the state with its
-# covariance [[a, b], [b, c]].
+# Starts of the fields of a row: sample, sigma^2 of the error's length, and the state
+# with its covariance [[a, b], [b, c]].
 _T, _X, _Y, _SQUARE, *_STATE = range(0, 12 * LANES, LANES)
 _PX, _VX, _PY, _VY, _A, _B, _C, _DET = _STATE
 _ROW = 12 * LANES
@@ -61,9 +57,9 @@ _ROW = 12 * LANES
 def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
     """Filter to the last state of every track.
 
-    Beside the covariance [[a, b], [b, c]] its determinant is carried: every update is
-    then a sum of positive terms, also where one measurement is worth all that was known
-    before.
+    The filter carries the determinant of the covariance [[a, b], [b, c]]. Every update
+    is then a sum of positive terms, even if a single measurement outweighs all that was
+    known before.
     """
     (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
     for i in range(offsets.size - 1):
@@ -71,14 +67,13 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         vx = vy = b = 0.0
         a, c = prior[0], prior[1]
         det = a * c
-        # The scale is a product of innovation variances: one logarithm for many
+        # The scale is a product of innovation variances: one logarithm serves many
         # samples.
         scale, total, misses = 1.0, 0.0, 0
         before = t[offsets[i]]
         for k in range(offsets[i], offsets[i + 1]):
-            dt = (
-                t[k] - before
-            )  # 0 at the first sample, where the prediction changes nothing
+            # 0 at the first sample, where the prediction changes nothing.
+            dt = t[k] - before
             before = t[k]
             grown = q * dt
             det += grown * (a + dt * (b + dt * (c / 3 + grown / 12)))
@@ -115,7 +110,7 @@ def cv_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
 
 @part_of_loop
 def _innovation_square(t: Floats, xy: Floats, k: int) -> float:
-    """Square of the innovation at a track's third sample or a later one, scaled to one error."""
+    """Return the squared innovation at sample k >= 2, scaled to a single error."""
     ratio = (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
     ex = xy[k, 0] - xy[k - 1, 0] - ratio * (xy[k - 1, 0] - xy[k - 2, 0])
     ey = xy[k, 1] - xy[k - 1, 1] - ratio * (xy[k - 1, 1] - xy[k - 2, 1])
@@ -127,7 +122,7 @@ def _innovation_square(t: Floats, xy: Floats, k: int) -> float:
 
 @compiled(read(1), read(2), read(1, "int64"), written(1))
 def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> None:
-    """Mean of the scaled squared innovations of each track; see `isac_track.noise`."""
+    """Average the scaled squared innovations of each track: see `isac_track.noise`."""
     for i in range(offsets.size - 1):
         first, end = offsets[i], offsets[i + 1]
         total = 0.0
@@ -140,7 +135,10 @@ def innovation_level(t: Floats, xy: Floats, offsets: Ints, level: Floats) -> Non
 def innovations_by_interval(
     t: Floats, xy: Floats, offsets: Ints, edges: Floats, count: Floats, total: Floats
 ) -> None:
-    """Add up a track's scaled squared innovations, (N, B), by the interval before the middle."""
+    """Add scaled squared innovations of each track, (N, B), by the interval before.
+
+    That is the first of the two intervals of the three samples.
+    """
     for i in range(offsets.size - 1):
         for k in range(offsets[i] + 2, offsets[i + 1]):
             interval_s = t[k - 1] - t[k - 2]
@@ -152,15 +150,16 @@ def innovations_by_interval(
 
 
 _Factors: TypeAlias = tuple[float, float, float, float, float, float]
-"""Of a covariance L D L': the diagonal of D, then L below its own, row by row."""
+"""Covariance L D L': the diagonal of D, then L below its own, row by row."""
 
 
 @part_of_loop
 def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
-    """Factorise F P F' + Q = M D M' by modified weighted Gram-Schmidt, without a subtraction.
+    """Factorise F P F' + Q = M D M' by modified weighted Gram-Schmidt.
 
-    The rows r, s, t of [F L, Lq] are made orthogonal under six weights: those of P = L
-    D L', then those of Q = Lq Dq Lq'. What they are made of below the diagonal is M.
+    Nothing is subtracted from a covariance. The rows r, s, t of [F L, Lq] are made
+    orthogonal under six weights: those of P = L D L', then those of Q = Lq Dq Lq'. The
+    factors of this step below the diagonal are M.
     """
     d0, d1, d2, l10, l20, l21 = factors
     d3, d4, d5 = q * dt / 20, q * dt / 48, q * dt / 9
@@ -177,13 +176,8 @@ def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
     w0, w1, w2, w3, w4 = d0 * s0, d1 * s1, d2 * s2, d3 * s3, d4 * s4
     second = w0 * s0 + w1 * s1 + w2 * s2 + w3 * s3 + w4 * s4
     l21 = (w0 * t0 + w1 * t1 + w2 * t2 + w3 * t3 + w4 * t4) / second
-    t0, t1, t2, t3, t4 = (
-        t0 - l21 * s0,
-        t1 - l21 * s1,
-        t2 - l21 * s2,
-        t3 - l21 * s3,
-        t4 - l21 * s4,
-    )
+    t0, t1, t2 = t0 - l21 * s0, t1 - l21 * s1, t2 - l21 * s2
+    t3, t4 = t3 - l21 * s3, t4 - l21 * s4
     third = (
         d0 * t0 * t0 + d1 * t1 * t1 + d2 * t2 * t2 + d3 * t3 * t3 + d4 * t4 * t4 + d5
     )
@@ -192,11 +186,10 @@ def _orthogonal(dt: float, q: float, factors: _Factors) -> _Factors:
 
 @compiled(*_LAST)
 def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> None:
-    """Filter, as `cv_last`, on the factors L D L' of the covariance.
+    """Filter as `cv_last`, on the factors L D L' of the covariance.
 
-    The position comes first, so a measurement of it changes the first element of D and
-    nothing else: what is uncertain beyond the position stays, and so does its
-    regression on it.
+    The position comes first, so that its measurement changes only the first element of
+    D. The uncertainty beyond the position stays, and so does its regression on it.
     """
     (t, xy, variance, offsets, prior), (mean, cov, log_likelihood) = batch, out
     for i in range(offsets.size - 1):
@@ -236,11 +229,8 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
         cov[i, 0, 0], cov[i, 1, 0], cov[i, 2, 0] = d0, l10 * d0, l20 * d0
         cov[i, 1, 1], cov[i, 2, 1] = l10 * l10 * d0 + d1, l20 * l10 * d0 + l21 * d1
         cov[i, 2, 2] = l20 * l20 * d0 + l21 * l21 * d1 + d2
-        cov[i, 0, 1], cov[i, 0, 2], cov[i, 1, 2] = (
-            cov[i, 1, 0],
-            cov[i, 2, 0],
-            cov[i, 2, 1],
-        )
+        cov[i, 0, 1], cov[i, 0, 2] = cov[i, 1, 0], cov[i, 2, 0]
+        cov[i, 1, 2] = cov[i, 2, 1]
         log_likelihood[i] = -total - log(scale)
 
 
@@ -248,15 +238,15 @@ def ca_last(batch: _Batch, q: float, gate: float, patience: int, out: _Last) -> 
 def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
     """Filter as `cv_last`; row 0 is the prior at the first sample, which is row 1.
 
-    The weight of a sample is 1 / (r^2 + delta^2) + 1 / sigma^2, by what the pass before
-    left in its row: half of sigma^2 is the variance where that is the sample itself,
-    known exactly.
+    The weight of a sample is 1 / (r^2 + delta^2) + 1 / sigma^2, from the row as the
+    pass before left it. In the first pass the row has the sample itself, known exactly,
+    and the variance is half of sigma^2.
     """
     for k in range(n):
         rows = buffer[k * _ROW : (k + 2) * _ROW]
         for lane in range(LANES):
-            at = lane + _ROW
-            dt = rows[at + _T] - rows[lane + _T]
+            after = lane + _ROW
+            dt = rows[after + _T] - rows[lane + _T]
             a, b, c = rows[lane + _A], rows[lane + _B], rows[lane + _C]
             det = rows[lane + _DET]
             grown = q * dt
@@ -266,30 +256,30 @@ def _forward(buffer: Floats, n: int, q: float, blur: float) -> None:
             c += grown
             vx, vy = rows[lane + _VX], rows[lane + _VY]
             px, py = rows[lane + _PX] + dt * vx, rows[lane + _PY] + dt * vy
-            x, y, square = rows[at + _X], rows[at + _Y], rows[at + _SQUARE]
-            rx, ry = x - rows[at + _PX], y - rows[at + _PY]
-            # Added, not chosen: a choice would be a branch around the division, lane by
-            # lane.
+            x, y, square = rows[after + _X], rows[after + _Y], rows[after + _SQUARE]
+            rx, ry = x - rows[after + _PX], y - rows[after + _PY]
+            # Added, not chosen: a choice would be a branch around the division for
+            # each lane.
             far = _FAR if square == _NOTHING else 0.0
-            near = rx * rx + ry * ry + 2 * rows[at + _A] + blur * square + far
+            near = rx * rx + ry * ry + 2 * rows[after + _A] + blur * square + far
             r = near * (square / (near + square))
             inverse = 1 / (a + r)
             ex, ey = x - px, y - py
             gain_p, gain_v, shrink = a * inverse, b * inverse, r * inverse
-            rows[at + _PX], rows[at + _VX] = px + gain_p * ex, vx + gain_v * ex
-            rows[at + _PY], rows[at + _VY] = py + gain_p * ey, vy + gain_v * ey
-            rows[at + _C], rows[at + _DET] = (det + c * r) * inverse, det * shrink
-            rows[at + _A], rows[at + _B] = a * shrink, b * shrink
+            rows[after + _PX], rows[after + _VX] = px + gain_p * ex, vx + gain_v * ex
+            rows[after + _PY], rows[after + _VY] = py + gain_p * ey, vy + gain_v * ey
+            rows[after + _C], rows[after + _DET] = (det + c * r) * inverse, det * shrink
+            rows[after + _A], rows[after + _B] = a * shrink, b * shrink
 
 
 @part_of_loop
 def _backward(buffer: Floats, n: int, q: float) -> None:
-    """Smooth: the filtered state of each row gives way to the smoothed one.
+    """Smooth: replace the filtered state of each row by the smoothed state.
 
-    With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed one
-    is C + G Ps G', with the gain G and C = (|Q| P + |P| B) / |P'| (two-dimensional
-    matrices only). Both are multiplied out, so that little cancels, and made anew: to
-    lay them beside the states would take longer, since that fills the cache.
+    With P the filtered covariance, B = F^-1 Q F^-T and P' = F P F' + Q the smoothed
+    covariance is C + G Ps G', with the gain G and C = (|Q| P + |P| B) / |P'|
+    (two-dimensional matrices only). Both are multiplied out, so that little cancels,
+    and computed anew: stored beside the states they would fill the cache.
     """
     for step in range(1, n):
         first = (n - step) * _ROW
@@ -306,7 +296,7 @@ def _backward(buffer: Floats, n: int, q: float) -> None:
             det_q *= inverse
             share = grown * inverse
             spread = det_share * grown
-            # det / det is not 1 to the last bit, and what changes nothing must.
+            # det / det is not 1 to the last bit; filler samples must change nothing.
             nothing = rows[after + _SQUARE] == _NOTHING
             g00 = det_share + share * (pa + dt * pb / 2)
             g11 = det_share - share * dt * (pb / 2 + dt * pc * _SIXTH)
@@ -349,11 +339,10 @@ def smooth_positions(
     longest = offsets[order[-1] + 1] - offsets[order[-1]] if order.size > 0 else 0
     buffer = np.zeros((longest + 1) * _ROW)
     first, size = np.empty((2, LANES), dtype=np.int64)
-    for group in range(
-        -(-order.size % LANES), order.size, LANES
-    ):  # the first may be incomplete
+    # The first group may be incomplete.
+    for group in range(-(-order.size % LANES), order.size, LANES):
         for lane in range(LANES):
-            i = order[max(group + lane, 0)]  # the shortest track fills empty lanes
+            i = order[max(group + lane, 0)]  # The shortest track fills empty lanes.
             first[lane], size[lane] = offsets[i], offsets[i + 1] - offsets[i]
             start = first[lane]
             buffer[lane + _T] = t[start]
@@ -362,16 +351,16 @@ def smooth_positions(
             buffer[lane + _A], buffer[lane + _C] = prior[0], prior[1]
             buffer[lane + _DET] = prior[0] * prior[1]
         n = size[LANES - 1]
-        # Row by row: lane by lane every store would fetch a line of memory of its own.
+        # Row by row: lane by lane every store would fetch its own line of memory.
         for k in range(n):
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
             for lane in range(LANES):
-                own = first[lane] + (k if k < size[0] else min(k, size[lane] - 1))
-                x, y = xy[own, 0], xy[own, 1]
-                row[lane + _T], row[lane + _X], row[lane + _Y] = t[own], x, y
+                sample = first[lane] + (k if k < size[0] else min(k, size[lane] - 1))
+                x, y = xy[sample, 0], xy[sample, 1]
+                row[lane + _T], row[lane + _X], row[lane + _Y] = t[sample], x, y
                 row[lane + _PX], row[lane + _PY], row[lane + _A] = x, y, 0.0
                 row[lane + _SQUARE] = (
-                    2.0 * variance[own] if k < size[lane] else _NOTHING
+                    2.0 * variance[sample] if k < size[lane] else _NOTHING
                 )
         blur = 1.0
         for turn in range(passes):
@@ -383,9 +372,7 @@ def smooth_positions(
             row = buffer[(k + 1) * _ROW : (k + 2) * _ROW]
             for lane in range(max(-group, 0), LANES):
                 if k < size[lane]:
-                    own = first[lane] + k
-                    position[own, 0], position[own, 1] = (
-                        row[lane + _PX],
-                        row[lane + _PY],
-                    )
-                    spread[own] = row[lane + _A]
+                    sample = first[lane] + k
+                    position[sample, 0] = row[lane + _PX]
+                    position[sample, 1] = row[lane + _PY]
+                    spread[sample] = row[lane + _A]

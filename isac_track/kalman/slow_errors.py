@@ -1,10 +1,10 @@
-"""A walk of constant velocity behind an error that changes slowly: filter and smoother.
+"""Filter and smoother of a constant-velocity walk behind a slowly changing error.
 
 Per axis the state is (p, v, e): position and velocity as in `isac_track.kalman`, and an
 error that is an Ornstein-Uhlenbeck process of standard deviation s, correlated as
-exp(-dt / tau). What is measured is p + e plus white noise of the batch's variance.
-Whoever knows s and tau, and how people accelerate, tells p from e as well as Gaussian
-errors allow.
+exp(-dt / tau). The measurement is p + e plus white noise of the batch's variance. An
+adversary who knows s, tau and how people accelerate separates p from e as well as
+Gaussian errors allow.
 
 References
 ----------
@@ -26,11 +26,11 @@ from isac_track.types import Floats, Ints, positive
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlowError:
-    """Of an error that changes slowly along a track. ValueError for what cannot be."""
+    """An error that changes slowly along a track. ValueError if out of range."""
 
     std_m: Floats | float
-    """Per axis; one number, or (M,): the process of variance 1 that is scaled by it is one."""
-    # Time over which its correlation falls to 1/e; 0: white, infinite: constant.
+    """m per axis: a number, or (M,); it scales a process of variance 1."""
+    # Time over which the correlation falls to 1/e; 0: white, infinite: constant.
     tau_s: float
 
     def __post_init__(self) -> None:
@@ -44,60 +44,62 @@ class SlowError:
     def innovation_share(
         self, *, t: Floats, offsets: Ints, running: bool = False
     ) -> Floats:
-        """Return how much of its variance each track's innovations take for noise, (N,).
+        """Return the share of the error's variance that innovations show, (N,).
 
-        Those are the innovations of `isac_track.noise`: their mean square, divided by
-        s^2. Next to nothing of a slow error, all of a white one. 1 for tracks of fewer
-        than three samples. If `running` it is that of the samples up to each one, (M,).
+        Innovations are those of `isac_track.noise`: the share is their mean square,
+        divided by s^2. It is nearly 0 for a slow error and 1 for a white one, and 1 for
+        tracks of fewer than three samples. With `running` it is the share of the
+        samples up to each one, (M,).
         """
         if self.tau_s == 0.0:
             return np.ones(t.size if running else offsets.size - 1)
-        step, ratio = np.diff(t), np.ones(max(t.size - 2, 0))
-        first, second = step[:-1], step[1:]
+        steps, ratio = np.diff(t), np.ones(max(t.size - 2, 0))
+        first, second = steps[:-1], steps[1:]
         np.divide(second, first, out=ratio, where=first > 0.0)
         gaps = second, first, first + second
-        near, far, both = (np.exp(-np.abs(gap) / self.tau_s) for gap in gaps)
+        near, far, whole = (np.exp(-np.abs(gap) / self.tau_s) for gap in gaps)
         a, b = 1.0 + ratio, ratio  # e_k - a e_(k-1) + b e_(k-2)
         scale = 1.0 + a * a + b * b
-        share = (scale - 2.0 * (a * near + a * b * far - b * both)) / scale
-        found = running_means(share, offsets, start=1.0)
-        return found if running else found[offsets[1:] - 1]
+        share = (scale - 2.0 * (a * near + a * b * far - b * whole)) / scale
+        shares = running_means(share, offsets, start=1.0)
+        return shares if running else shares[offsets[1:] - 1]
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
-        """Return what a compiled loop takes."""
+        """Return the arguments of a compiled loop."""
         return (*batch.arrays(2), np.full(batch.t.size, self.std_m, dtype=np.float64))
 
 
 def added_error(mechanism: object) -> tuple[float, float]:
-    """Return what a mechanism says of the error that it adds: std per axis, m, and tau, s.
+    """Return the error that a mechanism adds: standard deviation, m per axis; tau, s.
 
-    tau is 0 for white errors, infinite for one that is constant along a track. Read are
-    `std_m` (per axis), `distance`, `alpha` and `beta` (where the rule adds most) or
-    `d_sigma`, of radial errors unless `law` says isotropic, and `tau_s`. (0, 0) for a
-    mechanism that has none of them.
+    tau is 0 for white errors, infinite for an error that is constant along a track. The
+    parameters `std_m` (per axis), `distance`, `alpha` and `beta` (where the rule adds
+    most) or `d_sigma`, and `tau_s` are read. `distance` and `d_sigma` are those of
+    radial errors, unless `law` says isotropic. (0, 0) for a mechanism without any of
+    them.
     """
-    said = {
+    parameters = {
         name: float(getattr(mechanism, name, 0.0) or 0.0)
         for name in ("std_m", "distance", "alpha", "beta", "d_sigma", "tau_s")
     }
-    if said["std_m"]:
-        return said["std_m"], said["tau_s"]
-    if said["distance"]:
-        return said["distance"] / np.sqrt(2.0), np.inf
-    slow_rule = said["alpha"] > 0.0 and said["tau_s"] > 0.0
+    if parameters["std_m"]:
+        return parameters["std_m"], parameters["tau_s"]
+    if parameters["distance"]:
+        return parameters["distance"] / np.sqrt(2.0), np.inf
+    slow_rule = parameters["alpha"] > 0.0 and parameters["tau_s"] > 0.0
     isotropic = slow_rule or getattr(mechanism, "law", None) == "isotropic"
-    std_m = said["alpha"] * said["beta"] or said["d_sigma"]
-    return std_m * (1.0 if isotropic else np.sqrt(0.5)), said["tau_s"]
+    std_m = parameters["alpha"] * parameters["beta"] or parameters["d_sigma"]
+    return std_m * (1.0 if isotropic else np.sqrt(0.5)), parameters["tau_s"]
 
 
 def filter_tracks(
     batch: Batch, error: SlowError, *, q: float, gate: float = np.inf
 ) -> tuple[LastState, Floats]:
-    """Return the state (p, v, e) of every track after its last sample, and p after each, (M, 2) m.
+    """Filter to the last state (p, v, e) of every track; return all positions, too.
 
-    Parameters and errors are those of `isac_track.kalman.kalman_last`; `batch` has a
-    prior of two states, the error's own is its stationary law. A position is estimated
-    from its own sample and those before.
+    Positions p, (M, 2) m, are those after each sample. Parameters and errors are those
+    of `isac_track.kalman.kalman_last`. `batch` has a prior of two states; the prior of
+    the error is its stationary law.
     """
     n, causal = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
@@ -117,22 +119,22 @@ def smooth_tracks(
 ) -> tuple[Floats, Floats]:
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
-    Parameters and errors are those of `isac_track.kalman.smooth_positions`: further
-    passes take what is neither walk nor slow error for a radial error and weigh it
-    anew.
+    Parameters and errors are those of `isac_track.kalman.smooth_positions`. Further
+    passes treat the residual, neither walk nor slow error, as a radial error and weigh
+    it anew.
     """
-    alone = Motions(np.array([positive("q", q)]), np.array([np.inf]))
+    motion = Motions(np.array([positive("q", q)]), np.array([np.inf]))
     return smooth_mixture(
-        batch, error, alone, np.ones((len(batch), 1)), passes=passes, anneal=anneal
+        batch, error, motion, np.ones((len(batch), 1)), passes=passes, anneal=anneal
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Motions:
-    """K motions of a walk: the velocity, per axis, is an Ornstein-Uhlenbeck process.
+    """K motions of a walk: each velocity is an Ornstein-Uhlenbeck process per axis.
 
-    A bank of them is a mixture of Gaussian-process kernels: the covariance of the
-    velocity falls as exp(-dt / tau). ValueError for what cannot be.
+    Together they are a mixture of Gaussian-process kernels: the covariance of the
+    velocity falls as exp(-dt / tau). ValueError if a number is out of range.
 
     References
     ----------
@@ -143,8 +145,10 @@ class Motions:
 
     q: Floats  # (K,) m^2/s^3, spectral density of the acceleration.
     tau_s: Floats
-    """(K,) time over which the correlation of velocity falls to 1/e; infinite: constant velocity,
-    but for the acceleration, from the prior of the batch."""
+    """(K,) time over which the correlation of the velocity falls to 1/e.
+
+    Infinite: constant velocity, but for the acceleration, from the batch's prior.
+    """
 
     def __post_init__(self) -> None:
         if np.shape(self.q) != np.shape(self.tau_s) or np.ndim(self.q) != 1:
@@ -156,18 +160,19 @@ class Motions:
 
     @classmethod
     def with_speeds(cls, *speeds_and_times: tuple[float, float]) -> "Motions":
-        """Return motions of a speed, m/s per axis (standard deviation), and a time, s, each."""
+        """Return motions of these standard speeds (m/s per axis) and times (s)."""
         speed_mps, tau_s = np.array(speeds_and_times, dtype=np.float64).T
         return cls(2.0 * speed_mps**2 / tau_s, tau_s)
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of motions."""
         return self.q.size
 
     def arrays(self, prior_std: tuple[float, ...]) -> Floats:
-        """Return what the compiled loops take: variance of the first velocity, time and q, (K, 3).
+        """Return variance of the first velocity, time and q of each motion, (K, 3).
 
-        Of a process the first velocity is drawn from its stationary law.
+        The first velocity is drawn from the stationary law of its process, if it has
+        one.
         """
         lasting = np.isfinite(self.tau_s)
         first = np.full(len(self), prior_std[1] ** 2)
@@ -176,12 +181,15 @@ class Motions:
 
 
 def motion_log_likelihoods(batch: Batch, error: SlowError, motions: Motions) -> Floats:
-    """Return the log density of each track under each motion, (N, K), 1/m^2 each sample."""
-    found = np.empty((len(batch), len(motions)))
+    """Return the log density of each track under each motion, (N, K).
+
+    Its unit is the logarithm of 1/m^2 for each sample.
+    """
+    log_density = np.empty((len(batch), len(motions)))
     import_module("isac_track.kalman._error_loops").log_likelihoods(
-        error.arrays(batch), error.tau_s, motions.arrays(batch.prior_std), found
+        error.arrays(batch), error.tau_s, motions.arrays(batch.prior_std), log_density
     )
-    return found
+    return log_density
 
 
 def smooth_mixture(
@@ -193,12 +201,12 @@ def smooth_mixture(
     passes: int = 1,
     anneal: float = 0.0,
 ) -> tuple[Floats, Floats]:
-    """Return the mean of smoothed positions under several motions, (M, 2) m, and the variance.
+    """Return the mean, (M, 2) m, and variance of positions smoothed under motions.
 
-    `weight`, (N, K), is that of each motion for each track, none negative and not all
-    0: those of 0 cost nothing. With the posterior probabilities of the motions, mean
-    and variance are those of the posterior mixture. Other parameters and errors are
-    those of `smooth_tracks`.
+    `weight`, (N, K), is the prior weight of each motion for each track, none negative
+    and not all 0: weights of 0 cost no time. With the posterior probabilities of the
+    motions, mean and variance are those of the posterior mixture. Other parameters and
+    errors are those of `smooth_tracks`.
     """
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(
@@ -208,23 +216,24 @@ def smooth_mixture(
         raise ValueError("need a weight, not negative, of each motion for each track")
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
-    track, which = np.nonzero(weight)
-    motion = motions.arrays(batch.prior_std)[which]
+    track, index = np.nonzero(weight)
+    motion = motions.arrays(batch.prior_std)[index]
     return _smooth_runs(
-        batch, error, track, motion, weight[track, which], passes, anneal
+        batch, error, track, motion, weight[track, index], passes, anneal
     )
 
 
 def smooth_each(
     batch: Batch, error: SlowError, *, q: Floats, speed_mps: Floats
 ) -> tuple[Floats, Floats]:
-    """Return smoothed positions and variance where each track has a motion of its own, once.
+    """Return smoothed positions and variances, each track with a motion of its own.
 
     `q`, m^2/s^3, and `speed_mps`, the standard deviation of the first velocity per
-    axis, are (N,) and positive; what else the batch says of velocity does not count.
+    axis, are (N,) and positive; the batch's prior of velocity is not used. There is one
+    pass.
     """
-    track, forever = np.arange(len(batch)), np.full(len(batch), np.inf)
-    motion = np.column_stack([np.square(speed_mps), forever, q])
+    track, no_decay = np.arange(len(batch)), np.full(len(batch), np.inf)
+    motion = np.column_stack([np.square(speed_mps), no_decay, q])
     return _smooth_runs(batch, error, track, motion, np.ones(len(batch)), 1, 0.0)
 
 
@@ -237,7 +246,7 @@ def _smooth_runs(
     passes: int,
     anneal: float,
 ) -> tuple[Floats, Floats]:
-    """Return what the compiled loops make of runs, each of a track, a motion and a weight."""
+    """Smooth runs, each of a track, a motion and a weight; return mean and variance."""
     order = np.argsort(np.diff(batch.offsets)[track], kind="stable")
     runs = track[order], motion[order], weight[order]
     out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))

@@ -1,10 +1,10 @@
-"""What is left of white noise after a filter or smoother, in closed form, and a bound without one.
+"""White noise that remains after a filter or smoother, and a bound for slow errors.
 
-Steady state of constant velocity driven by white acceleration of spectral density q
-(m^2/s^3), measured every dt (s) with the variance r (m^2) per axis, in the limit of
-frequent samples: only rho = r dt counts (the Wiener-Kolmogorov filter of a double
-integrator). Gaussian errors alone. `attacked_plr_bound` holds for any motion and any
-attack, within its conditions: docs/mechanisms.md.
+Closed forms of the steady state: constant velocity driven by white acceleration of
+spectral density q (m^2/s^3), measured every dt (s) with the variance r (m^2) per axis.
+In the limit of frequent samples only rho = r dt counts (the Wiener-Kolmogorov filter of
+a double integrator). Errors are Gaussian. `attacked_plr_bound` holds for any motion and
+any attack, within its conditions: docs/explanation/mechanisms.md.
 
 References
 ----------
@@ -22,17 +22,23 @@ EPSILON_M = 0.3  # Distance below which a sample counts as known: the paper's.
 
 
 def smoothed_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:
-    """Return the variance of a smoothed position per axis: q^(1/4) rho^(3/4) / (2 sqrt 2)."""
+    """Return a smoothed position's variance per axis.
+
+    It is q^(1/4) rho^(3/4) / (2 sqrt 2), rho = variance dt.
+    """
     return float(q**0.25 * (variance_m2 * dt_s) ** 0.75 / (2.0 * math.sqrt(2.0)))
 
 
 def filtered_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:
-    """Return the variance of a filtered position per axis: four times the smoothed one."""
+    """Return a filtered position's variance per axis: four times the smoothed one."""
     return 4.0 * smoothed_variance_m2(variance_m2=variance_m2, dt_s=dt_s, q=q)
 
 
 def plr_of_variance(*, variance_m2: float, epsilon_m: float) -> float:
-    """Return the share of positions known to `epsilon_m` under a Gaussian error per axis, 0..1."""
+    """Return the share of positions known to `epsilon_m` under a Gaussian error.
+
+    The error has the same variance on each axis; the share is in 0..1.
+    """
     return (
         -math.expm1(-(epsilon_m**2) / (2.0 * variance_m2)) if variance_m2 > 0 else 1.0
     )
@@ -41,33 +47,34 @@ def plr_of_variance(*, variance_m2: float, epsilon_m: float) -> float:
 def attacked_plr(
     *, variance_m2: float, dt_s: float, q: float, epsilon_m: float
 ) -> float:
-    """Return the PLR that a smoother reaches against white Gaussian errors in all, 0..1."""
-    left = smoothed_variance_m2(variance_m2=variance_m2, dt_s=dt_s, q=q)
-    return plr_of_variance(variance_m2=left, epsilon_m=epsilon_m)
+    """Return the PLR that a smoother reaches against white Gaussian errors, 0..1."""
+    smoothed_m2 = smoothed_variance_m2(variance_m2=variance_m2, dt_s=dt_s, q=q)
+    return plr_of_variance(variance_m2=smoothed_m2, epsilon_m=epsilon_m)
 
 
 def variance_for(*, plr: float, dt_s: float, q: float, epsilon_m: float) -> float:
-    """Return the variance of the whole error per axis that leaves a smoother so much PLR, m^2.
+    """Return the error's variance per axis, m^2, with which a smoother reaches a PLR.
 
-    r = [(sqrt 2 eps^2 / -ln(1 - PLR))^4 / (q dt^3)]^(1/3). ValueError unless 0 < PLR <
-    1.
+    It is that of the whole error, r = [(sqrt 2 eps^2 / -ln(1 - PLR))^4 / (q
+    dt^3)]^(1/3). ValueError unless 0 < PLR < 1.
     """
     if not 0.0 < plr < 1.0:
         raise ValueError(f"the limit on PLR must lie between 0 and 1, got {plr:g}")
-    smoothed = math.sqrt(2.0) * epsilon_m**2 / -math.log1p(-plr)
-    return float((smoothed**4 / (q * dt_s**3)) ** (1.0 / 3.0))
+    smoothed_m2 = math.sqrt(2.0) * epsilon_m**2 / -math.log1p(-plr)
+    return float((smoothed_m2**4 / (q * dt_s**3)) ** (1.0 / 3.0))
 
 
 def attacked_plr_bound(
     *, std_m: float, tau_s: float, duration_s: float, epsilon_m: float
 ) -> float:
-    """Return what no attack's expected PLR exceeds, whatever the motion, under a slow error.
+    """Return an upper bound of any attack's expected PLR under a slow error.
 
     The error is Ornstein-Uhlenbeck of `std_m` per axis and correlation time `tau_s`,
-    seen for `duration_s`; an infinite `tau_s` is a constant Gaussian offset. With a
-    prior that does not change when everything is shifted nobody can tell a shift of the
-    walk from one of the error: 1 - exp(-eps^2 / 2 V), V = 2 std^2 / (2 + duration /
-    tau) the variance of the best estimate of a constant in that error.
+    seen for `duration_s`; an infinite `tau_s` is a constant Gaussian offset. The bound
+    holds for any motion, given a prior that a shift of everything does not change: then
+    nobody can tell a shift of the walk from a shift of the error. It is 1 - exp(-eps^2
+    / 2 V), where V = 2 std^2 / (2 + duration / tau) is the variance of the best
+    estimate of a constant in that error.
     """
     spread = 2.0 * std_m**2 / (2.0 + duration_s / tau_s)
     return plr_of_variance(variance_m2=spread, epsilon_m=epsilon_m)

@@ -1,10 +1,13 @@
-"""Linkage attacks, scored: who is who across two pseudonymous releases.
+"""Scores of linkage attacks: the same people in two pseudonymous releases.
 
 A *search* holds the scores of P probes, the people of one release, against the gallery,
 the G people of another; the *mate* of a probe is the same person. Everything is a pure
 function of scores and mates: `ranks`, `scores` (as evidence), tests of `significance`,
 and `scoring`, all of them at once with intervals. Where an attack's scores are all
 equal, every metric is at chance.
+
+A score has no unit: a higher score makes the same person likelier. All rates are
+fractions, 0..1.
 """
 
 from isac_track.linkability.matches import fit_scale, open_matches

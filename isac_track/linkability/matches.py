@@ -1,4 +1,4 @@
-"""Who is whose mate if all are matched at once, and some have none: an open gallery.
+"""Matching of all probes and candidates at once, where some have no mate.
 
 References
 ----------
@@ -17,26 +17,29 @@ from scipy.optimize import minimize_scalar
 from isac_track.linkability.ranks import log_sum_exp
 from isac_track.types import Bools, Floats, Ints
 
-_SCALINGS: Final = 300
-_SCALED: Final = 1e-5
-_FARTHEST: Final = 200.0  # Nats: what is less likely is as good as impossible.
-# Probes, and candidates, that may be alone even if all have a mate.
+_MOST_SWEEPS: Final = 300
+_TOLERANCE: Final = 1e-5  # Greatest relative change of a factor in the last sweep.
+_MOST_NATS: Final = 200.0  # Pairs that are less likely are as good as impossible.
+# Expected number of probes, and of candidates, without a mate if all may have one.
 _LEAST_SLACK: Final = 1e-3
-# Logarithm of the greatest scale, and of the least, per spread of scores.
+# Greatest logarithm, up or down, of the scale per spread of scores.
 _STEEPEST: Final = 8.0
-# Of the squared scale per spread: keeps it finite without errors.
+# Penalty of the squared scale per spread: it stays finite where scores never err.
 _SCALE_PENALTY: Final = 1e-3
 
 
 def open_matches(log_ratios: Floats, *, n_links: float) -> Floats:
-    """Return how probable each pair is, (P, G), where a probe may be alone, and a candidate, too.
+    """Return the probability of each pair, (P, G), where some people have no mate.
 
-    A matching is as likely as the product of its pairs' ratios; `n_links` pairs are
-    expected in it. Rows and columns of exp(log_ratios), with a further row and column
-    for those who are alone, are scaled in turn until each probe's and each candidate's
-    sum is 1 and all pairs' is `n_links`. Exact probabilities take permanents; these put
-    the candidates in much the same order. A ratio may lack a factor that is common to
-    all pairs. ValueError for no pair, or a score that is not finite.
+    A matching is as likely as the product of its pairs' ratios; it has `n_links` pairs
+    on average. Rows and columns of exp(log_ratios), with a further row and column for
+    people without a mate, are scaled in turn. In the end each probe's and each
+    candidate's sum is 1, and that of all pairs is `n_links`. Exact probabilities take
+    permanents; these put the candidates in much the same order. A ratio may lack a
+    factor that is common to all pairs. ValueError for no pair, or a score that is not
+    finite.
+
+    `log_ratios`, (P, G), are log-likelihood ratios in nats.
     """
     if log_ratios.ndim != 2 or 0 in log_ratios.shape:  # noqa: PLR2004 - a matrix
         raise ValueError(
@@ -48,15 +51,15 @@ def open_matches(log_ratios: Floats, *, n_links: float) -> Floats:
     links = min(max(n_links, _LEAST_SLACK), min(n_probes, n_gallery) - _LEAST_SLACK)
     centred = log_ratios - np.median(log_ratios.max(axis=1))
     weight = np.ones((n_probes + 1, n_gallery + 1))
-    weight[:-1, :-1] = np.exp(np.clip(centred, -_FARTHEST, _FARTHEST))
+    weight[:-1, :-1] = np.exp(np.clip(centred, -_MOST_NATS, _MOST_NATS))
     weight[-1, -1] = 0.0
-    of_rows, of_columns = np.ones(n_probes + 1), np.ones(n_gallery + 1)
-    of_rows[-1], of_columns[-1] = n_gallery - links, n_probes - links
+    row_sums, column_sums = np.ones(n_probes + 1), np.ones(n_gallery + 1)
+    row_sums[-1], column_sums[-1] = n_gallery - links, n_probes - links
     columns = np.ones(n_gallery + 1)
-    for _ in range(_SCALINGS):
-        rows = of_rows / (weight @ columns)
-        scaled = of_columns / (rows @ weight)
-        is_done = np.abs(scaled / columns - 1.0).max() < _SCALED
+    for _ in range(_MOST_SWEEPS):
+        rows = row_sums / (weight @ columns)
+        scaled = column_sums / (rows @ weight)
+        is_done = np.abs(scaled / columns - 1.0).max() < _TOLERANCE
         columns = scaled
         if is_done:
             break
@@ -64,10 +67,9 @@ def open_matches(log_ratios: Floats, *, n_links: float) -> Floats:
 
 
 def most_probable(order: Ints, probability: Floats) -> tuple[Ints, Bools]:
-    """Return the most probable candidate of each probe, (P,), and who is rather alone, (P,).
+    """Return each probe's likeliest candidate, and whether no mate at all is likelier.
 
-    Of equals it is the first in this order of the columns, (G,). A probe is rather
-    alone if that is more probable than any one candidate.
+    (P,) each. Of equal candidates it is the first in this order of the columns, (G,).
     """
     best = order[probability[:, order].argmax(axis=1)]
     alone = 1.0 - probability.sum(axis=1)
@@ -75,22 +77,21 @@ def most_probable(order: Ints, probability: Floats) -> tuple[Ints, Bools]:
 
 
 def fit_scale(scores: Sequence[Floats], mates: Sequence[Ints]) -> float:
-    """Return by what scores are to be multiplied to be log-likelihood ratios within a row.
+    """Return the factor that turns scores into log-likelihood ratios within a row.
 
     It makes the mates of other people most probable among their candidates (conditional
-    logit). `scores` are of several galleries, (P, G) each, `mates` (P,) the column of
-    each probe's mate, or -1. 1 where no probe has a mate, or scores are constant.
+    logit). `scores`, (P, G), and `mates`, (P,), the column of each probe's mate or -1,
+    are given for several galleries. 1 where no probe has a mate, or scores are
+    constant.
     """
     rows = [
         (score[mate >= 0], mate[mate >= 0])
         for score, mate in zip(scores, mates, strict=True)
         if (mate >= 0).any()
     ]
-    spread = (
-        float(np.concatenate([score.ravel() for score, _ in rows]).std())
-        if rows
-        else 0.0
-    )
+    if not rows:
+        return 1.0
+    spread = float(np.concatenate([score.ravel() for score, _ in rows]).std())
     if not spread > 0.0:
         return 1.0
 

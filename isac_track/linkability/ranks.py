@@ -1,8 +1,8 @@
-"""Where the mate stands among the gallery: rank metrics, and the assignment of all at once.
+"""Rank metrics, and the assignment of all probes at once.
 
 Ties carry no information: rank metrics are expectations under a random order of equal
 scores, and assignments are made in a random order of the columns. `scores`, (P, G), and
-`mate`, (P,), are as in `Search`, which says what is a ValueError.
+`mate`, (P,), are as in `Search`, which lists the causes of a ValueError.
 
 References
 ----------
@@ -20,22 +20,41 @@ import numpy as np
 from isac_track.types import Floats, Ints
 
 GALLERY = 100
-"""Candidates, the mate included, among whom `rank1_among` asks for the first: the measure that
-compares over recordings, whose galleries differ. A guess hits one time in so many."""
+"""Candidates, the mate included, in the gallery of `rank1_among`.
+
+The measure compares over recordings, whose galleries differ. A guess hits one time in
+100.
+"""
 REACH = 10
-"""No gallery larger than so many times the one measured, and the other rate is of so small a part
-of it."""
-FEWEST = 3  # Candidates of the smallest gallery that a rate is read of.
-_SCALINGS, _SCALED = 100, 1e-6
-_AT_A_TIME: Final = 20  # Of these by factors, before a sweep of logarithms.
+"""Largest predicted gallery per measured gallery.
+
+The second, smaller gallery of the prediction is as much smaller than the measured.
+"""
+FEWEST = 3  # Candidates in the smallest gallery that a rate is read from.
+# Sweeps of Sinkhorn's scaling, and how near to 1 sums have to come.
+_MOST_SWEEPS, _TOLERANCE = 100, 1e-6
+_SWEEPS_BY_FACTORS: Final = 20  # Of these at a time, before a sweep of logarithms.
 _LEAST_SUM: Final = 1e-250  # Smaller sums would leave the range of numbers.
-_STEPS = 60
-_ENDS = np.log([1e-6, 1e9])
+_STEPS = 60  # Bisections for the scale of the gamma distribution.
+_LOG_RANGE = np.log([1e-6, 1e9])  # Logarithms of its least and greatest value.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Search:
     """Scores of P probes against one gallery of G releases.
+
+    Attributes
+    ----------
+    scores : Floats
+        Scores, (P, G), higher for the same person; finite.
+    mate : Ints
+        Column of each probe's mate, (P,); -1 if it has none in this gallery (open set).
+    probe_cluster : Ints
+        Cluster (person or walking group) of each probe, (P,).
+    gallery_cluster : Ints
+        Cluster of each candidate, (G,).
+    scale : int
+        Searches of one scale come from one fitted attack: their scores compare.
 
     Raises
     ------
@@ -44,12 +63,10 @@ class Search:
         share one, or a cluster is negative.
     """
 
-    scores: Floats  # (P, G) the higher, the rather the same person; finite.
-    # (P,) column of the probe's mate; -1 if it has none in this gallery (open set).
+    scores: Floats
     mate: Ints
-    probe_cluster: Ints  # (P,) cluster (person or walking group) of each probe.
-    gallery_cluster: Ints  # (G,)
-    # Searches of one scale come from one fitted attack: their scores compare.
+    probe_cluster: Ints
+    gallery_cluster: Ints
     scale: int = 0
 
     def __post_init__(self) -> None:
@@ -90,9 +107,21 @@ def _check_scores(scores: Floats, mate: Ints) -> None:
 
 
 def rank1(*, scores: Floats, mate: Ints) -> Floats:
-    """Return the expected hit of each probe, (P,): 1 / t if its mate is among t at the top.
+    """Return the expected hit of each probe, (P,); NaN for a probe without a mate.
 
-    NaN for a probe without a mate.
+    It is 1 / t if the mate is among t candidates at the top, else 0. `scores` are
+    (P, G), `mate` is (P,), and both raise as `Search`.
+
+    Examples
+    --------
+    The first probe's mate is on top, the second's shares the top with another
+    candidate, the third's is beaten:
+
+    >>> import numpy as np
+    >>> from isac_track.linkability import rank1
+    >>> scores = np.array([[3.0, 1.0, 0.0], [0.0, 2.0, 2.0], [5.0, 0.0, 4.0]])
+    >>> rank1(scores=scores, mate=np.array([0, 1, 2]))
+    array([1. , 0.5, 0. ])
     """
     _check_scores(scores, mate)
     return np.where(mate < 0, np.nan, expected_hit(*standing(scores, mate)))
@@ -101,43 +130,51 @@ def rank1(*, scores: Floats, mate: Ints) -> Floats:
 def rank1_among(
     *, above: Ints, tied: Ints, candidates: Ints, gallery: int = GALLERY
 ) -> Floats:
-    """Return how often each probe's mate comes first among candidates drawn at random, (P,).
+    """Return the rate at which each mate comes first among random candidates, (P,).
 
     Exact over all galleries that hold the mate and gallery - 1 of the N - 1 others: C(N
     - 1 - m, gallery - 1) / C(N - 1, gallery - 1) with m others at or above the mate,
-    the mean over the places that a tie leaves it. NaN where there are fewer candidates
-    than that. Of each probe are told the candidates `above` the mate, as high (the mate
-    included), and in all, (P,).
+    the mean over the places that a tie leaves it. `above`, `tied` and `candidates`,
+    (P,), are the numbers of candidates above the mate, as high (the mate included), and
+    in all. NaN where there are fewer candidates than `gallery`.
     """
     first: Floats = np.full(above.shape, np.nan)
     for n in np.unique(candidates[candidates >= gallery]).tolist():
-        mine, sums = candidates == n, _sums_passed_over(n, gallery)
-        first[mine] = (sums[(above + tied)[mine]] - sums[above[mine]]) / tied[mine]
+        is_size, sums = candidates == n, _sums_passed_over(n, gallery)
+        first[is_size] = (sums[(above + tied)[is_size]] - sums[above[is_size]]) / tied[
+            is_size
+        ]
     return first
 
 
-@lru_cache(maxsize=256)  # of a task they are the same for every attack
+@lru_cache(maxsize=256)  # The same for every attack on a task.
 def _sums_passed_over(n: int, gallery: int) -> Floats:
-    """Return how often m others are all passed over, summed below each m of 0..n, (n + 1,)."""
-    # The m-th is, by a draw of gallery - 1 among those who are left.
+    """Return the chance to pass over m others, summed over values below m, (n + 1,).
+
+    A random gallery passes over m others if it holds none of them; m is 0..n.
+    """
+    # Given that it passes over m - 1 others, it passes over the m-th with this chance.
     left = np.arange(n - 1.0, 0.0, -1.0)
     passed = np.cumprod(np.append(1.0, np.maximum(left - (gallery - 1), 0.0) / left))
     return np.append(0.0, np.cumsum(passed))
 
 
 def reciprocal_rank(*, scores: Floats, mate: Ints) -> Floats:
-    """Return the expected 1 / rank of each probe's mate, (P,); NaN for one without."""
+    """Return the expected 1 / rank of each probe's mate, (P,); NaN without a mate.
+
+    `scores` are (P, G), `mate` is (P,); both raise as `Search`.
+    """
     _check_scores(scores, mate)
     expected = expected_reciprocal(*standing(scores, mate), scores.shape[1])
     return np.where(mate < 0, np.nan, expected)
 
 
 def log_rank(*, scores: Floats, mate: Ints) -> Floats:
-    """Return the expected -log(rank / G) of each probe's mate, (P,); NaN for one without.
+    """Return the expected -log(rank / G) of each mate, (P,); NaN without a mate.
 
     Zero at the bottom, log G at the top: every halving of the rank counts the same, in
     galleries of any size. The logarithm of a mid-rank would rate a tie above what it is
-    worth.
+    worth. `scores` are (P, G), `mate` is (P,); both raise as `Search`. It is in nats.
     """
     _check_scores(scores, mate)
     (above, tied), n_gallery = standing(scores, mate), scores.shape[1]
@@ -147,7 +184,7 @@ def log_rank(*, scores: Floats, mate: Ints) -> Floats:
 
 
 def mean_log_rank(searches: Sequence[Search]) -> float:
-    """Return the mean `log_rank` over the mated probes of all searches; NaN without one."""
+    """Return the mean `log_rank` over all mated probes, in nats; NaN without any."""
     values = np.concatenate([log_rank(scores=s.scores, mate=s.mate) for s in searches])
     values = values[~np.isnan(values)]
     return float(values.mean()) if values.size else float("nan")
@@ -156,28 +193,37 @@ def mean_log_rank(searches: Sequence[Search]) -> float:
 def assign(
     *, scores: Floats, rng: np.random.Generator, no_match_score: float | None = None
 ) -> Ints:
-    """Return the column assigned to each probe, (P,), at most one probe a column; -1 for none.
+    """Return the column assigned to each probe, (P,), or -1; each column at most once.
 
-    The sum of the assigned scores is the largest there is. The columns are put in a
-    random order first, one permutation from `rng`, so that ties cannot tell the mate by
-    its place. A pair must score more than `no_match_score`, which is what leaving a
-    probe unassigned scores; without it every probe is assigned, as far as the gallery
-    reaches.
+    The sum of the assigned scores is the largest possible. One permutation from `rng`
+    first puts the columns in a random order, so that ties cannot reveal the mate by its
+    place. An assigned pair must score more than `no_match_score`, the score of an
+    unassigned probe. Without it every probe is assigned, as far as the gallery reaches.
+    ValueError unless `scores`, (P, G), are a matrix of finite numbers.
+
+    Examples
+    --------
+    Both probes score highest with the first candidate. Together they do better:
+
+    >>> import numpy as np
+    >>> from isac_track.linkability import assign
+    >>> scores = np.array([[5.0, 4.0], [5.0, 0.0]])
+    >>> assign(scores=scores, rng=np.random.default_rng(0))
+    array([1, 0])
     """
     _check_finite(scores)
     return assign_in(rng.permutation(scores.shape[1]), scores, no_match_score)
 
 
 def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
-    """Return `assign` of finite scores whose columns are put in this order."""
-    from isac_track.linkability import (  # noqa: PLC0415 - heavy, and not all assign
-        _loops,
-    )
+    """Assign finite scores with the columns in this order: see `assign`."""
+    # Imported here: numba is heavy, and not every user assigns.
+    from isac_track.linkability import _loops  # noqa: PLC0415
 
     gain = scores[:, order]
     if no_match_score is not None:
-        # As good as a column of its own for every probe, and half the matrix: a probe
-        # that would be left alone may as well take a column where it gains nothing.
+        # Equivalent to a column of its own for every probe, with half the matrix: a
+        # probe that would stay unassigned may take a column where it gains nothing.
         gain = np.maximum(gain - no_match_score, 0.0)
     is_tall = gain.shape[0] > gain.shape[1]
     columns = np.empty(min(gain.shape), dtype=np.int64)
@@ -204,37 +250,37 @@ def log_sum_exp(values: Floats, *, axis: int) -> Floats:
 
 
 def soft_matches(scores: Floats) -> Floats:
-    """Return the log probability of every pair where each probe has a mate and nobody two, (N, N).
+    """Return the log probability of every pair if each probe has its own mate, (N, N).
 
     Scores are log likelihood ratios; a matching is as likely as the product of its
-    pairs'. How probable a pair is takes permanents: Sinkhorn's scaling (Annals of
+    pairs' ratios. Exact probabilities take permanents: Sinkhorn's scaling (Annals of
     Mathematical Statistics 35, 1964) approximates them. Rows and columns of exp(scores)
-    are divided by their sums, in turn, until they are 1, to 1e-6, or 100 times.
-    ValueError unless (N, N) and finite.
+    are divided by their sums in turn until these are 1, to 1e-6, or 100 times.
+    ValueError unless scores are (N, N) and finite.
     """
     _check_finite(scores)
     if scores.shape[0] != scores.shape[1]:
         raise ValueError(f"as many candidates as probes are needed, got {scores.shape}")
     log_p, n_sweeps, is_scaled = scores, 0, False
-    while n_sweeps < _SCALINGS and not is_scaled:
-        of_rows = log_sum_exp(log_p, axis=1)
-        log_p = log_p - of_rows
+    while n_sweeps < _MOST_SWEEPS and not is_scaled:
+        row_sums = log_sum_exp(log_p, axis=1)
+        log_p = log_p - row_sums
         log_p -= log_sum_exp(log_p, axis=0)
         n_sweeps += 1
-        is_scaled = bool(np.abs(of_rows).max() < _SCALED)
+        is_scaled = bool(np.abs(row_sums).max() < _TOLERANCE)
         if not is_scaled:
-            most = min(_AT_A_TIME, _SCALINGS - n_sweeps)
+            most = min(_SWEEPS_BY_FACTORS, _MOST_SWEEPS - n_sweeps)
             log_p, n_more, is_scaled = _scaled_by_factors(log_p, most=most)
             n_sweeps += n_more
     return log_p
 
 
 def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
-    """Return a matrix after at most so many sweeps, their number, and whether rows were 1.
+    """Scale a matrix by factors of rows and columns, in at most `most` sweeps.
 
-    Factors of rows and columns take a fraction of the time of logarithms of sums. They
-    stop before a sum leaves the range of numbers: the caller's next sweep is of
-    logarithms.
+    Returns its logarithm, the number of sweeps, and whether the sums of rows were 1.
+    Factors take a fraction of the time of logarithms of sums. The sweeps stop before a
+    sum leaves the range of numbers: the caller's next sweep is of logarithms.
     """
     p = np.exp(log_p)
     rows, columns = np.ones(len(p)), np.ones(len(p))
@@ -247,14 +293,17 @@ def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
         by_columns = next_rows @ p
         if by_columns.min() < _LEAST_SUM:
             break
-        is_scaled = bool(np.abs(np.log(rows * by_rows)).max() < _SCALED)
+        is_scaled = bool(np.abs(np.log(rows * by_rows)).max() < _TOLERANCE)
         rows, columns = next_rows, 1.0 / by_columns
         n_sweeps += 1
     return log_p + np.log(rows)[:, None] + np.log(columns), n_sweeps, is_scaled
 
 
 def chance(searches: Sequence[Search]) -> float:
-    """Return the expected rank-1 rate of guessing: the mean of 1 / G over mated probes."""
+    """Return the expected rank-1 rate of guessing: mean of 1 / G over mated probes.
+
+    NaN without a mated probe.
+    """
     counts = np.array([(search.mate >= 0).sum() for search in searches])
     sizes = np.array([search.scores.shape[1] for search in searches])
     return (
@@ -263,23 +312,29 @@ def chance(searches: Sequence[Search]) -> float:
 
 
 def residual_risk(*, success: float, control: float) -> float:
-    """Return (success - control) / (1 - control): what an attack adds to its control.
+    """Return (success - control) / (1 - control), the attack's gain over its control.
 
     Negative where the attack is worse, 1 where it always succeeds, NaN where the
-    control does.
+    control always succeeds. Both are rates, 0..1. Giomi, Boenisch, Wehmeyer, Tasnadi,
+    PoPETs 2023(2).
+
+    >>> from isac_track.linkability import residual_risk
+    >>> residual_risk(success=0.75, control=0.5)
+    0.5
     """
     return (success - control) / (1.0 - control) if control != 1.0 else float("nan")
 
 
 def expected_hit(above: Ints, tied: Ints) -> Floats:
-    """Return `rank1` of who has so many above it, and as many as high, itself included."""
+    """Return `rank1` given the candidates above the mate and those as high, (P,)."""
     return np.where(above == 0, 1.0 / tied, 0.0)
 
 
 def among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Ints) -> Ints:
-    """Return who is above each probe's mate, as high, and in all, without companions, (3, P).
+    """Count the strangers above each mate, as high, and in all, (3, P).
 
-    Of `ProbeRanks`; the mate counts among those as high and in all.
+    Strangers are candidates other than companions. The arguments are the fields of
+    `ProbeRanks`. The mate counts among those as high and in all.
     """
     along, along_above, along_tied = companions.T
     candidates = np.rint(1.0 / chance).astype(np.int64) - along
@@ -287,13 +342,13 @@ def among_strangers(above: Ints, tied: Ints, chance: Floats, companions: Ints) -
 
 
 def first_among(strangers: Ints, gallery: int = GALLERY) -> Floats:
-    """Return `rank1_among` of what `among_strangers` returns, (P,)."""
+    """Return `rank1_among`, (P,), from the counts of `among_strangers`."""
     above, tied, candidates = strangers
     return rank1_among(above=above, tied=tied, candidates=candidates, gallery=gallery)
 
 
 def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
-    """Return `reciprocal_rank` likewise; `n_gallery` is the largest there is."""
+    """Return `reciprocal_rank` from such counts; `n_gallery` is the largest gallery."""
     harmonic = np.append(0.0, np.cumsum(1.0 / np.arange(1, n_gallery + 1)))
     return np.asarray((harmonic[above + tied] - harmonic[above]) / tied)
 
@@ -305,9 +360,9 @@ def log_factorials(n: int) -> Floats:
 
 
 def standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
-    """Return how many score above each probe's mate, and how many as high, itself included.
+    """Count candidates above each probe's mate, and those as high, itself included.
 
-    (P,) each; of a probe without a mate they say nothing.
+    (P,) each, without meaning for a probe without a mate.
     """
     own = scores[np.arange(mate.size), mate][:, None]
     return (scores > own).sum(axis=1), (scores == own).sum(axis=1)
@@ -316,41 +371,41 @@ def standing(scores: Floats, mate: Ints) -> tuple[Ints, Ints]:
 def predicted_rank1(
     *, small: Floats, large: Floats, sizes: tuple[int, int], gallery: int
 ) -> Floats:
-    """Return rank 1 in a `gallery` by the law through two rates, (B,), of galleries of two `sizes`.
+    """Predict rank 1 in a larger `gallery` from two rates, (B,), at two `sizes`.
 
-    With p_i the share of impostors ahead of a probe's mate, r(G) = mean of (1 - p_i)^(G
-    - 1) probes find their mate first among G candidates. Beyond the gallery that was
-    measured, a probe with nobody ahead is not one whom nobody would ever be ahead of:
-    here the p_i have a gamma distribution, so that r(G) = (1 + (G - 1) / b)^-a, through
-    the two rates. It is 1 where the larger has no failure, 0 where it has no hit.
-    ValueError unless sizes[0] is at least 2 and below sizes[1], and this no more than
-    `gallery`.
+    With p_i the share of impostors ahead of a probe's mate, a share r(G) = mean of (1 -
+    p_i)^(G - 1) of probes find their mate first among G candidates. In a larger gallery
+    somebody may be ahead of a mate that nobody is ahead of in the measured gallery. So
+    the p_i have a gamma distribution here: r(G) = (1 + (G - 1) / b)^-a, through the two
+    rates. It is 1 where the larger has no failure, 0 where it has no hit. ValueError
+    unless 2 <= sizes[0] < sizes[1] <= gallery.
     """
     if not 2 <= sizes[0] < sizes[1] <= gallery:  # noqa: PLR2004 - a mate and an impostor
         raise ValueError(f"galleries must grow from 2, got {sizes} and {gallery}")
-    first, second, wanted = (float(one - 1) for one in (*sizes, gallery))
+    first, second = (float(size - 1) for size in sizes)
+    wanted = float(gallery - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         logs = np.log(np.clip(large, 0.0, 1.0))
         steepness = np.nan_to_num(
             logs / np.log(np.clip(small, 0.0, 1.0)), nan=1.0, posinf=np.inf
         )
     # The ratio of both logarithms grows with b, from 1 to that of the galleries.
-    low, high = np.full(large.shape, _ENDS[0]), np.full(large.shape, _ENDS[1])
+    low, high = np.full(large.shape, _LOG_RANGE[0]), np.full(large.shape, _LOG_RANGE[1])
     for _ in range(_STEPS):
         middle = 0.5 * (low + high)
         scale = np.exp(middle)
         below = np.log1p(second / scale) < steepness * np.log1p(first / scale)
         low, high = np.where(below, middle, low), np.where(below, high, middle)
     scale = np.exp(0.5 * (low + high))
-    found = np.exp(logs * (np.log1p(wanted / scale) / np.log1p(second / scale)))
-    return np.asarray(np.where(np.isnan(large) | np.isnan(small), np.nan, found))
+    rate = np.exp(logs * (np.log1p(wanted / scale) / np.log1p(second / scale)))
+    return np.asarray(np.where(np.isnan(large) | np.isnan(small), np.nan, rate))
 
 
 def reach(measured: int) -> int:
-    """Return the largest gallery that is predicted from one that was measured; 0 for none.
+    """Return the largest gallery that can be predicted from a measured one; 0 for none.
 
-    At most `REACH` times as large, and such that the same step could be tried within
-    what was measured: from galleries of `FEWEST` and more.
+    At most `REACH` times as large, and such that a step of the same ratio fits within
+    the measured gallery: from galleries of `FEWEST` and more.
     """
     most = min(REACH * measured, measured * measured // (REACH * FEWEST))
     return most if most > measured else 0

@@ -1,4 +1,4 @@
-"""Score metrics of one scale: the data's, and those of bootstrap replicates, all in one pass.
+"""Score metrics of one scale, for the data and all bootstrap replicates in one pass.
 
 References
 ----------
@@ -21,9 +21,12 @@ from isac_track.linkability.significance import People, import_loops, mated_prob
 from isac_track.types import Floats, Ints
 
 SCORE_REPLICATES = 200
-"""Bootstrap replicates of score metrics; one visits every pair, where a rank metric visits every
-probe. The ends of a 95 % interval from 200 replicates have a standard error of 0.19
-standard deviations of the estimate (0.08 from 1,000)."""
+"""Bootstrap replicates of score metrics.
+
+Each visits every pair, where a replicate of a rank metric visits every probe. The ends
+of a 95 % interval from 200 replicates have a standard error of 0.19 standard deviations
+of the estimate (0.08 from 1,000).
+"""
 
 LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
 METRICS = ("auc", "eer", "cllr_min", *LEVELS, "d_sys", "d_sys_published", "cllr")
@@ -38,8 +41,8 @@ _COLUMNS = (
     "tpr_at_fpr_01pct",
     "realised_fpr_01pct",
 )
-"""What the loop over the scores writes."""
-# Numbers that a vector instruction treats at most: replicates are a multiple of it.
+"""Rows that the loop `read_scores` writes."""
+# Most numbers that a vector instruction treats: replicates are a multiple of it.
 _LANES = 16
 
 
@@ -52,34 +55,35 @@ class Cells:
     """
 
     breaks: Floats
-    """Distinct mated scores and inner edges of the `d_sys` bins: cells are as in `rank_rows`."""
-    bins: NDArray[np.uint8]  # `d_sys` bin of every cell.
+    """Distinct mated scores and inner edges of `d_sys` bins: see `rank_rows`."""
+    bins: NDArray[np.uint8]  # (cells,) `d_sys` bin of every cell.
     counts: Ints  # (cells, 2) non-mated and mated scores in each.
     null_bins: NDArray[np.uint16]  # (bins, n_shuffles) scores of shuffled mates.
     trials: Sequence[tuple[Search, People]]
-    places: list[NDArray[np.int32]]  # The cell of every score, (P, G) each.
+    places: list[NDArray[np.int32]]  # The cell of every score, (P, G) for each search.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Weighed:
-    """The people of one scale, clusters 0..C - 1, and their weights: the same for every attack."""
+    """Weights of the clusters 0..C - 1 of one scale: the same for every attack."""
 
-    who: tuple[Ints, ...]
-    """(S, 2) probes and candidates of each search; clusters of the former, of the latter; mates."""
+    searches: tuple[Ints, ...]
+    """(S, 2) numbers of probes and candidates of each search, clusters of all probes,
+    clusters of all candidates, and mates of all probes.
+    """
     table: NDArray[np.uint8]
-    """(C + 1, R or a few more) weights; replicate 0 weighs every cluster once: the data."""
+    """(C + 1, R or a few more) weights; replicate 0 is the data: every weight is 1."""
     totals: Floats
-    """(2, R or a few more) of all mated and of all non-mated scores."""
+    """(2, R or a few more) weights of all mated and of all non-mated scores."""
     rows: tuple[tuple[Floats, Floats], ...]
-    """(P, R) of the probes of each search, and (G, R) of its candidates."""
-    within: tuple[
-        tuple[Ints, ...], ...
-    ]  # Which pairs of each search are of one cluster.
+    """(P, R) weights of the probes of each search, and (G, R) of its candidates."""
+    # Probes and candidates of the pairs within a cluster, for each search.
+    within: tuple[tuple[Ints, ...], ...]
 
 
 @dataclass(frozen=True, slots=True)
 class _Same:
-    """Weights that nobody can write to, and that are the same only if they are one array."""
+    """Read-only weights, hashed and compared by identity as the key of a cache."""
 
     weights: Floats
 
@@ -96,7 +100,7 @@ class Scale:
 
     values: dict[str, Floats]
     """(R,) by metric, and the FPR of each TPR; first the data, then the replicates."""
-    mass: Floats  # (R,) of mated scores; 0 where a class has no weight.
+    mass: Floats  # (R,) weight of mated scores; 0 where either class has no weight.
     bias: float  # Mean `d_sys` under shuffled mates.
     n_mated: int
     n_non_mated: int
@@ -104,9 +108,9 @@ class Scale:
 
 
 def cut_scores(trials: Sequence[tuple[Search, People]], n_shuffles: int) -> Cells:
-    """Return the cells of the scores of one scale, as yet without a count or a place."""
+    """Cut the scores of one scale into cells, as yet without counts and places."""
     mated = [(search.scores, mated_probes(people)) for search, people in trials]
-    own = np.concatenate([table[of.probes, of.mate] for table, of in mated])
+    own = np.concatenate([table[chosen.probes, chosen.mate] for table, chosen in mated])
     n_bins = scores.default_bins(own.size)
     ends = [(float(table.min()), float(table.max())) for table, _ in mated]
     edges = scores.inner_edges(min(ends)[0], max(high for _, high in ends), n_bins)
@@ -127,20 +131,22 @@ def score_scale(
 ) -> Scale:
     """Return the score metrics of one scale.
 
-    After the data and the replicates come those of the data without each of some
-    clusters.
+    After the data and the replicates come the data without each of the clusters
+    `without`.
     """
     searches = tuple(people for _, people in cut.trials)
-    # The next attack on the same people has the same weights.
-    kept = _weighed.__wrapped__ if weights.flags.writeable else _weighed
-    people = kept(searches, _Same(weights), without)
+    # The next attack on the same people has the same weights: they are cached, unless
+    # somebody may still write to them.
+    weigh = _weigh_clusters.__wrapped__ if weights.flags.writeable else _weigh_clusters
+    weighing = weigh(searches, _Same(weights), without)
     loops, counts = import_loops(), cut.counts
-    columns = np.empty((len(_COLUMNS), people.table.shape[1]))
+    cells = np.concatenate([cell.ravel() for cell in cut.places])
+    columns = np.empty((len(_COLUMNS), weighing.table.shape[1]))
     loops.read_scores(
-        people.table,
-        (*people.who, np.concatenate([cell.ravel() for cell in cut.places]), counts),
+        weighing.table,
+        (*weighing.searches, cells, counts),
         cut.bins,
-        people.totals,
+        weighing.totals,
         np.array([*LEVELS.values()]),
         columns,
     )
@@ -153,9 +159,9 @@ def score_scale(
         loops.mean_shares(cut.null_bins, total.astype(np.int64), null)
         bias = float(null.mean())
 
-    # Some replicates more are there for the loops alone.
-    n_replicates = people.rows[0][0].shape[1]
-    total_mated, total_non_mated = people.totals[:, :n_replicates]
+    # A few further replicates only fill up the vector instructions.
+    n_replicates = weighing.rows[0][0].shape[1]
+    total_mated, total_non_mated = weighing.totals[:, :n_replicates]
     is_defined = (total_mated > 0) & (total_non_mated > 0)
     defined = np.where(is_defined, columns[:, :n_replicates], np.nan)
     values = {
@@ -163,85 +169,102 @@ def score_scale(
         "cllr": np.full(n_replicates, np.nan),
     }
     if calibration is not None:
-        mated_cost, non_mated_cost = _costs(people, cut.trials, calibration)
+        mated_cost, non_mated_cost = _costs(weighing, cut.trials, calibration)
         with np.errstate(divide="ignore", invalid="ignore"):
-            both = mated_cost / total_mated + non_mated_cost / total_non_mated
-        values["cllr"] = np.where(is_defined, both / (2.0 * math.log(2.0)), np.nan)
+            cost = mated_cost / total_mated + non_mated_cost / total_non_mated
+        values["cllr"] = np.where(is_defined, cost / (2.0 * math.log(2.0)), np.nan)
     mass = np.where(is_defined, total_mated, 0.0)
     return Scale(values, mass, bias, n_mated, n_non_mated, cut.null_bins.shape[0])
 
 
 @lru_cache(maxsize=8)
-def _weighed(
+def _weigh_clusters(
     searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
 ) -> _Weighed:
+    """Return the weights of all pairs of these searches; the last eight are cached."""
     arrays = [
-        [np.frombuffer(each, dtype=np.int64) for each in search] for search in searches
+        [np.frombuffer(array, dtype=np.int64) for array in search]
+        for search in searches
     ]
-    mate = np.concatenate([each for each, *_ in arrays])
-    shapes = np.array([[one.size, two.size] for _, one, two in arrays])
-    clusters = np.unique(np.concatenate([each for _, *both in arrays for each in both]))
-    drawn = same.weights[:SCORE_REPLICATES, clusters].T
-    others = clusters[:, None] != np.array(without)
-    rows = np.column_stack([np.ones(clusters.size), drawn, others])
-    table = np.zeros(
-        (len(rows) + 1, -(-rows.shape[1] // _LANES) * _LANES), dtype=np.uint8
+    mate = np.concatenate([mates for mates, _, _ in arrays])
+    shapes = np.array([[probes.size, others.size] for _, probes, others in arrays])
+    clusters = np.unique(
+        np.concatenate([array for _, *pair in arrays for array in pair])
     )
-    table[:-1, : rows.shape[1]], table[-1] = rows, 1
-    if not np.array_equal(table[:-1, : rows.shape[1]], rows):
+    drawn = same.weights[:SCORE_REPLICATES, clusters].T
+    is_left = clusters[:, None] != np.array(without)
+    rows = np.column_stack([np.ones(clusters.size), drawn, is_left])
+    n_weights = rows.shape[1]
+    n_padded = -(-n_weights // _LANES) * _LANES
+    table = np.zeros((len(rows) + 1, n_padded), dtype=np.uint8)
+    table[:-1, :n_weights], table[-1] = rows, 1
+    if not np.array_equal(table[:-1, :n_weights], rows):
         raise ValueError("weights must be counts, 0 to 255")
-    places = [[np.searchsorted(clusters, each) for each in both] for _, *both in arrays]
-    own, other = (np.concatenate(each) for each in zip(*places, strict=True))
-    weighed = tuple((rows[one], rows[two]) for one, two in places)
-    within = tuple(np.nonzero(one[:, None] == two) for one, two in places)
-    totals = np.zeros((2, table.shape[1]))
-    for search, weights, alike in zip(searches, weighed, within, strict=True):
+    places = [
+        (np.searchsorted(clusters, probes), np.searchsorted(clusters, others))
+        for _, probes, others in arrays
+    ]
+    weighed = tuple((rows[probes], rows[others]) for probes, others in places)
+    within = tuple(np.nonzero(probes[:, None] == others) for probes, others in places)
+    totals = np.zeros((2, n_padded))
+    for search, weights, same_cluster in zip(searches, weighed, within, strict=True):
         mated, pairs = mated_probes(search), np.ones((len(weights[0]), len(weights[1])))
         pairs[mated.probes, mated.mate] = 0.0
-        totals[0, : rows.shape[1]] += weights[0][mated.probes].sum(axis=0)
-        totals[1, : rows.shape[1]] += _summed(pairs, *weights, alike)
-    return _Weighed((shapes, own, other, mate), table, totals, weighed, within)
+        totals[0, :n_weights] += weights[0][mated.probes].sum(axis=0)
+        totals[1, :n_weights] += _summed(pairs, *weights, same_cluster)
+    first = np.concatenate([probes for probes, _ in places])
+    second = np.concatenate([others for _, others in places])
+    return _Weighed((shapes, first, second, mate), table, totals, weighed, within)
 
 
 def _costs(
-    people: _Weighed, trials: Sequence[tuple[Search, People]], calibration: Calibration
+    weighing: _Weighed,
+    trials: Sequence[tuple[Search, People]],
+    calibration: Calibration,
 ) -> tuple[Floats, Floats]:
-    """Return the summed cost of either class as evidence, (R,) each, in nats."""
-    own, between = np.zeros((2, people.rows[0][0].shape[1]))
-    for (search, who), rows, within in zip(
-        trials, people.rows, people.within, strict=True
+    """Return the summed cost of each class as evidence, (R,) each, in nats."""
+    mated_cost, non_mated_cost = np.zeros((2, weighing.rows[0][0].shape[1]))
+    for (search, people), rows, within in zip(
+        trials, weighing.rows, weighing.within, strict=True
     ):
-        mated = mated_probes(who)
+        mated = mated_probes(people)
         mates = mated.probes, mated.mate
         llr = calibration.slope * search.scores + calibration.intercept
-        own += scores.softplus(-llr[mates]) @ rows[0][mated.probes]
+        mated_cost += scores.softplus(-llr[mates]) @ rows[0][mated.probes]
         costs = scores.softplus(llr)
         costs[mates] = 0.0
-        between += _summed(costs, *rows, within)
-    return own, between
+        non_mated_cost += _summed(costs, *rows, within)
+    return mated_cost, non_mated_cost
 
 
 def _summed(
-    of_pairs: Floats, first: Floats, second: Floats, within: tuple[Ints, ...]
+    pair_values: Floats, first: Floats, second: Floats, within: tuple[Ints, ...]
 ) -> Floats:
-    """Return the weighted sum over non-mated pairs, (R,); `of_pairs`, (P, G), is overwritten."""
-    # Within a cluster, a pair weighs no more than the probe.
-    once = np.bincount(within[0], weights=of_pairs[within], minlength=len(first))
-    of_pairs[within] = 0.0
-    return np.asarray(once @ first + np.einsum("pr,pr->r", of_pairs @ second, first))
+    """Return the weighted sum over non-mated pairs, (R,); overwrites `pair_values`.
 
-
-def over_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:
-    """Return the values of `Scale`: means, weighted by each replicate's mass of mated scores.
-
-    NaN where no scale has both classes, and where a TPR is refused: on the non-mated
-    pairs of one of `n_searches`, in the mean, since those of several are of the same
-    few people again.
+    `pair_values` are (P, G), the weights `first` and `second` (P, R) and (G, R).
     """
-    mass = np.stack([one.mass for one in results])[:, None]
-    of_scales = np.stack([[*one.values.values()] for one in results])
+    # Within a cluster, a pair weighs no more than the probe.
+    cluster_sums = np.bincount(
+        within[0], weights=pair_values[within], minlength=len(first)
+    )
+    pair_values[within] = 0.0
+    return np.asarray(
+        cluster_sums @ first + np.einsum("pr,pr->r", pair_values @ second, first)
+    )
+
+
+def average_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:
+    """Return the means of `Scale.values` over scales, weighted by mated scores.
+
+    NaN where no scale has both classes, and where a TPR is refused. A TPR is judged by
+    the mean number of non-mated pairs of the `n_searches`: several searches have the
+    same few people.
+    """
+    mass = np.stack([result.mass for result in results])[:, None]
+    scale_values = np.stack([list(result.values.values()) for result in results])
     with np.errstate(invalid="ignore"):
-        weighted = np.where(mass > 0, of_scales * mass, 0.0)
+        weighted = np.where(mass > 0, scale_values * mass, 0.0)
         mean = dict(
             zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True)
         )

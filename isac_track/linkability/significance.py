@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,15 +15,21 @@ from isac_track.linkability.ranks import Search, log_factorials
 from isac_track.types import Floats, Ints, stretches
 
 Outcome: TypeAlias = Literal["links", "no link detected", "attack too weak"]
+"""Finding of a test of linkage, as `outcome` returns it."""
+LEVEL = 0.05
+"""Significance level of the tests."""
+# Scores that are ranked at a time: those of thousands of people take 400 MB at once.
+_SCORES_AT_ONCE = 2**20
+# Bits of a double that a number in single precision leaves unused.
+_SPARE_BITS = 2**29 - 1
 
-People: TypeAlias = tuple[bytes, bytes, bytes]
-"""Mates and clusters of a search, as 64-bit integers: unlike arrays, bytes are hashed."""
 
-LEVEL = 0.05  # Of the tests.
-_AT_ONCE = (
-    2**20
-)  # Scores that are ranked at a time: of thousands of people all take 400 MB.
-_SPARE = 2**29 - 1  # Bits that a number in single precision leaves unused in double.
+class People(NamedTuple):
+    """Mates and clusters of a search, as bytes of 64-bit integers: these are hashed."""
+
+    mate: bytes
+    probe_cluster: bytes
+    gallery_cluster: bytes
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,7 +39,7 @@ class Mated:
     probes: Ints  # (N,) cluster by cluster, those of the smallest first
     mate: Ints  # (N,) their columns
     sizes: Ints  # (A,) of clusters, ascending
-    n_alike: Ints  # (A,) clusters of each size
+    n_clusters: Ints  # (A,) number of clusters of each size
 
 
 def permutation_p(
@@ -44,12 +50,13 @@ def permutation_p(
     (1 + #{shuffled >= observed}) / (1 + n_shuffles), which is valid for any number of
     shuffles. 1 without a mated probe.
 
-    People of one walking group resemble each other within a release, linked or not:
-    mates that are shuffled one by one vary too little, and reject far too often. So in
-    each search whole clusters of mated probes are permuted among those with equally
-    many, and members freely within each: a mated probe gets the mate of some member of
-    the cluster that its own is mapped to. With one probe a cluster this is a uniform
-    permutation of the mates; who is nobody's mate is never drawn.
+    People of one walking group resemble each other within a release, linked or not. If
+    mates were shuffled individually, the statistic would vary too little, and the test
+    would reject far too often. So in each search whole clusters of mated probes are
+    permuted among clusters with as many, and members freely within each: a mated probe
+    gets the mate of some member of the cluster that its own is mapped to. With one
+    probe a cluster this is a uniform permutation of the mates. A candidate who is
+    nobody's mate is never drawn.
 
     The test has its level where, under the null, equally large clusters of one release
     may be exchanged, and so may the members of each, without a change in the law of the
@@ -63,9 +70,8 @@ def permutation_p(
     References
     ----------
     p-value: Phipson and Smyth, Statistical Applications in Genetics and Molecular
-    Biology 9(1),
-    2010. Blocks permuted whole and within: Winkler, Webster, Vidaurre, Nichols, Smith, NeuroImage
-    123, 2015 (multi-level block permutation).
+    Biology 9(1), 2010. Blocks permuted whole and within: Winkler, Webster, Vidaurre,
+    Nichols, Smith, NeuroImage 123, 2015 (multi-level block permutation).
     """
     check_searches(searches, n_shuffles)
     observed, null, _ = shuffled_log_ranks(searches, rng, n_shuffles)
@@ -75,35 +81,38 @@ def permutation_p(
 def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
 ) -> tuple[float, Floats, list[Ints]]:
-    """Return the sum of `log_rank` over mates, those of shuffled mates, (n,), and `standing`s."""
-    null, nowhere = np.zeros(n_shuffles), np.zeros((1, n_shuffles), dtype=np.uint16)
-    observed, standings = 0.0, []
+    """Return the summed `log_rank` of mates, that of shuffled mates, and standings.
+
+    A number, (n_shuffles,), and a `standing`, (P, 2), of each search.
+    """
+    observed, null, standings = 0.0, np.zeros(n_shuffles), []
+    unused_bins = np.zeros((1, n_shuffles), dtype=np.uint16)
     for search in searches:
-        mated, parts = mated_probes(people_of(search)), []
-        columns = shuffled_mates(mated, rng, n_shuffles)
-        n_at_once = max(1, _AT_ONCE // search.scores.shape[1])
+        mated = mated_probes(searched_people(search))
+        columns, parts = shuffled_mates(mated, rng, n_shuffles), []
+        n_at_once = max(1, _SCORES_AT_ONCE // search.scores.shape[1])
         for first in range(0, search.mate.size, n_at_once):
-            rows, unused = (
-                slice(first, first + n_at_once),
-                np.zeros((1, 2), dtype=np.int64),
-            )
+            rows = slice(first, first + n_at_once)
+            unused = np.zeros((1, 2), dtype=np.int64)
             scores, mate = search.scores[rows], search.mate[rows]
             ranks, cell, standing = rank_rows(scores, mate, np.empty(0), unused)
-            some = np.flatnonzero(
+            in_part = np.flatnonzero(
                 (mated.probes >= first) & (mated.probes < first + mate.size)
             )
             part = replace(
-                mated, probes=mated.probes[some] - first, mate=mated.mate[some]
+                mated, probes=mated.probes[in_part] - first, mate=mated.mate[in_part]
             )
             bins = cell.astype(np.uint8)
-            observed += add_shuffles(part, columns[some], ranks, bins, null, nowhere)
+            observed += add_shuffles(
+                part, columns[in_part], ranks, bins, null, unused_bins
+            )
             parts.append(standing)
         standings.append(np.concatenate(parts))
     return observed, null, standings
 
 
 def rank1_p(*, hits: Floats, chance: Floats) -> float:
-    """Return the p-value of so many hits at rank 1 or more, if all are guesses.
+    """Return the p-value of at least as many hits at rank 1, if all are guesses.
 
     Exact for independent probes: binomial where all have one chance, else
     Poisson-binomial. A fraction of a hit, left by ties, does not count: the sum is
@@ -111,23 +120,36 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
 
     `hits`, (N,), are from `rank1`, mated probes only, and `chance`, (N,), is that of
     each, 1 / G. ValueError if shapes differ, or a hit or a chance lies outside of 0..1.
+
+    Examples
+    --------
+    At least one hit of two probes that guess right in one of ten: 1 - 0.9^2.
+
+    >>> import numpy as np
+    >>> from isac_track.linkability import rank1_p
+    >>> p = rank1_p(hits=np.array([1.0, 0.0]), chance=np.array([0.1, 0.1]))
+    >>> round(p, 6)
+    0.19
     """
     if hits.shape != chance.shape or hits.ndim != 1:
         shapes = f"{hits.shape}, {chance.shape}"
         raise ValueError(f"hits and chance must have one shape (N,), got {shapes}")
-    both = np.concatenate([hits, chance])
-    if not ((both >= 0) & (both <= 1)).all():
+    shares = np.concatenate([hits, chance])
+    if not ((shares >= 0) & (shares <= 1)).all():
         raise ValueError("hits and chance must lie in 0..1")
     # Three thirds are a hit, whatever rounding made of them.
     n_hits = math.floor(float(hits.sum()) + 1e-9)
     if n_hits == 0:
         return 1.0
-    return float(_tail_of(chance.astype(np.float64).tobytes())[n_hits])
+    return float(_tail_probabilities(chance.astype(np.float64).tobytes())[n_hits])
 
 
 @lru_cache(maxsize=64)
-def _tail_of(chance: bytes) -> Floats:
-    """Return the probability of 0..N hits or more; attacks on the same people ask it again."""
+def _tail_probabilities(chance: bytes) -> Floats:
+    """Return the probability of at least 0..N hits, (N + 1,).
+
+    It is kept for further attacks on the same people.
+    """
     values, counts = np.unique(np.frombuffer(chance), return_counts=True)
     if values.size == 1:
         return np.append(1.0, bdtrc(np.arange(counts[0]), counts[0], values[0]))
@@ -141,10 +163,10 @@ def _tail_of(chance: bytes) -> Floats:
 
 @lru_cache(maxsize=64)
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
-    """Return the smallest rank-1 rate that the exact binomial test at `LEVEL` finds in 80 %.
+    """Return the smallest rank-1 rate that the exact binomial test detects in 80 %.
 
-    Of `n` mated probes, taken as independent, whose rate of guessing is `chance`.
-    Infinity where no rate does: not even n hits of n are significant. ValueError if a
+    The test is at `LEVEL`, of `n` independent mated probes that guess right at the rate
+    `chance`. Infinity where not even n hits of n are significant. ValueError if a
     number is out of range.
     """
     if n < 0 or not 0 <= chance <= 1:
@@ -158,10 +180,16 @@ def minimum_detectable_rank1(*, n: int, chance: float) -> float:
 
 
 def outcome(*, p_value: float, ceiling_p_value: float) -> Outcome:
-    """Return what a test at `LEVEL` says, given the same attack's p-value on unperturbed tracks.
+    """Return the finding of a test at `LEVEL`, given the p-value on unperturbed tracks.
 
-    An attack that cannot link even those says nothing of a mechanism by failing.
-    ValueError if a p-value is not in 0..1.
+    An attack that cannot link even unperturbed tracks shows nothing about a mechanism
+    when it fails. ValueError if a p-value is not in 0..1.
+
+    >>> from isac_track.linkability import outcome
+    >>> outcome(p_value=0.3, ceiling_p_value=0.001)
+    'no link detected'
+    >>> outcome(p_value=0.3, ceiling_p_value=0.4)
+    'attack too weak'
     """
     for p in (p_value, ceiling_p_value):
         if not 0 <= p <= 1:
@@ -185,22 +213,25 @@ def check_searches(searches: Sequence[Search], n_shuffles: int) -> None:
         raise ValueError(f"n_shuffles must be at least 999, got {n_shuffles}")
 
 
-def people_of(search: Search) -> People:
-    """Return who is searched for: two searches of the same people have the same."""
-    arrays = (search.mate, search.probe_cluster, search.gallery_cluster)
-    mate, probes, gallery = (each.astype(np.int64).tobytes() for each in arrays)
-    return mate, probes, gallery
+def searched_people(search: Search) -> People:
+    """Return the people of a search: equal for two searches of the same people."""
+    return People(
+        search.mate.astype(np.int64).tobytes(),
+        search.probe_cluster.astype(np.int64).tobytes(),
+        search.gallery_cluster.astype(np.int64).tobytes(),
+    )
 
 
 def n_candidates(people: People) -> int:
     """Return the size of the gallery."""
-    return len(people[2]) // np.dtype(np.int64).itemsize
+    return len(people.gallery_cluster) // np.dtype(np.int64).itemsize
 
 
 @lru_cache(maxsize=64)
 def mated_probes(people: People) -> Mated:
-    """Return who has a mate."""
-    mate, cluster = (np.frombuffer(each, dtype=np.int64) for each in people[:2])
+    """Return the probes that have a mate."""
+    mate = np.frombuffer(people.mate, dtype=np.int64)
+    cluster = np.frombuffer(people.probe_cluster, dtype=np.int64)
     probes = np.flatnonzero(mate >= 0)
     _, place, counts = np.unique(
         cluster[probes], return_inverse=True, return_counts=True
@@ -210,13 +241,12 @@ def mated_probes(people: People) -> Mated:
 
 
 @lru_cache(maxsize=64)
-def companions_of(people: People) -> tuple[Ints, Ints]:
-    """Return probes with a mate and the other candidates of their cluster, (n,) each, in pairs."""
-    mate, probes, gallery = (np.frombuffer(each, dtype=np.int64) for each in people)
+def list_companions(people: People) -> tuple[Ints, Ints]:
+    """List the other members of each mate's cluster: probes and columns, (n,) each."""
+    mate, probes, gallery = (np.frombuffer(array, dtype=np.int64) for array in people)
     order = np.argsort(gallery, kind="stable")
-    first, last = (
-        np.searchsorted(gallery[order], probes, side=end) for end in ("left", "right")
-    )
+    first = np.searchsorted(gallery[order], probes, side="left")
+    last = np.searchsorted(gallery[order], probes, side="right")
     probe = np.repeat(np.arange(mate.size), last - first)
     column = order[stretches(first, last - first)[0]]
     others = (mate[probe] >= 0) & (mate[probe] != column)
@@ -226,11 +256,13 @@ def companions_of(people: People) -> tuple[Ints, Ints]:
 def rank_rows(
     scores: Floats, mate: Ints, breaks: Floats, counts: Ints
 ) -> tuple[Floats, NDArray[np.int32], Ints]:
-    """Return `log_rank` of every column were it the mate, (P, G), its cell, and `standing`, (P, 2).
+    """Rank all candidates of each probe.
 
-    Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k the gap below it. To
-    `counts`, (cells, 2), are added the non-mated and the mated scores in each. Without
-    a mate -1 stand above it and 0 as high.
+    Returns `log_rank` of every column as if it were the mate, (P, G), the cell of every
+    score, (P, G), and `standing`, (P, 2): the candidates above the mate and as high, -1
+    and 0 without a mate. Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k
+    the gap below it. The non-mated and the mated scores in each cell are added to
+    `counts`, (cells, 2).
     """
     scores = np.ascontiguousarray(scores, dtype=np.float64)
     log_rank, cell = np.empty(scores.shape), np.empty(scores.shape, dtype=np.int32)
@@ -249,38 +281,37 @@ def rank_rows(
 def _ascending(scores: Floats) -> Ints:
     """Return the columns of each row, (P, G), from the lowest score to the highest."""
     bits = scores.view(np.int64)
-    if (bits & _SPARE).any():
+    if (bits & _SPARE_BITS).any():
         return np.argsort(scores, axis=1)
-    # Of single precision, scores have room for their own column: plain numbers sort
-    # faster.
+    # Scores of single precision leave room for their own column: plain numbers sort
+    # faster than an argsort.
     packed = (bits | np.arange(scores.shape[1])).view(np.float64)
     packed.sort(axis=1)
-    return np.asarray(packed.view(np.int64) & _SPARE)
+    return np.asarray(packed.view(np.int64) & _SPARE_BITS)
 
 
 def shuffled_mates(
     mated: Mated, rng: np.random.Generator, n: int
 ) -> NDArray[np.uint16]:
-    """Return the column of the mate that each of N probes gets, (N, n), as `permutation_p` draws.
+    """Draw the column of the mate that each of N probes gets in n shuffles, (N, n).
 
-    Of more candidates than 16 bits can count no memory holds the scores.
+    As in `permutation_p`. Sixteen bits suffice for a column: no memory would hold the
+    scores of more candidates.
     """
-    sizes, n_alike = mated.sizes.copy(), mated.n_alike.copy()
+    sizes, n_clusters = mated.sizes.copy(), mated.n_clusters.copy()
     n_probes, rows = mated.probes.size, 64
     uniform = np.empty((rows, n_probes - sizes.size))
     if sizes.size and sizes[0] == 1:
-        # Permuting clusters of one is permuting the members of one cluster, which is
-        # faster.
-        sizes[0], n_alike[0] = n_alike[0], 1
-    columns, now = (
-        np.empty((n_probes, n), dtype=np.uint16),
-        mated.mate.astype(np.uint16),
-    )
-    # As few at a time as the cache holds.
+        # Permuting clusters of one probe is permuting the members of one cluster, which
+        # is faster.
+        sizes[0], n_clusters[0] = n_clusters[0], 1
+    columns = np.empty((n_probes, n), dtype=np.uint16)
+    mates = mated.mate.astype(np.uint16)
+    # Few rows at a time, so that they stay in the processor's cache.
     for first in range(0, n, rows):
-        some = uniform[: n - first]
-        rng.random(out=some)
-        import_loops().shuffle(some, sizes, n_alike, first, now, columns)
+        draws = uniform[: n - first]
+        rng.random(out=draws)
+        import_loops().shuffle(draws, sizes, n_clusters, first, mates, columns)
     return columns
 
 
@@ -292,10 +323,10 @@ def add_shuffles(
     null: Floats,
     null_bins: NDArray[np.uint16],
 ) -> float:
-    """Return the sum of `log_rank`, (P, G), over mates; add those of n shuffles to `null`.
+    """Return the sum of `log_rank`, (P, G), over mates; add the n shuffles to `null`.
 
-    To `null_bins`, (bins, n), are added their mated scores, whose bins are `score_bin`,
-    (P, G).
+    Counts of their mated scores are added to `null_bins`, (bins, n); `score_bin`, (P,
+    G), is the bin of every score.
     """
     import_loops().add_shuffles(
         columns, mated.probes, log_rank, score_bin, null, null_bins
@@ -304,15 +335,16 @@ def add_shuffles(
 
 
 def import_loops() -> Any:  # noqa: ANN401 - a module of compiled functions, which have no types
-    """Return the compiled loops; the first call imports numba."""
+    """Import the compiled loops; the first call imports numba."""
     return import_module("isac_track.linkability._loops")
 
 
 def holm(p_values: Floats) -> Floats:
-    """Return p-values adjusted for all of them, (K,): Holm (Scand. J. Statistics 6, 1979).
+    """Return p-values adjusted for all K tests, (K,): Holm's method.
 
-    The chance of even one false discovery is at most the level, however the numbers
-    depend on each other. An unknown one (NaN) stays so and does not count.
+    Holm, Scandinavian Journal of Statistics 6, 1979. The chance of even one false
+    discovery is at most the level, however the tests depend on each other. An unknown
+    p-value (NaN) stays NaN and does not count.
     """
     adjusted: Floats = np.full(p_values.shape, np.nan)
     known = np.flatnonzero(~np.isnan(p_values))

@@ -1,1 +1,1 @@
-"""Mechanisms: what a network shares of what it senses. One file a kind."""
+"""Mechanisms: how a network shares its sensed positions. A file for each kind."""

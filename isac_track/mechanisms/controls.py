@@ -1,9 +1,9 @@
-"""Controls: sharing that moves the descriptors and what can be linked apart from each other.
+"""Controls: mechanisms that change descriptors and linkability independently.
 
 None is meant as a protection. `correlated` hides each sample as well as `fixed` does,
-but leaves neighbouring errors alike; `offset` moves a walk as a whole and keeps its
-shape; `thin` shares fewer samples. A descriptor that tells how linkable people are must
-tell under these as well.
+but neighbouring errors are similar; `offset` moves a walk as a whole and keeps its
+shape; `thin` shares fewer samples. A descriptor that predicts how linkable people are
+must predict it under these as well.
 """
 
 from collections.abc import Mapping
@@ -24,14 +24,18 @@ def correlated_errors(
 ) -> Floats:
     """Draw standardised errors that change slowly along each track, (M, 2).
 
-    Every sample has the law of `isac_track.sensing.unit_errors`; two samples c, d of
-    one track have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2], tracks are independent
-    of each other. `isotropic`: two Ornstein-Uhlenbeck processes. `radial`: one of time
-    constant 2 tau_s times a direction that moves on the circle as Brownian motion, with
-    E[cos turn] = exp(-dt / 2 tau_s). `fixed_direction`: one of time constant tau_s
-    times a direction that is drawn once a track. All are exact at any instants, and use
-    three draws a sample. `t` are (M,) s, increasing within a track, `offsets` (N + 1,),
-    `tau_s` is positive. An unknown law is a ValueError.
+    Every sample has the law of `isac_track.sensing.unit_errors`. Two samples c, d of a
+    track have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2]; tracks are independent.
+
+    - `isotropic`: two Ornstein-Uhlenbeck (OU) processes.
+    - `radial`: an OU process of time constant 2 tau_s times a direction that moves on
+      the circle as Brownian motion, with E[cos turn] = exp(-dt / 2 tau_s).
+    - `fixed_direction`: an OU process of time constant tau_s times a direction that is
+      drawn once a track.
+
+    All are exact at any instants, and use three draws a sample. `t` are (M,) s,
+    increasing within a track, `offsets` (N + 1,), `tau_s` is positive. An unknown law
+    is a ValueError.
     """
     if law not in get_args(ErrorLaw):
         raise ValueError(
@@ -40,7 +44,7 @@ def correlated_errors(
     draws = rng.standard_normal((t.size, 3))
     first = offsets[:-1]
     dt_s = np.diff(t, prepend=t[:1])
-    # Stationary from the first sample on: nothing is known from before it.
+    # Stationary from the first sample on, which depends on no earlier one.
     elapsed = dt_s / (2.0 * tau_s if law == "radial" else tau_s)
     elapsed[first] = np.inf
     decay, noise = np.exp(-elapsed), np.sqrt(-np.expm1(-2.0 * elapsed))
@@ -49,29 +53,29 @@ def correlated_errors(
     amplitude = _recursion(decay, noise[:, None] * draws[:, :1])
     if law == "fixed_direction":
         return amplitude * track_directions(draws[:, 1:], offsets=offsets)
-    turn = (
-        np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]
-    )  # |...|: from one track to the next
+    # The step from one track to the next may be negative.
+    turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]
     turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
-    remembers = np.ones(t.size)
-    remembers[first] = 0.0
-    angle = _recursion(remembers, turn[:, None])
+    # A decay of 1 sums the turns; 0 starts a new track.
+    no_decay = np.ones(t.size)
+    no_decay[first] = 0.0
+    angle = _recursion(no_decay, turn[:, None])
     return np.asarray(amplitude * np.hstack([np.cos(angle), np.sin(angle)]))
 
 
 def _recursion(decay: Floats, step: Floats) -> Floats:
-    """Return x_k = decay_k x_(k-1) + step_k, (M, D), in place of the steps; decay 0 starts anew."""
+    """Overwrite steps, (M, D), with x_k = decay_k x_(k-1) + step_k, and return them."""
     import_module("isac_track.kalman._error_loops").recursion(decay, step)
     return step
 
 
 @dataclass(frozen=True, slots=True)
 class Correlated:
-    """Add errors as large as those of `fixed`, but alike from sample to sample.
+    """Add errors as large as those of `fixed` that change slowly along a track.
 
-    By itself each sample is as far off as under `fixed` with the same `d_sigma` and
-    adding rule. With linear adding the whole error is redrawn, sigma_raw + d_sigma
-    times the slow one.
+    Each sample has the same error distribution as under `fixed` with the same `d_sigma`
+    and adding rule. With linear adding the whole error is redrawn: sigma_raw + d_sigma
+    times the slow error.
     """
 
     d_sigma: float  # m
@@ -106,11 +110,10 @@ class Correlated:
 
 @dataclass(frozen=True, slots=True)
 class Offset:
-    """Move every track as a whole: the same way for all of its samples, in a random direction.
+    """Displace every track as a whole in a random direction.
 
-    Declared is the standard deviation of the raw estimates: the displacement says
-    nothing of how far samples scatter, and whoever smooths weighs them by what is
-    declared.
+    The release declares the standard deviation of the raw estimates: a smoother weighs
+    samples by their scatter, which the displacement does not change.
     """
 
     distance: float  # m
@@ -134,13 +137,13 @@ class Offset:
 
 @dataclass(frozen=True, slots=True)
 class Thin:
-    """Share every n-th sample only, as `fixed` would; the last of a track is always one of them.
+    """Share every n-th sample as `fixed` would, counted back from the last of a track.
 
-    The error is drawn for all samples first: those that are shared lie where `fixed`
+    The error is drawn for all samples first, so that shared samples lie where `fixed`
     puts them.
     """
 
-    every: int  # One sample in so many is shared.
+    every: int  # The n of every n-th sample.
     adding: Adding = "linear"
     d_sigma: float = 0.0  # m
 
@@ -152,23 +155,22 @@ class Thin:
 
     @property
     def adds_error(self) -> bool:
-        """Without an error of its own it shares the same under either adding rule."""
+        """Whether it adds an error; without one both adding rules share the same."""
         return self.d_sigma > 0
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the thinned release."""
-        whole = perturb(sensed, self.d_sigma, rng, adding=self.adding)
-        sizes = np.diff(whole.offsets)
-        kept = (
-            np.repeat(whole.offsets[1:] - 1, sizes) - np.arange(whole.t.size)
-        ) % self.every == 0
-        assert whole.sigma is not None
+        full = perturb(sensed, self.d_sigma, rng, adding=self.adding)
+        sizes = np.diff(full.offsets)
+        samples_left = np.repeat(full.offsets[1:] - 1, sizes) - np.arange(full.t.size)
+        is_shared = samples_left % self.every == 0
+        assert full.sigma is not None
         return Release(
-            t=whole.t[kept],
-            xy=whole.xy[kept],
-            sigma=whole.sigma[kept],
+            t=full.t[is_shared],
+            xy=full.xy[is_shared],
+            sigma=full.sigma[is_shared],
             offsets=np.concatenate([[0], np.cumsum(-(-sizes // self.every))]),
-            pseudonym=whole.pseudonym,
+            pseudonym=full.pseudonym,
         )
 
 

@@ -1,4 +1,4 @@
-"""The mechanisms of the paper: raw, fixed and FID-controlled sharing, and a clean ceiling."""
+"""The mechanisms of the paper (raw, fixed and FID-controlled), and a clean ceiling."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,14 +14,24 @@ from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive
 def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:
     """Return the additional standard deviation of the FID rule, (M,) m.
 
-    Eqs. fid_ratio and fid_error_control: nothing up to the threshold, then alpha *
-    (beta - exp(-(rho - 1))), from alpha * (beta - 1) just above it to alpha * beta.
-    `fid` and the threshold `eta`, positive, are in 1/(m^2 s), `beta` is at least 1.
+    Eqs. fid_ratio and fid_error_control: 0 up to the threshold, then alpha * (beta -
+    exp(-(rho - 1))), which rises from alpha * (beta - 1) just above it to alpha * beta.
+    `fid`, (M,), and the threshold `eta`, positive, are in 1/(m^2 s); `alpha_m` is in m,
+    `beta` at least 1 and without a unit. Nothing is checked here: `Fid` does it.
+
+    Examples
+    --------
+    Below, at, just above and far above the threshold:
+
+    >>> import numpy as np
+    >>> from isac_track.sharing import fid_d_sigma
+    >>> fid = np.array([5.0, 10.0, 10.001, 1000.0])
+    >>> fid_d_sigma(fid=fid, eta=10.0, alpha_m=0.5, beta=1.5).round(3)
+    array([0.  , 0.  , 0.25, 0.75])
     """
     rho = fid / eta
     below = ~(rho > 1.0)
-    # The exponent is clipped at 0 where the rule does not apply, lest it overflow
-    # there.
+    # The exponent is clipped at 0 so that it does not overflow below the threshold.
     extra: Floats = np.minimum(np.subtract(1.0, rho, out=rho), 0.0, out=rho)
     np.exp(extra, out=extra)
     extra = np.multiply(alpha_m, np.subtract(beta, extra, out=extra), out=extra)
@@ -31,23 +41,68 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """Share the raw sensing estimates."""
+    """Share the raw sensing estimates, without further noise.
+
+    Attributes
+    ----------
+    adds_error : bool
+        False: the release has the error of the sensors alone.
+    protects : bool
+        False: it claims no protection.
+    """
 
     adds_error: ClassVar[bool] = False
     protects: ClassVar[bool] = False
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
-        """Return the raw estimates under pseudonyms."""
+        """Return the raw estimates of N tracks under pseudonyms that `rng` draws."""
         return perturb(sensed, 0.0, rng)
 
 
 @dataclass(frozen=True, slots=True)
 class Fixed:
-    """Add the same standard deviation to every sample (the paper's baseline)."""
+    """Add the same standard deviation to every sample (the paper's baseline).
 
-    d_sigma: float  # m
+    Attributes
+    ----------
+    d_sigma : float
+        Additional standard deviation, m, at least 0: the level.
+    adding : Adding
+        Rule by which the noise joins the raw error, see `perturb`.
+    law : ErrorLaw or None
+        Law of the added error; None: that of the raw error.
+    protects : bool
+        True: it claims protection.
+
+    Raises
+    ------
+    ValueError
+        If `d_sigma` is negative or not finite.
+
+    Examples
+    --------
+    A sample 0.1 m off, of a sensor of 0.1 m, is 0.4 m off with 0.3 m of linear noise:
+
+    >>> import numpy as np
+    >>> from isac_track.sharing import Fixed
+    >>> from isac_track.types import Sensed
+    >>> sensed = Sensed(
+    ...     t=np.array([0.0]),
+    ...     xy=np.array([[0.1, 0.0]]),
+    ...     unit_error=np.array([[1.0, 0.0]]),
+    ...     sigma_raw=np.array([0.1]),
+    ...     information=np.array([100.0]),
+    ...     fid=np.array([250.0]),
+    ...     offsets=np.array([0, 1]),
+    ... )
+    >>> release = Fixed(0.3).share(sensed, np.random.default_rng(0))
+    >>> release.xy.round(6), release.sigma.round(6)
+    (array([[0.4, 0. ]]), array([0.4]))
+    """
+
+    d_sigma: float
     adding: Adding = "linear"
-    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
+    law: ErrorLaw | None = None
 
     protects: ClassVar[bool] = True
 
@@ -55,19 +110,44 @@ class Fixed:
         check_at_least("d_sigma", self.d_sigma, 0, " m")
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
-        """Return the estimates with `d_sigma` more error."""
+        """Return the estimates with `d_sigma` more error; raises as `perturb`."""
         return perturb(sensed, self.d_sigma, rng, adding=self.adding, law=self.law)
 
 
 @dataclass(frozen=True, slots=True)
 class Fid:
-    """Add error where the Fisher information density exceeds eta (the paper's mechanism)."""
+    """Add error where the Fisher information density exceeds eta (the paper's rule).
 
-    eta: float  # 1/(m^2 s)
-    alpha: float = 0.5  # m
+    The rule is `fid_d_sigma`.
+
+    Attributes
+    ----------
+    eta : float
+        Threshold, 1/(m^2 s), positive: the level. A lower one adds more noise.
+    alpha : float
+        Scale of the noise, m, at least 0.
+    beta : float
+        Largest noise in units of `alpha`, at least 1.
+    adding : Adding
+        Rule by which the noise joins the raw error, see `perturb`.
+    law : ErrorLaw or None
+        Law of the added error; None: that of the raw error.
+    sweep : str
+        ``"log"``: a range of levels is spaced logarithmically.
+    protects : bool
+        True: it claims protection.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of its range or not finite.
+    """
+
+    eta: float
+    alpha: float = 0.5
     beta: float = 1.5
     adding: Adding = "linear"
-    law: ErrorLaw | None = None  # Law of the added error; None: that of the raw error.
+    law: ErrorLaw | None = None
 
     sweep: ClassVar[str] = "log"
     protects: ClassVar[bool] = True
@@ -78,7 +158,7 @@ class Fid:
         check_at_least("beta", self.beta, 1)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
-        """Return the estimates with the rule's additional error."""
+        """Return the estimates with the rule's noise; raises as `perturb`."""
         d_sigma = fid_d_sigma(
             fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta
         )
@@ -87,7 +167,15 @@ class Fid:
 
 @dataclass(frozen=True, slots=True)
 class Clean:
-    """Share the truth: no sensing error, nothing added. The ceiling of every attack."""
+    """Share the truth, without any error: the ceiling of every attack.
+
+    Attributes
+    ----------
+    adds_error : bool
+        False: the release has no error.
+    protects : bool
+        False: it claims no protection.
+    """
 
     adds_error: ClassVar[bool] = False
     protects: ClassVar[bool] = False

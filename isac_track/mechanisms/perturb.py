@@ -1,6 +1,6 @@
-"""The error law and the adding rule, applied to a release: one home for all mechanisms.
+"""Apply the error law and the adding rule: shared by all mechanisms.
 
-A mechanism says how much error each sample gets; `perturb` adds it.
+A mechanism decides how much error each sample gets; `perturb` adds it.
 """
 
 import json
@@ -22,8 +22,8 @@ from isac_track.types import (
     within,
 )
 
-# Errors of a block, of both halves of the training people, and of two repeats.
-_REMEMBERED = 5
+# Cached draws: those of a block, of both halves of the training people, of two repeats.
+_MOST_CACHED = 5
 
 
 def perturb(
@@ -38,18 +38,45 @@ def perturb(
     """Add an error of standard deviation `d_sigma` to the raw estimates.
 
     `linear` (eq. shared_sigma): the standard deviations add, sigma_raw + d_sigma; the
-    true error is scaled, which only somebody who knows the truth can do. `independent`
+    true error is scaled, which requires knowledge of the truth. `independent`
     (eq. swarm_shared): the variances add, as a fresh error has a direction of its own.
 
     `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms.
-    The fresh error has the `law` of the raw error unless told otherwise, or is itself
-    given, standardised: `unit_error`, (M, 2). The release declares the standard
-    deviation of every sample. ValueError if `d_sigma` is negative, not finite or
-    misshapen, a rule unknown, or linear with another error.
+    The fresh error has the given `law`, by default that of the raw error. A
+    standardised error may be given instead: `unit_error`, (M, 2). The release declares
+    the standard deviation of every sample. ValueError if `d_sigma` is negative, not
+    finite or of a wrong shape, if the rule is unknown, or if linear adding is given a
+    law or an error.
+
+    Examples
+    --------
+    A sample 0.3 m off, of a sensor of 0.3 m, gets 0.4 m of noise. Standard deviations
+    add under the linear rule, variances under the independent rule:
+
+    >>> import numpy as np
+    >>> from isac_track.sharing import perturb
+    >>> from isac_track.types import Sensed
+    >>> sensed = Sensed(
+    ...     t=np.array([0.0]),
+    ...     xy=np.array([[0.3, 0.0]]),
+    ...     unit_error=np.array([[1.0, 0.0]]),
+    ...     sigma_raw=np.array([0.3]),
+    ...     information=np.array([11.0]),
+    ...     fid=np.array([27.0]),
+    ...     offsets=np.array([0, 1]),
+    ... )
+    >>> linear = perturb(sensed, 0.4, np.random.default_rng(0))
+    >>> linear.xy.round(6), linear.sigma.round(6)
+    (array([[0.7, 0. ]]), array([0.7]))
+    >>> independent = perturb(
+    ...     sensed, 0.4, np.random.default_rng(0), adding="independent"
+    ... )
+    >>> independent.sigma.round(6)
+    array([0.5])
     """
-    given = np.asarray(d_sigma, dtype=np.float64)
-    extra: Floats = np.broadcast_to(given, sensed.t.shape)
-    if not within(given, 0.0, np.finfo(np.float64).max):
+    added = np.asarray(d_sigma, dtype=np.float64)
+    extra: Floats = np.broadcast_to(added, sensed.t.shape)
+    if not within(added, 0.0, np.finfo(np.float64).max):
         raise ValueError("d_sigma must be finite and not negative")
     pseudonym = draw_pseudonyms(len(sensed), rng)
     if adding == "linear":
@@ -65,10 +92,10 @@ def perturb(
     else:
         raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
     xy = np.empty_like(sensed.xy)
-    if given.size == 1:
-        np.multiply(unit_error, given, out=xy)
+    if added.size == 1:
+        np.multiply(unit_error, added, out=xy)
     else:
-        for axis in range(2):  # both at once would take longer
+        for axis in range(2):  # faster than both axes at once
             np.multiply(unit_error[:, axis], extra, out=xy[:, axis])
     xy += sensed.xy
     return Release(
@@ -77,7 +104,10 @@ def perturb(
 
 
 def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
-    """Return `unit_errors` of a release, made once for all levels: their streams start alike."""
+    """Return `unit_errors` of a release, drawn once for all levels.
+
+    The streams of all levels start in the same state.
+    """
     state = rng.bit_generator.state
     if state["bit_generator"] != "PCG64" or law == "fixed_direction":
         return unit_errors(
@@ -89,11 +119,12 @@ def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
     return errors
 
 
-@lru_cache(maxsize=_REMEMBERED)
+# Holds the last draws for the life of the process.
+@lru_cache(maxsize=_MOST_CACHED)
 def _errors_from(
     state: str, n_samples: int, law: ErrorLaw
 ) -> tuple[Floats, Mapping[str, Any]]:
-    """Return what a generator in a state, as JSON, draws, and its state afterwards."""
+    """Return the draws of a generator in a state, as JSON, and its state afterwards."""
     bits = np.random.PCG64(0)
     bits.state = json.loads(state)
     errors = unit_errors(n_samples=n_samples, law=law, rng=np.random.Generator(bits))
@@ -101,18 +132,26 @@ def _errors_from(
 
 
 def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
-    """Raise ValueError if a mechanism's parameter is below `least` or not finite."""
+    """Raise ValueError if a mechanism's parameter is below `least` or not finite.
+
+    `name` and `unit`, such as ``" m"``, are for the message.
+    """
     if not (np.isfinite(value) and value >= least):
         raise ValueError(f"{name} must be {least}{unit} or more, got {value}")
 
 
 def draw_pseudonyms(n_tracks: int, rng: Generator) -> tuple[str, ...]:
-    """Draw a pseudonym for each track; the stream of the errors is left untouched."""
+    """Draw a pseudonym for each track, without a draw from the errors' stream."""
     (child,) = rng.spawn(1)
-    return names_of(child.integers(0, 256, 8 * n_tracks, np.uint8).tobytes())
+    return split_pseudonyms(child.integers(0, 256, 8 * n_tracks, np.uint8).tobytes())
 
 
-def names_of(drawn: bytes) -> tuple[str, ...]:
-    """Return a pseudonym for every eight bytes."""
+def split_pseudonyms(drawn: bytes) -> tuple[str, ...]:
+    """Return a pseudonym of 16 hexadecimal digits for every eight bytes.
+
+    >>> from isac_track.sharing import split_pseudonyms
+    >>> split_pseudonyms(bytes(range(16)))
+    ('0001020304050607', '08090a0b0c0d0e0f')
+    """
     text = drawn.hex()
     return tuple([text[start : start + 16] for start in range(0, len(text), 16)])

@@ -1,8 +1,8 @@
-"""Mechanisms that are meant to survive a filter, and the white noise that they are held against.
+"""Mechanisms that should withstand smoothing, and white noise for comparison.
 
-White noise falls to whoever smooths; `ou` adds an error that stays for seconds, which
-neither a smoother nor the robot's filter averages away, `ou_fid` the same where the
-Fisher information density is high. Derivations: docs/mechanisms.md.
+Smoothing removes most white noise. `ou` adds an error that lasts for seconds, which
+neither a smoother nor the robot's filter averages away; `ou_fid` adds it where the
+Fisher information density is high. Derivations: docs/explanation/mechanisms.md.
 """
 
 from collections.abc import Mapping
@@ -29,26 +29,24 @@ from isac_track.types import (
 )
 
 Reuse: TypeAlias = Literal["release", "session"]
-"""Whether errors are drawn anew for every release, or once for a walk and session."""
-# Correlation times after which what was is forgotten: 1e-10 of it is left.
-_REMEMBERED = 24
-# Of the path of a session within one correlation time; between them it is a line.
+"""Errors are drawn anew for every release, or once for each walk and session."""
+# Correlation times that a process remembers: after them 1e-10 of a value is left.
+_MEMORY_BLOCKS = 24
+# Points of a session's path within one correlation time; between them it is a line.
 _POINTS = 512
-_PRIOR_STD = (
-    100.0,
-    10.0,
-)  # m around the first sample, m/s: far more than any walk; not tuned.
-_MEMORY_S = 6.0  # What a filter of a walk has long forgotten.
+# m around the first sample, and m/s: far more than any walk; not tuned.
+_PRIOR_STD = (100.0, 10.0)
+_MEMORY_S = 6.0  # Samples older than this no longer change a filter's estimate.
 
 
 def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Floats:
-    """Return standardised Ornstein-Uhlenbeck errors that belong to walks, (M, 2), per axis.
+    """Return standardised Ornstein-Uhlenbeck errors that depend on the walk, (M, 2).
 
-    An instant of a walk has the same error in whichever release: the path follows from
-    the number of the walk alone. Its values at multiples of `tau_s` are those of a
-    stationary process; between them lies a bridge, exact at 512 points and a line in
-    between, of unit variance everywhere. `t` are (M,) s, `offsets` (N + 1,), `walk`
-    (N,) the numbers.
+    An instant of a walk has the same error in every release: the path of errors follows
+    from the number of the walk alone. Its values at multiples of `tau_s` are those of a
+    stationary process. Between them lies a bridge, exact at 512 points and linear
+    between these, with unit variance everywhere. `t` are (M,) s, `offsets` (N + 1,),
+    `walk`, (N,), are the numbers.
     """
     errors = np.empty((t.size, 2))
     for number, first, end in zip(
@@ -57,32 +55,31 @@ def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Flo
         place = t[first:end] / tau_s
         block = np.floor(place).astype(np.int64)
         known: dict[int, Floats] = {}
-        for one in np.unique(block).tolist():
-            path = _bridge(number, one, known)
-            inside = np.flatnonzero(block == one)
-            at = (place[inside] - one) * _POINTS
-            left = np.minimum(at.astype(np.int64), _POINTS - 1)
-            weight = (at - left)[:, None]
+        for block_number in np.unique(block).tolist():
+            path = _bridge(number, block_number, known)
+            inside = np.flatnonzero(block == block_number)
+            point = (place[inside] - block_number) * _POINTS
+            left = np.minimum(point.astype(np.int64), _POINTS - 1)
+            weight = (point - left)[:, None]
             mixed = (1.0 - weight) * path[left] + weight * path[left + 1]
-            # Of two points that correlate by f the line has variance 1 - 2 w (1 - w) (1
-            # - f).
+            # The line between two points with correlation f has the variance
+            # 1 - 2 w (1 - w) (1 - f).
             lost = -2.0 * np.expm1(-1.0 / _POINTS) * weight * (1.0 - weight)
             errors[first + inside] = mixed / np.sqrt(1.0 - lost)
     return errors
 
 
 def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
-    """Return the path of a walk over one correlation time, (512 + 1, 2); `known` are its draws."""
-    for one in range(block - _REMEMBERED, block + 2):
-        if one not in known:
-            known[one] = stream(0, "session errors", walk, one).standard_normal(2)
-    ages = np.exp(-np.arange(_REMEMBERED, dtype=float))
-    kept = np.sqrt(-np.expm1(-2.0))
-    start, end = (
-        kept * (ages @ np.stack([known[last - age] for age in range(_REMEMBERED)]))
-        for last in (block, block + 1)
-    )
-    # A free path from the start, then moved by what it misses the end by (Matheron's
+    """Return the path of a walk over one correlation time, (512 + 1, 2).
+
+    `known` holds the draws of the blocks so far; new draws are added to it.
+    """
+    for number in range(block - _MEMORY_BLOCKS, block + 2):
+        if number not in known:
+            draws = stream(0, "session errors", walk, number).standard_normal(2)
+            known[number] = draws
+    start, end = _block_value(block, known), _block_value(block + 1, known)
+    # Draw a free path from the start, then correct its miss of the end (Matheron's
     # rule).
     f = np.exp(-1.0 / _POINTS)
     grid = np.arange(_POINTS + 1) / _POINTS
@@ -98,10 +95,21 @@ def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
     return np.asarray(free + pull[:, None] * (end - free[-1]))
 
 
+def _block_value(block: int, known: dict[int, Floats]) -> Floats:
+    """Return the stationary process at the end of a block of draws, (2,)."""
+    decay = np.exp(-np.arange(_MEMORY_BLOCKS, dtype=float))
+    scale = np.sqrt(-np.expm1(-2.0))
+    draws = np.stack([known[block - age] for age in range(_MEMORY_BLOCKS)])
+    return np.asarray(scale * (decay @ draws))
+
+
 def _with_slow_error(
     sensed: Sensed, std_m: Floats | float, mechanism: "Ou | OuFid", rng: Generator
 ) -> Release:
-    """Return the raw estimates with a slow error; either kind of reuse draws alike from `rng`."""
+    """Return the raw estimates with a slow error.
+
+    Both kinds of reuse make the same draws from `rng`.
+    """
     t, offsets, tau_s = sensed.t, sensed.offsets, mechanism.tau_s
     unit = correlated_errors(
         t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng
@@ -119,13 +127,15 @@ def _check_slow(tau_s: float, reuse: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Ou:
-    """Add a Gaussian error that changes slowly: an Ornstein-Uhlenbeck process per axis."""
+    """Add an error that changes slowly: an Ornstein-Uhlenbeck process per axis."""
 
-    std_m: float  # Of the added error, per axis and stationary, m.
+    std_m: float  # m, stationary standard deviation of the added error, per axis.
     tau_s: float = 5.0  # Time over which its correlation falls to 1/e, s.
     reuse: Reuse = "release"
-    """`session`: every release of a walk in one session bears the same error at the same instant;
-    averaging gains nothing, but two releases are as alike as their errors."""
+    """`session`: all releases of a walk in a session have the same error at an instant.
+
+    Averaging releases then gains nothing, but their shared error makes them similar.
+    """
 
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
@@ -143,7 +153,7 @@ class Ou:
 
 @dataclass(frozen=True, slots=True)
 class OuFid:
-    """Add the slow error of `ou` where the FID rule asks for one, as much as it asks for."""
+    """Add the slow error of `ou`, scaled by the FID rule."""
 
     eta: float  # 1/(m^2 s)
     alpha: float = 0.5  # m
@@ -158,7 +168,7 @@ class OuFid:
     errors_are_independent: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
-        Fid(self.eta, self.alpha, self.beta)  # which checks them
+        Fid(self.eta, self.alpha, self.beta)  # Checks the values.
         _check_slow(self.tau_s, self.reuse)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
@@ -177,7 +187,7 @@ class Laplace:
     epsilon), so that either axis has the standard deviation sqrt(3) / epsilon.
     """
 
-    std_m: float  # Of the added error, per axis, m.
+    std_m: float  # m, standard deviation of the added error, per axis.
 
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
@@ -188,11 +198,11 @@ class Laplace:
 
     @property
     def epsilon_per_m(self) -> float:
-        """Of geo-indistinguishability, 1/m, for one report; infinite without noise."""
+        """Epsilon of geo-indistinguishability per report, 1/m; inf without noise."""
         return float(np.sqrt(3.0) / self.std_m) if self.std_m > 0 else float("inf")
 
     def epsilon_over(self, n_reports: int) -> float:
-        """Of a whole track, 1/m: those of its reports add up."""
+        """Return epsilon of a whole track, 1/m: the sum over its reports."""
         return n_reports * self.epsilon_per_m
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
@@ -205,13 +215,13 @@ class Laplace:
 
 @dataclass(frozen=True, slots=True)
 class Forecast:
-    """Share the network's own filtered position, seldom, with white Gaussian noise on top.
+    """Share the network's filtered position at intervals, with white Gaussian noise.
 
-    A constant-velocity filter has seen all samples up to each one that is shared; of
-    these there is one every `every_s`, counted back from the last.
+    A sample is shared every `every_s`, counted back from the last one. Its position is
+    that of a constant-velocity filter of all samples up to it.
     """
 
-    std_m: float  # Of the added error, per axis, m.
+    std_m: float  # m, standard deviation of the added error, per axis.
     every_s: float = 1.0  # s
     q: float = 0.057  # m^2/s^3, spectral density of the acceleration in the filter.
 
@@ -228,26 +238,27 @@ class Forecast:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the filtered positions of the samples that are shared."""
         white = rng.standard_normal((sensed.t.size, 2))
-        # Radially |N(0, sigma)| is half of sigma^2 per axis.
-        share = 1.0 if sensed.law == "isotropic" else 0.5
+        # A radial error |N(0, sigma)| has the variance sigma^2 / 2 per axis.
+        axis_share = 1.0 if sensed.law == "isotropic" else 0.5
         owner = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
-        turn = np.floor(
-            (sensed.t[sensed.offsets[1:] - 1][owner] - sensed.t) / self.every_s
-        )
-        rows = np.flatnonzero(
-            (np.diff(turn, append=-1.0) != 0) | (np.diff(owner, append=-1) != 0)
-        )
-        # What each filter has seen: its own stretch of the walk, back to its start or
-        # far enough.
-        known = owner + 1j * sensed.t
-        first = np.searchsorted(known, owner[rows] + 1j * (sensed.t[rows] - _MEMORY_S))
+        end_s = sensed.t[sensed.offsets[1:] - 1][owner]
+        interval = np.floor((end_s - sensed.t) / self.every_s)
+        is_last_of_interval = np.diff(interval, append=-1.0) != 0
+        is_last_of_track = np.diff(owner, append=-1) != 0
+        rows = np.flatnonzero(is_last_of_interval | is_last_of_track)
+        # A filter for each shared sample: it reads the walk from its start, or from as
+        # far back as matters. Complex numbers sort by track, then by time.
+        order = owner + 1j * sensed.t
+        first = np.searchsorted(order, owner[rows] + 1j * (sensed.t[rows] - _MEMORY_S))
         first = np.maximum(first, sensed.offsets[owner[rows]])
-        taken, offsets = stretches(first, rows + 1 - first)
+        sample, offsets = stretches(first, rows + 1 - first)
         variance = np.maximum(
-            share * sensed.sigma_raw[taken] ** 2, np.finfo(float).tiny
+            axis_share * sensed.sigma_raw[sample] ** 2, np.finfo(float).tiny
         )
-        seen = Batch(sensed.t[taken], sensed.xy[taken], variance, offsets, _PRIOR_STD)
-        state = kalman_last(seen, q=self.q)
+        history = Batch(
+            sensed.t[sample], sensed.xy[sample], variance, offsets, _PRIOR_STD
+        )
+        state = kalman_last(history, q=self.q)
         return Release(
             t=sensed.t[rows],
             xy=state.mean[:, :, 0] + self.std_m * white[rows],
@@ -264,4 +275,5 @@ MECHANISMS: Final[Mapping[str, type]] = {
     "ou_fid": OuFid,
     "laplace": Laplace,
     "forecast": Forecast,
-}  # By the name in a SPEC.
+}
+"""By the name in a SPEC."""

@@ -1,8 +1,7 @@
-"""Mechanisms that withhold samples instead of adding an error: share what a robot needs.
+"""Mechanisms that withhold samples instead of adding an error.
 
-The GDPR asks for personal data to be limited to what is necessary, Art. 5(1)(c). A
-robot predicts from the last samples of a walk, so older ones need not leave the
-network.
+The GDPR limits personal data to what is necessary, Art. 5(1)(c). A robot predicts from
+the last samples of a walk, so older samples need not leave the network.
 """
 
 from collections.abc import Mapping
@@ -18,12 +17,11 @@ from isac_track.types import Adding, Release, Sensed, positive
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Share the last seconds of every track only, as `fixed` would.
+    """Share only the last seconds of every track, as `fixed` would.
 
-    A sample is shared if it is at most `seconds` older than the last one, which is
-    shared in any case. The error is drawn for all samples first, so that those shared
-    lie where `fixed` puts them. PLR, AEL and MEL describe the samples that are sent:
-    they cannot see what is withheld.
+    A sample is shared if it is at most `seconds` older than the track's last sample.
+    The error is drawn for all samples first, so that shared samples lie where `fixed`
+    puts them. PLR, AEL and MEL describe the shared samples, not the withheld ones.
     """
 
     seconds: float  # s before the last sample of a track.
@@ -38,23 +36,23 @@ class Window:
 
     @property
     def adds_error(self) -> bool:
-        """Without an error of its own it shares the same under either adding rule."""
+        """Whether it adds an error; without one both adding rules share the same."""
         return self.d_sigma > 0
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
-        """Return a release of the samples within the window, (N tracks, at most M samples)."""
-        whole = perturb(sensed, self.d_sigma, rng, adding=self.adding)
-        assert whole.sigma is not None
-        sizes = np.diff(whole.offsets)
-        age_s = np.repeat(whole.t[whole.offsets[1:] - 1], sizes) - whole.t
+        """Return a release of the N tracks' samples within the window."""
+        full = perturb(sensed, self.d_sigma, rng, adding=self.adding)
+        assert full.sigma is not None
+        sizes = np.diff(full.offsets)
+        age_s = np.repeat(full.t[full.offsets[1:] - 1], sizes) - full.t
         is_shared = age_s <= self.seconds
         shared_before = np.concatenate([[0], np.cumsum(is_shared)])
         return Release(
-            t=whole.t[is_shared],
-            xy=whole.xy[is_shared],
-            sigma=whole.sigma[is_shared],
-            offsets=shared_before[whole.offsets],
-            pseudonym=whole.pseudonym,
+            t=full.t[is_shared],
+            xy=full.xy[is_shared],
+            sigma=full.sigma[is_shared],
+            offsets=shared_before[full.offsets],
+            pseudonym=full.pseudonym,
         )
 
 

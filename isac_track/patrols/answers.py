@@ -1,4 +1,4 @@
-"""What leaves the network on a patrol: one release of everybody, and what policies pick."""
+"""Answers of the network on a patrol: a release of everybody, and the disclosures."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from isac_track.config import StageSettings
-from isac_track.errors import PluginError, SettingsError, told
+from isac_track.errors import PluginError, SettingsError, error_text
 from isac_track.patrols.patrol import Patrol, sense_people
 from isac_track.policies.query import Form, Query, SelectOn, View
 from isac_track.protocols import Mechanism, Policy, Predictor
@@ -23,17 +23,17 @@ from isac_track.types import (
     stretches,
 )
 
-# Samples of histories that are copied for a forecast at a time.
+# Samples of histories that are copied at a time for a forecast.
 _CHUNK: Final = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Network:
-    """A sensing network on a patrol: what it holds, shares and foresees."""
+    """A sensing network on a patrol, with its data, its release and its forecasts."""
 
     patrol: Patrol
     mechanism: Mechanism
-    forecaster: Predictor  # The network's own.
+    forecaster: Predictor  # The network's own predictor.
     sensed: Sensed
     release: Release  # Of everybody; samples as in `sensed`.
     raw_forecast: Prediction  # Of the E presences, from all history as sensed.
@@ -41,27 +41,27 @@ class Network:
     seed: int
 
     def forecast(self, select_on: SelectOn) -> Prediction:
-        """Return the network's forecasts of the E presences from raw or shared samples."""
+        """Return the forecasts of the E presences from raw or shared samples."""
         return self.raw_forecast if select_on == "raw" else self.shared_forecast
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Disclosure:
-    """What a policy answers on a patrol: A runs of samples, ordered by query, robot, person."""
+    """Answers of a policy on a patrol: A runs of samples, by query, robot, person."""
 
     form: Form
     select_on: SelectOn  # Positions that the policy's choice rests on.
     robot: Ints  # (A,)
     presence: Ints  # (A,) query and person.
-    first: Ints  # (A,) first sample of the run, and
-    end: Ints  # (A,) the first one after it.
+    first: Ints  # (A,) first sample of the run.
+    end: Ints  # (A,) first sample after the run.
 
     def sent(self, patrol: Patrol, *, robots: Ints) -> Bools:
-        """Return which samples any of some robots was sent, (M,)."""
-        ours = np.isin(self.robot, robots)
+        """Return which samples were sent to at least one of `robots`, (M,)."""
+        is_ours = np.isin(self.robot, robots)
         change = np.zeros(patrol.people.t.size + 1, dtype=np.int64)
-        np.add.at(change, self.first[ours], 1)
-        np.add.at(change, self.end[ours], -1)
+        np.add.at(change, self.first[is_ours], 1)
+        np.add.at(change, self.end[is_ours], -1)
         return np.asarray(np.cumsum(change[:-1]) > 0)
 
 
@@ -73,10 +73,10 @@ def share_patrol(
     settings: StageSettings,
     seed: int,
 ) -> Network:
-    """Return the network that senses everybody once and shares by a mechanism.
+    """Return a network that senses everybody once and shares by a mechanism.
 
-    The random stream of the mechanism starts alike for all of them. SettingsError for a
-    mechanism that leaves samples out or moves them in time: a policy selects samples.
+    The random stream starts equal for all mechanisms. SettingsError for a mechanism
+    that leaves samples out or moves them in time, since a policy selects samples.
     """
     sensed = sense_people(patrol, settings=settings, seed=seed)
     release = mechanism.share(sensed, stream(seed, "patrols", "sharing"))
@@ -129,8 +129,8 @@ def forecast_runs(
 
     A track is made of runs of samples of the release: run a holds the samples
     ``first[a]:end[a]`` and belongs to ``track[a]``, which rises from 0 to U - 1 without
-    a gap. A predictor sees the declared standard deviations if it requires them. There
-    is a covariance if the predictor has one.
+    a gap. A predictor sees the declared standard deviations if it requires them. The
+    result has a covariance if the predictor returns one.
     """
     parts = []
     for tracks in _chunks(np.bincount(track, weights=end - first).astype(np.int64)):
@@ -159,7 +159,7 @@ def _track_runs(
 
 
 def _chunks(sizes: Ints) -> Iterator[slice]:
-    """Yield slices of tracks that hold about `_CHUNK` samples, and at least one track."""
+    """Yield slices of tracks with about `_CHUNK` samples, and at least one track."""
     before, start = np.cumsum(sizes) - sizes, 0
     while start < sizes.size:
         stop = max(int(np.searchsorted(before, before[start] + _CHUNK)), start + 1)
@@ -168,57 +168,70 @@ def _chunks(sizes: Ints) -> Iterator[slice]:
 
 
 def disclose(network: Network, policy: Policy, *, name: str = "") -> Disclosure:
-    """Return what a policy answers to every query of every robot.
+    """Return the answers of a policy to all queries of all robots.
 
-    PluginError if it returns anything but a mask of the samples of the query; `name` is
-    that of the policy in messages.
+    PluginError if the policy does not return a mask of the query's samples; `name` is
+    its name in messages.
     """
     name = name or type(policy).__name__
     select_on: SelectOn = getattr(policy, "select_on", "raw")
     runs = []
     for number in range(network.patrol.query_scan.size):
-        scene = _scene(network, number)
+        scene = _present_people(network, number)
         for robot in range(network.patrol.n_robots):
-            selected = _selected(policy, _query(network, scene, robot), name=name)
+            query = _make_query(network, scene, robot)
+            selected = _select_samples(policy, query, name=name)
             runs.append(_answer_runs(selected, scene, robot))
-    return Disclosure(policy.form, select_on, *np.concatenate(runs, axis=1))
+    robot_numbers, presence, first, end = np.concatenate(runs, axis=1)
+    return Disclosure(
+        form=policy.form,
+        select_on=select_on,
+        robot=robot_numbers,
+        presence=presence,
+        first=first,
+        end=end,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scene:
-    """Everybody present at a query, whichever robot asks."""
+    """People who are present at a query of any robot."""
 
     number: int
     presence: Ints  # (P,)
-    shift: Ints  # (P,) from a sample's number in the query to that in the patrol.
-    t: Floats
-    offsets: Ints
+    shift: Ints  # (P,) added to a sample's number in the query: that in the patrol.
+    t: Floats  # (M,) s
+    offsets: Ints  # (P + 1,)
     raw: View
     shared: View
 
 
-def _scene(network: Network, number: int) -> _Scene:
+def _present_people(network: Network, number: int) -> _Scene:
+    """Return the people who are present at the query of this number."""
     patrol = network.patrol
-    presence = np.arange(*np.searchsorted(patrol.presences.query, [number, number + 1]))
+    start, stop = np.searchsorted(patrol.presences.query, [number, number + 1])
+    presence = np.arange(start, stop)
     first = patrol.people.offsets[patrol.presences.person[presence]]
     sample, offsets = stretches(first, patrol.presences.sample[presence] + 1 - first)
-    raw, shared = (
-        View(positions[sample], _forecast_at(forecast, presence))
-        for positions, forecast in (
-            (network.sensed.xy, network.raw_forecast),
-            (network.release.xy, network.shared_forecast),
-        )
+    raw_forecast = _take_forecasts(network.raw_forecast, presence)
+    shared_forecast = _take_forecasts(network.shared_forecast, presence)
+    return _Scene(
+        number=number,
+        presence=presence,
+        shift=first - offsets[:-1],
+        t=network.sensed.t[sample],
+        offsets=offsets,
+        raw=View(network.sensed.xy[sample], raw_forecast),
+        shared=View(network.release.xy[sample], shared_forecast),
     )
-    t = network.sensed.t[sample]
-    return _Scene(number, presence, first - offsets[:-1], t, offsets, raw, shared)
 
 
-def _forecast_at(forecast: Prediction, rows: Ints) -> Prediction:
+def _take_forecasts(forecast: Prediction, rows: Ints) -> Prediction:
     cov = None if forecast.cov is None else forecast.cov[rows]
     return Prediction(forecast.mean[rows], cov)
 
 
-def _query(network: Network, scene: _Scene, robot: int) -> Query:
+def _make_query(network: Network, scene: _Scene, robot: int) -> Query:
     patrol = network.patrol
     now = patrol.query_scan[scene.number]
     return Query(
@@ -232,11 +245,12 @@ def _query(network: Network, scene: _Scene, robot: int) -> Query:
     )
 
 
-def _selected(policy: Policy, query: Query, *, name: str) -> Bools:
+def _select_samples(policy: Policy, query: Query, *, name: str) -> Bools:
+    """Return the mask that a policy returns, (M,); PluginError for anything else."""
     try:
         selected = policy.select(query)
     except Exception as error:
-        raise PluginError(f"policy {name} failed: {told(error)}") from error
+        raise PluginError(f"policy {name} failed: {error_text(error)}") from error
     mask = np.asarray(selected)
     if mask.dtype != np.bool_ or mask.shape != query.t.shape:
         raise PluginError(f"policy {name} must return a mask of {query.t.size} samples")
@@ -244,7 +258,7 @@ def _selected(policy: Policy, query: Query, *, name: str) -> Bools:
 
 
 def _answer_runs(selected: Bools, scene: _Scene, robot: int) -> Ints:
-    """Return robot, presence, first sample and end of each run of selected samples, (4, A).
+    """Return robot, presence, first sample and end of each selected run, (4, A).
 
     No run reaches from one person to the next. A person with gaps has several runs.
     """

@@ -1,9 +1,9 @@
 """Missed conflicts of a robot that raises as many false alarms as a reference.
 
-A robot that is told less may warn from farther away, at the cost of false alarms. To
-compare policies, each robot's alarm distance is set so that it is falsely alarmed at as
-many queries as the reference is at the safety radius: the same robot, sent everything,
-without noise.
+A robot that is sent less may warn from a larger distance, at the cost of false alarms.
+To compare policies, the alarm distance of each robot is set so that it has as many
+queries with a false alarm as the reference at the safety radius. The reference is the
+same robot, sent everything, without noise.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
     effective_clusters,
-    estimate_of,
+    estimate_from_replicates,
 )
 from isac_track.patrols.intervals import FEWEST_ROUTES, sum_clusters, two_way_weights
 from isac_track.patrols.patrol import Patrol
@@ -37,10 +37,11 @@ class AlarmCurve:
 def alarm_curve(
     patrol: Patrol, *, actual: Ints, gaps_m: Floats, horizon: int, cluster: Ints
 ) -> AlarmCurve:
-    """Return the curve of robots by how near people are forecast, ``least_gaps``, (E, R) m.
+    """Return false alarms and misses of robots over the alarm distance.
 
-    `actual`, (E, R), are the scans until a true conflict, `cluster`, (E,), numbers the
-    people who walk together.
+    `gaps_m`, (E, R) m, are the least forecast distances (`least_gaps`), `actual`, (E,
+    R), the scans until a true conflict. `cluster`, (E,), numbers the people who walk
+    together.
     """
     is_future = (actual > 0) & (actual <= horizon)
     alarms, missed = [], []
@@ -62,10 +63,10 @@ def missed_at_equal_alarms(
     """Return the share of future conflicts missed at the false alarms of a reference.
 
     `reference`, (R,), are queries with a false alarm on the same routes. The alarm
-    distance is the farthest at which the robot has no more of them; between two
-    distances both numbers are interpolated. Every replicate of the two-way interval
-    sets its own. A robot that stays below the reference at every distance is taken at
-    the longest.
+    distance is the largest at which the robot does not exceed it; between two distances
+    alarms and misses are interpolated. A robot that stays below the reference at every
+    distance gets the largest. Every replicate of the two-way interval sets a distance
+    of its own.
     """
     n_clusters, n_routes = curve.trials.shape
     people, routes = two_way_weights(
@@ -77,19 +78,18 @@ def missed_at_equal_alarms(
     )
     trials = ((people @ curve.trials) * routes).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        values = _interpolated(missed, alarms, allowed) / trials
+        values = _interpolate_misses(missed, alarms, allowed) / trials
     effective = effective_clusters(curve.trials.sum(axis=1))
     n = int((curve.trials.sum(axis=1) > 0).sum())
-    if (
-        curve.trials.sum(axis=0) > 0
-    ).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
+    n_used_routes = (curve.trials.sum(axis=0) > 0).sum()
+    if n_used_routes < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         return Estimate(
             float(values[0]), n=n, replicates=values[1:], effective=effective
         )
-    return estimate_of(values, n=n, effective=effective)
+    return estimate_from_replicates(values, n=n, effective=effective)
 
 
-def _interpolated(missed: Floats, alarms: Floats, allowed: Floats) -> Floats:
+def _interpolate_misses(missed: Floats, alarms: Floats, allowed: Floats) -> Floats:
     """Return the misses where the alarms, (B, D), first exceed those allowed, (B,)."""
     exceeds = alarms > allowed[:, None]
     after = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), alarms.shape[1] - 1)

@@ -1,6 +1,6 @@
-"""The metrics of a policy on a patrol, each a number with its interval.
+"""Metrics of a policy on a patrol: numbers with intervals.
 
-`docs/need-to-know.md` explains them. Rates and shares are fractions, 0 to 1.
+`docs/explanation/need-to-know.md` explains them. Rates and shares are fractions, 0 to 1.
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ from isac_track.types import Floats, Ints
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RobotTask:
-    """What a robot should foresee on a patrol, and what it does if all samples are sent."""
+    """True conflicts on a patrol, and a robot's forecasts if all samples are sent."""
 
     network: Network
     predictor: Predictor
@@ -52,7 +52,7 @@ class RobotTask:
     entries: Ints  # (N, R) scan of the first true entry.
     everything: Ints  # (E, R) scans until a conflict is foreseen from all samples.
     allowed: dict[int, Ints]
-    """By horizon, in scans, (R,) queries with a false alarm of the reference."""
+    """Queries with a false alarm of the reference, (R,), by horizon in scans."""
 
 
 def robot_task(
@@ -65,8 +65,8 @@ def robot_task(
 ) -> RobotTask:
     """Return the task of a robot; `everything` is the disclosure of that policy.
 
-    `reference` is the task of the same robot without noise: at its false alarms all are
-    compared. Without it they are those of this task.
+    `reference` is the task of the same robot without noise: policies are compared at
+    its number of false alarms. Without it this task is the reference.
     """
     patrol, radius_m = network.patrol, settings.conflict.safety_radius_m
     answers = answer_forecasts(network, everything, predictor)
@@ -90,9 +90,9 @@ def robot_task(
 def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -> bool:
     """Return whether `withheld_share` follows from how policy and robot are built.
 
-    It does under `everything`, and where a policy decides by the very forecast that the
-    robot makes: by the same predictor, from the same positions of the same history.
-    Then the share is no finding.
+    It does under `everything`, and where a policy decides by the robot's own forecast:
+    the same predictor, from the same positions of the same history. Then the share is
+    no result.
     """
     if isinstance(policy, Everything):
         return True
@@ -113,7 +113,7 @@ def utility_metrics(
 
     `missed_conflict_rate`, `missed_future_rate`, `missed_future_at_equal_alarms`,
     `withheld_share`, `missed_encounter_rate` and `false_alarms_per_min`. The horizon is
-    one of the settings. Where nobody is met, a rate has no value and `n` is 0.
+    one of the settings. Without an encounter a rate has no value and `n` is 0.
     """
     patrol, actual = task.network.patrol, task.actual
     answers = answer_forecasts(task.network, disclosure, task.predictor)
@@ -145,24 +145,26 @@ def utility_metrics(
         "missed_future_at_equal_alarms": missed_at_equal_alarms(
             curve, reference=allowed, seed=seed
         ),
-        "missed_conflict_rate": _share(missed, cluster[person], seed=seed),
-        "missed_future_rate": _share(futures, cluster[person], seed=seed),
-        "withheld_share": _share(withheld, cluster[person], seed=seed),
-        "missed_encounter_rate": _share(encounters, cluster[everybody], seed=seed),
-        "false_alarms_per_min": _per_minute(alarms, patrol.duration_s, seed=seed),
+        "missed_conflict_rate": _share_estimate(missed, cluster[person], seed=seed),
+        "missed_future_rate": _share_estimate(futures, cluster[person], seed=seed),
+        "withheld_share": _share_estimate(withheld, cluster[person], seed=seed),
+        "missed_encounter_rate": _share_estimate(
+            encounters, cluster[everybody], seed=seed
+        ),
+        "false_alarms_per_min": _rate_per_minute(alarms, patrol.duration_s, seed=seed),
     }
 
 
 def knowledge_metrics(
     known: Known, *, group: tuple[str, ...], seed: int
 ) -> dict[str, Estimate]:
-    """Return the metrics of what an adversary knows, by name.
+    """Return the metrics of the knowledge of an adversary, by name.
 
     `known_share` and `known_undisclosed` are those of the estimator that knows most,
     with true identities; `known_by_map` is known without a log. `people_seen` is the
-    share of people of whom the log has an entry, `plr_walk` the mean over people of the
+    share of people with an entry in the log, `plr_walk` the mean over people of the
     share of their samples that were sent and leak. `known_worst_tenth` is the mean
-    known share of the people who are worst off. `group` names the cluster of each
+    known share of the worst-off tenth of people. `group` names the cluster of each
     person.
     """
     n_fleets = known.disclosed.shape[1]
@@ -179,11 +181,11 @@ def knowledge_metrics(
     cluster = cluster_numbers(group)
     metrics = {
         name: two_way_ratio(
-            numerator=sum_clusters(top, cluster),
-            denominator=sum_clusters(bottom, cluster),
+            numerator=sum_clusters(numerator, cluster),
+            denominator=sum_clusters(denominator, cluster),
             seed=seed,
         )
-        for name, (top, bottom) in ratios.items()
+        for name, (numerator, denominator) in ratios.items()
     }
     metrics["known_worst_tenth"] = worst_tenth(
         known=known.known[known.best],
@@ -194,7 +196,7 @@ def knowledge_metrics(
     return metrics
 
 
-def _share(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:
+def _share_estimate(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:
     return two_way_ratio(
         numerator=sum_clusters(counts.hits & counts.trials, cluster),
         denominator=sum_clusters(counts.trials, cluster),
@@ -202,11 +204,14 @@ def _share(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:
     )
 
 
-def _per_minute(alarms: Ints, duration_s: float, *, seed: int) -> Estimate:
-    """Return false alarms of a robot per minute, with its interval over routes."""
+def _rate_per_minute(alarms: Ints, duration_s: float, *, seed: int) -> Estimate:
+    """Return false alarms of a robot per minute, with an interval over routes."""
     minutes: Floats = np.full((1, alarms.size), duration_s / 60.0)
     weights = cluster_weights(
-        n_clusters=alarms.size, n_replicates=REPLICATES, seed=seed, of=("routes",)
+        n_clusters=alarms.size,
+        n_replicates=REPLICATES,
+        seed=seed,
+        stream_names=("routes",),
     )
     numerator = alarms[None].astype(np.float64)
     (estimate,) = ratio_estimates(

@@ -1,7 +1,7 @@
 """Patrols: robots walk through a whole recording and ask where people are.
 
-Everybody is present at true times and places, in long tracks and short. One scan clock
-serves all people; every `query_s` each robot asks. People do not give way to robots.
+All people are present at their true times and places, in long tracks and short. All
+share a scan clock; every `query_s` each robot asks. People do not give way to robots.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from isac_track.rng import stream
 from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walked_within
 from isac_track.types import Floats, Ints, Sensed, Tracks
 
-_ROUNDING: Final = 1e-6  # In steps of a clock: a recorded instant carries rounding.
+_ROUNDING: Final = 1e-6  # Rounding of a recorded instant, in steps of a clock.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,10 +26,10 @@ class Presences:
 
     query: Ints  # (E,) number of the query.
     person: Ints  # (E,) row of the person's track.
-    sample: Ints  # (E,) her sample at the instant of the query.
+    sample: Ints  # (E,) the person's sample at the instant of the query.
 
     def __len__(self) -> int:
-        """Return their number."""
+        """Return the number of pairs."""
         return self.query.size
 
 
@@ -37,8 +37,8 @@ class Presences:
 class Patrol:
     """N people with M samples on one clock of K scans, and R robots that ask Q times.
 
-    Robots ``fleet * robots_per_fleet`` and the next ones are the robots of a fleet. The
-    scans go on after the last sample, as far as any forecast reaches.
+    The robots of a fleet have the numbers from ``fleet * robots_per_fleet`` on. The
+    scans continue after the last sample to the end of the longest forecast.
     """
 
     people: Tracks  # The truth at the scans.
@@ -76,7 +76,7 @@ class Patrol:
         return np.asarray(self.scan_s[now[:, None] + np.arange(self.ahead_s.size)])
 
     def robot_ahead(self, robot: int, presence: Ints) -> Floats:
-        """Return where a robot is at these instants, (..., H, 2) m."""
+        """Return the places of a robot at these instants, (..., H, 2) m."""
         now = self.query_scan[self.presences.query[presence]]
         return np.asarray(
             self.robot_xy[robot, now[:, None] + np.arange(self.ahead_s.size)]
@@ -84,7 +84,7 @@ class Patrol:
 
 
 def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
-    """Return the horizons of conflicts in scans: the paper's steps, then the further ones."""
+    """Return the horizons of conflicts in scans: the paper's, then the further ones."""
     further_s = settings.conflict.horizons_s
     scan_s = settings.patrol.scan_s
     steps = (
@@ -95,11 +95,11 @@ def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
 
 
 def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patrol:
-    """Return the patrol through a recording, whose people stand where they are sensed.
+    """Return the patrol through a recording.
 
-    `recorded` are tracks as `isac_track.place.placed` returns them. Each robot draws
-    its route from a stream of its own. DataError if nobody is present at a scan, or at
-    a query.
+    `recorded` are placed tracks (`isac_track.place.placed`). Each robot draws its route
+    from a random stream of its own. DataError if nobody is present at a scan, or at a
+    query.
     """
     rules = settings.patrol
     start_s = float(recorded.t.min())
@@ -125,7 +125,7 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
         query_scan=query_scan,
         query_s=rules.query_s,
         ahead_s=rules.scan_s * np.arange(float(n_ahead)),
-        presences=_presences(scan, people.offsets, query_scan),
+        presences=_find_presences(scan, people.offsets, query_scan),
         robots_per_fleet=rules.robots,
         n_unseen=len(recorded) - len(people),
     )
@@ -137,10 +137,10 @@ def query_scans(rules: PatrolSettings) -> int:
 
 
 def sense_people(patrol: Patrol, *, settings: StageSettings, seed: int) -> Sensed:
-    """Return what the network senses of everybody: one error for each person and sample.
+    """Sense all people: one error for each person and sample.
 
-    What lasts of a link is that of the recorded walk; beam and error are the patrol's
-    own.
+    The lasting part of a link belongs to the recorded walk; beam and error are drawn
+    for the patrol.
     """
     people = patrol.people
     channel = draw_walk_channel(
@@ -171,8 +171,9 @@ def _instants(track: Tracks, *, start_s: float, end_s: float, step_s: float) -> 
 def _present_walks(
     recorded: Tracks, *, settings: StageSettings, start_s: float, end_s: float
 ) -> dict[int, Walk]:
-    """Return the continuous walks of those present on both clocks, by row."""
-    rules, walks = settings.patrol, {}
+    """Return the continuous walks of people present on both clocks, by row."""
+    rules = settings.patrol
+    walks: dict[int, Walk] = {}
     for row, track in enumerate(recorded):
         present = [
             _instants(track, start_s=start_s, end_s=end_s, step_s=step_s).size > 0
@@ -222,7 +223,8 @@ def _query_scans(n_scans: int, rules: PatrolSettings) -> Ints:
     return scan
 
 
-def _presences(scan: Ints, offsets: Ints, query_scan: Ints) -> Presences:
+def _find_presences(scan: Ints, offsets: Ints, query_scan: Ints) -> Presences:
+    """Return the pairs of a query and a present person, in the order of queries."""
     number = np.full(int(scan.max()) + 1, -1)
     number[query_scan] = np.arange(query_scan.size)
     sample = np.flatnonzero(number[scan] >= 0)

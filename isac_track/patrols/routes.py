@@ -23,8 +23,8 @@ def draw_waypoints(
 ) -> Floats:
     """Draw the waypoints of a route that is at least `length_m` long, (W, 2) m.
 
-    Each is uniform in the walked area. They are drawn in turn: a longer route begins
-    with the waypoints of a shorter one. A leg between two may leave the area.
+    Each is uniform in the walked area. They are drawn in turn, so that a longer route
+    begins with the waypoints of a shorter one. A leg may leave the area.
     """
     waypoints, walked_m = [_draw_place(cells, rng, cell_m)], 0.0
     while walked_m <= length_m:
@@ -39,7 +39,7 @@ def _draw_place(cells: Floats, rng: Generator, cell_m: float) -> Floats:
 
 
 def places_along(waypoints: Floats, distance_m: Floats) -> Floats:
-    """Return the places (K, 2) m that lie (K,) m along a route; its end for what is beyond."""
+    """Return places along a route, (K,) m -> (K, 2) m; its end for longer distances."""
     legs_m = np.sqrt(squared_lengths(np.diff(waypoints, axis=0)))
     milestones_m = np.concatenate([[0.0], np.cumsum(legs_m)])
     axes = [

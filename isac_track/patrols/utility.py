@@ -1,7 +1,6 @@
-"""What a robot on patrol foresees, misses, and is alarmed by in vain.
+"""Conflicts that a robot on patrol foresees and misses, and its false alarms.
 
-Scans count time. Truth and forecast are held against each other up to a person's
-leaving.
+Time is counted in scans. Truth and forecast are compared until a person leaves.
 """
 
 from dataclasses import dataclass
@@ -15,12 +14,12 @@ from isac_track.protocols import Predictor, knowing
 from isac_track.types import Bools, Floats, Ints, squared_lengths, stretches
 
 NEVER: Final = np.iinfo(np.int64).max // 2  # Scans until an event that does not happen.
-_LEAST_HISTORY: Final = 2  # Samples without which nobody can be forecast.
+_LEAST_HISTORY: Final = 2  # Least number of samples for a forecast.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Counts:
-    """Hits and trials of a share; the last axis is that of the R robots."""
+    """Hits and trials of a share; the last axis holds the R robots."""
 
     hits: Bools
     trials: Bools
@@ -34,10 +33,10 @@ class Counts:
 
 
 def true_conflicts(patrol: Patrol, *, safety_radius_m: float) -> Ints:
-    """Return after how many scans a person truly comes inside the safety radius, (E, R).
+    """Return the scans until a person is truly inside the safety radius, (E, R).
 
-    0: she is inside at the query. `NEVER`: not before she leaves, or beyond the reach
-    of all forecasts.
+    0: the person is inside at the query. `NEVER`: not before the person leaves, or only
+    beyond the reach of all forecasts.
     """
     sample, reach = patrol.presences.sample, patrol.ahead_s.size - 1
     stay = np.minimum(scans_left(patrol), reach)
@@ -51,7 +50,7 @@ def true_conflicts(patrol: Patrol, *, safety_radius_m: float) -> Ints:
 
 
 def first_entries(patrol: Patrol, *, safety_radius_m: float) -> Ints:
-    """Return the scan at which a person is first inside, (N, R); `NEVER` if she never is."""
+    """Return the scan at which a person is first inside, (N, R), or `NEVER`."""
     entries = np.full((len(patrol.people), patrol.n_robots), NEVER)
     for robot in range(patrol.n_robots):
         inside = _is_inside(patrol, robot=robot, safety_radius_m=safety_radius_m)
@@ -61,13 +60,13 @@ def first_entries(patrol: Patrol, *, safety_radius_m: float) -> Ints:
 
 
 def scans_left(patrol: Patrol) -> Ints:
-    """Return how many scans a person stays after each presence, (E,)."""
+    """Return the scans for which a person stays after each presence, (E,)."""
     pairs = patrol.presences
     return np.asarray(patrol.people.offsets[pairs.person + 1] - 1 - pairs.sample)
 
 
 def _is_inside(patrol: Patrol, *, robot: int, safety_radius_m: float) -> Bools:
-    """Return at which samples a person is truly inside the safety radius, (M,)."""
+    """Return the samples with a person truly inside the safety radius, (M,)."""
     gap = patrol.people.xy - patrol.robot_xy[robot, patrol.scan]
     return np.asarray(squared_lengths(gap) < safety_radius_m**2)
 
@@ -79,12 +78,12 @@ def foreseen_conflicts(
     predictor: Predictor,
     safety_radius_m: float,
 ) -> Ints:
-    """Return after how many scans a robot foresees a person inside, (E, R).
+    """Return the scans until a robot foresees a person inside, (E, R).
 
-    `NEVER` for people who are not in the answer, and after a person's leaving. The form
-    of the answer says who forecasts: the robot's `predictor` from samples, or the
-    network, whose state or flag the robot takes as it is. A flag is scored for each
-    person by the forecasts that it sums up.
+    `NEVER` for people who are not in the answer, and after a person has left. With
+    samples the robot forecasts by its `predictor`; a state or a flag is the network's
+    forecast, which the robot uses as it is. A flag is scored for each person by the
+    forecasts that it summarises.
     """
     answers = answer_forecasts(network, disclosure, predictor)
     return conflicts_in(network.patrol, answers, safety_radius_m=safety_radius_m)
@@ -92,7 +91,7 @@ def foreseen_conflicts(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AnswerForecasts:
-    """U forecasts, and which of them belongs to each of B answers about a person."""
+    """U forecasts, and the forecast of each of B answers about a person."""
 
     mean: Floats  # (U, H, 2) m
     row: Ints  # (B,) forecast of the answer.
@@ -103,13 +102,13 @@ class AnswerForecasts:
 def conflicts_in(
     patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float
 ) -> Ints:
-    """Return after how many scans forecasts come inside the radius, (E, R), or `NEVER`."""
+    """Return the scans until forecasts come inside the radius, (E, R), or `NEVER`."""
     stay = scans_left(patrol)
     conflicts = np.full((stay.size, patrol.n_robots), NEVER)
     for robot in range(patrol.n_robots):
-        ours = answers.robot == robot
-        presence = answers.presence[ours]
-        gap = answers.mean[answers.row[ours]] - patrol.robot_ahead(robot, presence)
+        is_ours = answers.robot == robot
+        presence = answers.presence[is_ours]
+        gap = answers.mean[answers.row[is_ours]] - patrol.robot_ahead(robot, presence)
         inside = squared_lengths(gap) < safety_radius_m**2
         wait = np.where(inside.any(axis=1), inside.argmax(axis=1), NEVER)
         conflicts[presence, robot] = np.where(wait <= stay[presence], wait, NEVER)
@@ -117,20 +116,18 @@ def conflicts_in(
 
 
 def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Floats:
-    """Return how near to the robot each person is forecast within a horizon, (E, R) m.
+    """Return the least forecast distance to the robot within a horizon, (E, R) m.
 
-    The horizon is in scans; a person counts up to her leaving. Infinite without an
+    The horizon is in scans; a person counts until leaving. Infinite without an
     answer.
     """
     stay = np.minimum(scans_left(patrol), horizon)
     least = np.full((stay.size, patrol.n_robots), np.inf)
     for robot in range(patrol.n_robots):
-        ours = answers.robot == robot
-        presence = answers.presence[ours]
-        mean, route = (
-            answers.mean[answers.row[ours]],
-            patrol.robot_ahead(robot, presence),
-        )
+        is_ours = answers.robot == robot
+        presence = answers.presence[is_ours]
+        mean = answers.mean[answers.row[is_ours]]
+        route = patrol.robot_ahead(robot, presence)
         square = squared_lengths(mean[:, : horizon + 1] - route[:, : horizon + 1])
         square[np.arange(horizon + 1) > stay[presence][:, None]] = np.inf
         least[presence, robot] = np.sqrt(square.min(axis=1))
@@ -140,13 +137,13 @@ def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Flo
 def answer_forecasts(
     network: Network, disclosure: Disclosure, predictor: Predictor
 ) -> AnswerForecasts:
-    """Return what a robot, or the network for it, forecasts from each answer.
+    """Return the forecasts from each answer, by the robot or by the network.
 
-    The form of the answer says who forecasts, as in `foreseen_conflicts`.
+    The form of the answer decides which, as in `foreseen_conflicts`.
     """
     if disclosure.form == "samples":
-        robot_knows = knowing(predictor, network.mechanism)
-        return _forecast_samples(network, disclosure, robot_knows)
+        adapted = knowing(predictor, network.mechanism)
+        return _forecast_samples(network, disclosure, adapted)
     if disclosure.form == "state":
         mean, presence = network.shared_forecast.mean, disclosure.presence
         return AnswerForecasts(mean, presence, disclosure.robot, presence)
@@ -160,18 +157,18 @@ def answer_forecasts(
 def _forecast_samples(
     network: Network, disclosure: Disclosure, predictor: Predictor
 ) -> AnswerForecasts:
-    """Return a robot's forecasts; robots that were sent the same samples share them."""
+    """Return robots' forecasts; robots that were sent the same samples share them."""
     robot, presence = disclosure.robot, disclosure.presence
     is_new = np.ones(robot.size, dtype=bool)
     is_new[1:] = (np.diff(robot) != 0) | (np.diff(presence) != 0)
     begin = np.flatnonzero(is_new)
     n_runs = np.diff(np.append(begin, robot.size))
-    # Answers of one run are equal if their samples are; those with gaps stand for
-    # themselves.
-    alone = np.where(n_runs == 1, -1, np.arange(begin.size))
+    # Answers of one run are equal if their samples are; answers of several runs are
+    # never merged.
+    own_key = np.where(n_runs == 1, -1, np.arange(begin.size))
     last = begin + n_runs - 1
     keys = np.stack(
-        [presence[begin], disclosure.first[begin], disclosure.end[last], alone]
+        [presence[begin], disclosure.first[begin], disclosure.end[last], own_key]
     )
     _, chosen, row = np.unique(keys, axis=1, return_index=True, return_inverse=True)
     runs, starts = stretches(begin[chosen], n_runs[chosen])
@@ -189,12 +186,12 @@ def _forecast_samples(
 
 
 def missed_conflicts(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
-    """Count the conflicts within a horizon, in scans, that a robot did not foresee."""
+    """Count conflicts within a horizon, in scans, that a robot did not foresee."""
     return Counts(hits=foreseen > horizon, trials=actual <= horizon)
 
 
 def missed_futures(actual: Ints, foreseen: Ints, *, horizon: int) -> Counts:
-    """Count as `missed_conflicts`, without people who are inside at the query already."""
+    """Count as `missed_conflicts`, without people who are inside at the query."""
     return Counts(hits=foreseen > horizon, trials=(actual > 0) & (actual <= horizon))
 
 
@@ -203,8 +200,8 @@ def withheld_conflicts(
 ) -> Counts:
     """Count the future conflicts that a policy withheld from a robot.
 
-    Trials are those that the robot foresees under `everything`, with the same mechanism
-    and draws; hits those that it does not foresee under the policy.
+    Trials are the conflicts that the robot foresees under `everything`, with the same
+    mechanism and draws; hits are those that it does not foresee under the policy.
     """
     is_future = (actual > 0) & (actual <= horizon)
     return Counts(hits=foreseen > horizon, trials=is_future & (everything <= horizon))
@@ -217,8 +214,8 @@ def missed_encounters(
 
     An encounter is the first time that a person is inside. The warning is the answer to
     the last query at least `lead` scans before: a forecast over ``lead + query_scans``
-    scans that foresees her inside. She is not eligible if the network had too few
-    samples of her by then to forecast her.
+    scans that foresees the person inside. A person does not count if the network had
+    too few samples for a forecast by then.
     """
     pairs = patrol.presences
     wait = entries[pairs.person] - patrol.query_scan[pairs.query][:, None]
@@ -237,8 +234,8 @@ def missed_encounters(
 def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) -> Ints:
     """Return the number of false alarms of each robot, (R,).
 
-    An alarm is a run of queries at which the robot foresees anybody inside within the
-    horizon, in scans. It is false if at none of them anybody truly comes inside.
+    An alarm is a run of queries at which the robot foresees a person inside within the
+    horizon, in scans. It is false if nobody truly comes inside at any of them.
     """
     query, n_queries = patrol.presences.query, patrol.query_scan.size
     is_alarm = _any_person(foreseen <= horizon, query, n_queries)
@@ -256,10 +253,11 @@ def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) 
 def false_alarm_queries(
     patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int
 ) -> Ints:
-    """Return at how many queries each robot is alarmed although nobody comes inside, (R,).
+    """Return the number of queries with a false alarm of each robot, (R,).
 
-    Both within the horizon, in scans. A longer alarm distance never lowers this number,
-    which it may do to that of `false_alarms`.
+    The robot foresees a person inside within the horizon, in scans, and nobody comes. A
+    longer alarm distance never lowers this number, but may lower that of
+    `false_alarms`.
     """
     query, n_queries = patrol.presences.query, patrol.query_scan.size
     is_alarm = _any_person(foreseen <= horizon, query, n_queries)
@@ -268,7 +266,7 @@ def false_alarm_queries(
 
 
 def _any_person(flags: Bools, query: Ints, n_queries: int) -> Bools:
-    """Return whether a flag holds for anybody present at each query, (E, R) -> (Q, R)."""
+    """Return whether a flag holds for any person at each query, (E, R) -> (Q, R)."""
     total = np.zeros((n_queries, flags.shape[1]), dtype=bool)
     np.logical_or.at(total, query, flags)
     return total

@@ -1,7 +1,7 @@
-"""The adversary without a log: a map of where other people stand, and one guess for all.
+"""The adversary without a log, who guesses from a map of where other people stand.
 
-A map says where people are most often, not who is where. The best single guess from it
-is the place around which others spend most time.
+The map shows where people are most often, without identities. The best single guess
+from it is the place around which others spend most time.
 """
 
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from scipy.ndimage import convolve
 from isac_track.patrols.intervals import cluster_numbers
 from isac_track.types import Floats, Ints
 
-_CELLS_PER_RADIUS: Final = 4  # Of the map.
+_CELLS_PER_RADIUS: Final = 4  # Cells of the map within epsilon.
 
 
 def map_guesses(
@@ -22,9 +22,9 @@ def map_guesses(
     """Return the guess from the map of all other people for each of N people, (N, 2) m.
 
     It is the centre of the cell within `epsilon_m` of which others spend the largest
-    share of their time, each person's share weighing the same. `xy` are (M, 2) m, one
-    an instant, `offsets` (N + 1,). People of one group are not others of each other.
-    Without others it is the middle of the map.
+    share of their time; all people weigh the same. `xy`, (M, 2) m, are positions at
+    instants, `offsets` (N + 1,). People of the same group do not count as others of
+    each other. Without others the guess is the middle of the map.
     """
     side_m = epsilon_m / _CELLS_PER_RADIUS
     low = xy.min(axis=0)
@@ -35,16 +35,17 @@ def map_guesses(
     everybody = _time_around(cell, weight, shape)
     guesses = np.empty((int(cluster.max()) + 1, 2))
     for number in range(len(guesses)):
-        ours = owner == number
-        others = everybody - _time_around(cell[ours], weight[ours], shape)
-        best = np.unravel_index(others.argmax(), shape)
-        guesses[number] = shape if ours.all() else best
-        guesses[number] *= 0.5 if ours.all() else 1.0
+        is_own = owner == number
+        if is_own.all():
+            guesses[number] = 0.5 * np.array(shape)
+            continue
+        others = everybody - _time_around(cell[is_own], weight[is_own], shape)
+        guesses[number] = np.unravel_index(others.argmax(), shape)
     return np.asarray(low + side_m * (guesses[cluster] + 0.5))
 
 
 def _time_around(cell: Ints, weight: Floats, shape: tuple[int, ...]) -> Floats:
-    """Return the weight of the instants that lie in a disc around each cell of the map."""
+    """Return the weight of the instants in a disc around each cell of the map."""
     time = np.zeros(shape)
     np.add.at(time, (cell[:, 0], cell[:, 1]), weight)
     reach = np.arange(-_CELLS_PER_RADIUS, _CELLS_PER_RADIUS + 1)

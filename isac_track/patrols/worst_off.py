@@ -1,8 +1,7 @@
-"""The worst-off tenth of people: whom the logs of some fleets expose most, scored on others.
+"""The worst-off tenth of people: chosen on some fleets, scored on others.
 
-The highest of many noisy shares are high by chance as well. So the tenth is chosen by
-the logs of one half of the fleets, and its mean is taken over the other half, and the
-reverse.
+The highest of many noisy shares are high partly by chance. So the tenth is chosen by
+the logs of one half of the fleets and scored on the other half, and the reverse.
 """
 
 from typing import Final
@@ -13,21 +12,21 @@ from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
     effective_clusters,
-    estimate_of,
+    estimate_from_replicates,
 )
 from isac_track.patrols.intervals import FEWEST_ROUTES, two_way_weights
 from isac_track.types import Floats, Ints
 
 _TENTH: Final = 0.1
-LEAST_FLEETS: Final = 16  # Eight logs a person for the choice, and eight for the score.
+LEAST_FLEETS: Final = 16  # Eight for the choice, and eight for the score.
 
 
 def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Estimate:
     """Return the mean known share of the worst-off tenth of people, with its interval.
 
     `known`, (N, F), counts the known instants of N people in the logs of F fleets, of
-    `instants`, (N,); `cluster`, (N,), numbers who walk together. Every replicate of the
-    two-way interval repeats the choice. NaN with fewer than `LEAST_FLEETS` fleets.
+    `instants`, (N,); `cluster`, (N,), numbers people who walk together. Every replicate
+    of the two-way interval repeats the choice. NaN below `LEAST_FLEETS` fleets.
     """
     n_fleets = known.shape[1]
     n_clusters = int(cluster.max(initial=-1)) + 1
@@ -45,7 +44,7 @@ def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Est
     if n_fleets < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         value = float(values[0])
         return Estimate(value, n=n_clusters, replicates=values[1:], effective=effective)
-    return estimate_of(values, n=n_clusters, effective=effective)
+    return estimate_from_replicates(values, n=n_clusters, effective=effective)
 
 
 def _mean_shares(known: Ints, instants: Ints, routes: Floats) -> Floats:
@@ -56,9 +55,10 @@ def _mean_shares(known: Ints, instants: Ints, routes: Floats) -> Floats:
 
 
 def _top_mean(chosen_by: Floats, scored: Floats, weights: Floats) -> Floats:
-    """Return the mean score of the tenth of largest `chosen_by`, (1 + B,); all (N, 1 + B).
+    """Return the mean score of the tenth with the largest `chosen_by`, (1 + B,).
 
-    A person at the edge of the tenth counts with the part of her weight that is inside.
+    All arguments are (N, 1 + B). For a person at the edge of the tenth, only the part
+    of the weight inside counts.
     """
     order = np.argsort(-chosen_by, axis=0, kind="stable")
     weight = np.take_along_axis(weights, order, axis=0)

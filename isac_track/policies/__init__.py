@@ -1,6 +1,6 @@
-"""Disclosure policies: which samples of which people the answer to a robot holds.
+"""Disclosure policies: the choice of samples and people in an answer to a robot.
 
-A mechanism changes samples; a policy chooses among them. `query` has what a policy
-sees, `samples` the policies that send samples, `summaries` those that send less than a
-sample.
+A mechanism changes samples; a policy chooses among them. `query` holds the input of a
+policy, `samples` the policies that send samples, `summaries` those that send a state or
+a flag.
 """

@@ -9,10 +9,10 @@ from numpy.random import Generator
 from isac_track.types import Bools, Floats, Ints, Prediction, squared_lengths
 
 Form: TypeAlias = Literal["samples", "state", "flag"]
-"""Form of an answer: samples of walks, a filtered state for each person, or yes and no."""
+"""Form of an answer: samples, a filtered state of each person, or yes and no."""
 SelectOn: TypeAlias = Literal["raw", "shared"]
-"""Which positions a selection rests on: those sensed, or those that the mechanism shares."""
-_ROUNDING_S = 1e-9
+"""Positions on which a selection rests: as sensed, or as the mechanism shares them."""
+_ROUNDING_S = 1e-9  # Tolerance of comparisons of times.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,7 +35,7 @@ class Query:
     offsets: Ints  # (P + 1,)
     raw: View  # As sensed.
     shared: View  # As the mechanism shares it.
-    robot_xy: Floats  # (H, 2) m, the robot's route at `ahead_s`; first its place now.
+    robot_xy: Floats  # (H, 2) m, the robot's route at `ahead_s`, from its place now.
     ahead_s: Floats  # (H,) s after now; the first is 0.
     rng: Generator  # A stream of this robot and query alone.
 
@@ -54,19 +54,17 @@ class Query:
         return np.asarray(self.t.max(initial=-np.inf) - self.t)
 
     def recent_samples(self, people: Bools, *, window_s: float | None = None) -> Bools:
-        """Return the samples of some people, (P,) -> (M,), of the last `window_s` seconds.
+        """Return which samples of some people are recent, (P,) -> (M,).
 
-        Without a window all their samples are meant.
+        These are the samples of the last `window_s` seconds; without a window, all.
         """
         chosen: Bools = np.repeat(people, np.diff(self.offsets))
-        return (
-            chosen
-            if window_s is None
-            else chosen & (self.age_s <= window_s + _ROUNDING_S)
-        )
+        if window_s is None:
+            return chosen
+        return chosen & (self.age_s <= window_s + _ROUNDING_S)
 
     def near_robot(self, *, radius_m: float, select_on: SelectOn) -> Bools:
-        """Return who stands less than `radius_m` from the robot now, (P,)."""
+        """Return which people stand less than `radius_m` from the robot now, (P,)."""
         last = self.view(select_on).xy[self.offsets[1:] - 1]
         return np.asarray(squared_lengths(last - self.robot_xy[0]) < radius_m**2)
 
@@ -78,11 +76,11 @@ class Query:
         stds: float = 0.0,
         select_on: SelectOn,
     ) -> Bools:
-        """Return who is forecast within a margin of the robot's route, (P,).
+        """Return which people are forecast within a margin of the robot's route, (P,).
 
         Distances are time-aligned, up to `horizon_s`. The margin grows by `stds`
-        standard deviations of the forecast, per axis. ValueError if it shall grow but
-        the forecast has no covariance.
+        standard deviations of the forecast, per axis; ValueError if the forecast then
+        has no covariance.
         """
         forecast = self.view(select_on).forecast
         n_steps = int((self.ahead_s <= horizon_s + _ROUNDING_S).sum())

@@ -1,4 +1,4 @@
-"""Policies that answer with samples: of everybody, of those near, of those in the way."""
+"""Policies that send samples: of everybody, of people nearby, of people ahead."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,12 +10,12 @@ from isac_track.policies.query import Form, Query, SelectOn
 from isac_track.types import Bools, positive
 
 WINDOW_S = 1.3
-"""Of the 16 samples that the paper's robot reads, at the usual scan interval."""
-HORIZON_S = 3.0  # How far the usual forecast of a policy reaches.
+"""Duration of the 16 samples that the paper's robot reads, at the usual interval."""
+HORIZON_S = 3.0  # Usual horizon of a policy's forecast.
 
 
 def check_window(window_s: float | None) -> None:
-    """Raise ValueError for a window that is no positive time; None stands for all history."""
+    """Raise ValueError for a window that is not positive; None means all history."""
     if window_s is not None:
         positive("window_s", window_s)
 
@@ -54,7 +54,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class Near:
-    """Send the last seconds of those who are near the robot now."""
+    """Send the last seconds of people who are near the robot now."""
 
     metres: float  # m from the robot.
     window_s: float | None = WINDOW_S  # None: all history.
@@ -69,18 +69,18 @@ class Near:
         check_window(self.window_s)
 
     def select(self, query: Query) -> Bools:
-        """Return the samples of those near, (M,)."""
+        """Return the samples of people near the robot, (M,)."""
         near = query.near_robot(radius_m=self.metres, select_on=self.select_on)
         return query.recent_samples(near, window_s=self.window_s)
 
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """Send the last seconds of those whom the network forecasts near the robot's route."""
+    """Send the last seconds of people who are forecast near the robot's route."""
 
     metres: float  # m, margin around the route.
     window_s: float | None = WINDOW_S  # None: all history.
-    # How far ahead the forecast is held against the route.
+    # Horizon within which forecast and route are compared.
     horizon_s: float = HORIZON_S
     stds: float = 0.0  # Standard deviations of the forecast that widen the margin.
     select_on: SelectOn = "raw"
@@ -96,7 +96,7 @@ class Ahead:
         check_at_least("stds", self.stds, 0)
 
     def select(self, query: Query) -> Bools:
-        """Return the samples of those in the way, (M,)."""
+        """Return the samples of people ahead, (M,)."""
         ahead = query.forecast_near_route(
             margin_m=self.metres,
             horizon_s=self.horizon_s,
@@ -108,9 +108,9 @@ class Ahead:
 
 @dataclass(frozen=True, slots=True)
 class RandomPeople:
-    """Send the last seconds of a random share of people: the control of all selections."""
+    """Send the last seconds of a random share of people: a control."""
 
-    share: float  # Probability of each person, at every query anew.
+    share: float  # Probability of each person, drawn anew at every query.
     window_s: float | None = WINDOW_S  # None: all history.
 
     form: ClassVar[Form] = "samples"
@@ -123,6 +123,6 @@ class RandomPeople:
         check_window(self.window_s)
 
     def select(self, query: Query) -> Bools:
-        """Return the samples of those drawn, (M,)."""
+        """Return the samples of the drawn people, (M,)."""
         drawn = query.rng.random(query.n_people) < self.share
         return query.recent_samples(drawn, window_s=self.window_s)

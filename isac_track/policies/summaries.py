@@ -1,4 +1,4 @@
-"""Policies that answer with less than a sample: a filtered state, or yes and no."""
+"""Policies that send less than a sample: a filtered state, or yes and no."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,12 +14,12 @@ from isac_track.types import Bools, positive
 class State:
     """Send one filtered position and velocity of each person, with their covariance.
 
-    The network filters the shared samples up to now; the robot moves the state on at
-    constant velocity. Selected is the sample at whose instant the state is.
+    The network filters the shared samples up to now; the robot extrapolates the state
+    at constant velocity. The policy selects the sample at the time of the state.
     """
 
     metres: float | None = None
-    """m, margin around the robot's route as that of `ahead`; None: everybody present."""
+    """Margin around the robot's route as in `ahead`, m; None: everybody present."""
     horizon_s: float = HORIZON_S
     select_on: SelectOn = "raw"
 
@@ -33,7 +33,7 @@ class State:
         positive("horizon_s", self.horizon_s)
 
     def select(self, query: Query) -> Bools:
-        """Return the samples at whose instant a state is sent, (M,)."""
+        """Return the samples at the times of the states that are sent, (M,)."""
         people = np.ones(query.n_people, dtype=bool)
         if self.metres is not None:
             people = query.forecast_near_route(
@@ -44,7 +44,7 @@ class State:
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Send yes or no: the network applies the conflict rule, and no position leaves it."""
+    """Send yes or no: the network applies the conflict rule and sends no position."""
 
     select_on: SelectOn = "raw"
 

@@ -1,8 +1,8 @@
-"""The metric suite: the definition of PLR, AEL, MEL and the conflict metrics, as checks.
+"""The metric suite: PLR, AEL, MEL and the conflict metrics, defined by checks.
 
 It needs nothing but numpy and scipy, and runs against any implementation. Offer your
-functions
-as a `Metrics` object; what you leave out is skipped. From the command line::
+functions as a `Metrics` object; checks of functions that you leave out are skipped.
+From the command line::
 
     python -m isac_track.testing my_package.my_module:METRICS
 
@@ -19,8 +19,8 @@ from typing import Any
 
 # The two modules of checks fill the kit as they are imported.
 from isac_track.testing import (
-    _conflict_checks,  # noqa: F401 - as said
-    _descriptor_checks,  # noqa: F401 - as said
+    _conflict_checks,  # noqa: F401 - its import registers checks
+    _descriptor_checks,  # noqa: F401 - its import registers checks
     _metrics,
     engine,
 )
@@ -30,22 +30,34 @@ from isac_track.testing.engine import Check, Outcome
 __all__ = ["CHECKS", "OWN", "Check", "Metrics", "Outcome"]
 __all__ += ["parametrize_metric_checks", "run_checks", "select_checks"]
 
-CHECKS: tuple[Check, ...] = tuple(
-    _metrics.CHECKS.values()
-)  # In the order in which they run.
+CHECKS: tuple[Check, ...] = tuple(_metrics.CHECKS.values())
+"""All checks, in the order in which they run."""
 
 
 def select_checks(names: Sequence[str] | None = None) -> tuple[Check, ...]:
-    """Return the checks called `names`, or all; SettingsError for a name that does not exist."""
+    """Return the checks called `names`, or all; SettingsError for an unknown name."""
     return engine.select(_metrics.CHECKS, names, known="`--list` names all checks")
 
 
 def run_checks(
     metrics: Metrics, *, names: Sequence[str] | None = None
 ) -> Iterator[Outcome]:
-    """Run all checks, or those called `names`, one by one on the functions of `metrics`.
+    """Run all checks, or those called `names`, on the functions of `metrics`.
 
-    A function that raises fails its check and ends nothing. Raises as `select_checks`.
+    Yields the outcome of each check in turn. A function that raises an error fails its
+    check and ends nothing. Raises as `select_checks`.
+
+    Examples
+    --------
+    A share of leaked samples that counts a distance of exactly epsilon as a leak:
+
+    >>> import numpy as np
+    >>> from isac_track.testing import Metrics, run_checks
+    >>> def plr(shared, true, epsilon_m):
+    ...     return np.mean(np.hypot(*(shared - true).T) <= epsilon_m)
+    >>> outcomes = list(run_checks(Metrics(plr=plr)))
+    >>> [outcome.name for outcome in outcomes if outcome.status == "failed"]
+    ['plr_boundary_is_strict']
     """
     return engine.outcomes(select_checks(names), metrics)
 
@@ -53,10 +65,10 @@ def run_checks(
 def parametrize_metric_checks(
     metrics: Metrics, *, names: Sequence[str] | None = None
 ) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
-    """Return a pytest decorator that runs a test once per check, with ``check`` to call.
+    """Return a pytest decorator that runs a test for each check, ``check`` to call.
 
-    All checks, or those called `names`; those of functions that are not offered are
-    skipped.
+    It has all checks, or those called `names`. Checks of functions that are not offered
+    are skipped. Raises as `select_checks`.
     """
-    cases = ((one.name, (partial(one, metrics),)) for one in select_checks(names))
+    cases = ((check.name, (partial(check, metrics),)) for check in select_checks(names))
     return engine.parametrize("check", cases)

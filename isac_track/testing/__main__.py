@@ -7,7 +7,7 @@ import sys
 from pkgutil import resolve_name
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
-from isac_track.errors import PluginError, SettingsError, told
+from isac_track.errors import PluginError, SettingsError, error_text
 from isac_track.testing import CHECKS, Metrics, run_checks, select_checks
 from isac_track.testing.engine import report
 
@@ -35,41 +35,40 @@ def main(arguments: list[str] | None = None) -> int:
     )
     parser.add_argument("--list", action="store_true", help="name all checks and exit")
 
-    def check() -> int:
+    def run() -> int:
         options = parser.parse_args(arguments)
         if options.list:
-            for one in CHECKS:
-                print(f"{one.name:38} {one.statement}")
+            for check in CHECKS:
+                print(f"{check.name:38} {check.statement}")
             return DONE
         if options.target is None:
             raise SettingsError("name the functions to check: package.module:OBJECT")
         try:
             metrics = resolve_name(options.target)
-        except (
-            Exception,
-            SystemExit,
-        ) as error:  # a stranger's import may raise anything at all
+        except (Exception, SystemExit) as error:
+            # The import of somebody else's module may raise anything.
             expected = (
                 f"cannot import {options.target!r}, expected package.module:OBJECT"
             )
-            raise PluginError(f"{expected}: {told(error)}") from error
+            raise PluginError(f"{expected}: {error_text(error)}") from error
         if not isinstance(metrics, Metrics):
             got = type(metrics).__name__
             raise PluginError(
                 f"{options.target} must be an isac_track.testing.Metrics, got {got}"
             )
-        if all(one.missing(metrics) for one in select_checks(options.check)):
+        if all(check.missing(metrics) for check in select_checks(options.check)):
             raise SettingsError(
                 f"{options.target} offers no function for the checks chosen"
             )
-        found = run_checks(metrics, names=options.check)
-        shown = "{one.status:8}{one.name}: {one.message}"
+        outcomes = run_checks(metrics, names=options.check)
+        shown = "{outcome.status:8}{outcome.name}: {outcome.message}"
         none_failed = report(
-            found, line=lambda one: shown.format(one=one).removesuffix(": ")
+            outcomes,
+            line=lambda outcome: shown.format(outcome=outcome).removesuffix(": "),
         )
         return DONE if none_failed else LIMIT_NOT_MET
 
-    return exit_code(check)
+    return exit_code(run)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Checks of the robot's task (eqs. future_time_grid to conflict_rule) and of the FID rule."""
+"""Checks of the robot's task (eqs. future_time_grid to conflict_rule) and FID rule."""
 
 from itertools import pairwise
 from math import dist, exp, inf, nan
@@ -69,15 +69,14 @@ def path_matches_brute_force(robot_path: Function, rng: Generator) -> None:
 
 @check
 def separation_hand_examples(minimum_separation: Function) -> None:
-    """The separation is the smallest distance at equal steps, not between the curves."""
+    """The separation is the smallest distance at equal steps, not between curves."""
     robot = np.array([[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0]]])
-    # Stands where the robot was one step before: on its curve, but never closer than 1
-    # m.
+    # It stands where the robot was a step before: on its curve, never closer than 1 m.
     follower = np.array([[[-1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]])
     expect_call(minimum_separation, robot, follower, gives=1.0)
     # A second agent passes at 0.5 m at step 1.
-    both = np.concatenate([follower, [[[9.0, 9.0], [1.3, 0.4], [9.0, 9.0]]]])
-    expect_call(minimum_separation, np.concatenate([robot, robot]), both, gives=0.5)
+    agents = np.concatenate([follower, [[[9.0, 9.0], [1.3, 0.4], [9.0, 9.0]]]])
+    expect_call(minimum_separation, np.concatenate([robot, robot]), agents, gives=0.5)
 
 
 @check
@@ -94,22 +93,20 @@ def separation_matches_brute_force(
 
 @check
 def separation_symmetries(minimum_separation: Function, rng: Generator) -> None:
-    """The separation ignores rigid motion, the order of the agents, and who is the robot."""
+    """The separation ignores rigid motion, the order of agents, and exchanged roles."""
     turn = np.array([[0.6, 0.8], [0.8, -0.6]])
     robot, agents = _scene(rng)
-    value, case = (
-        minimum_separation(robot, agents),
-        f"robot {show(robot)}, {show(agents)} m",
-    )
-    for change, other in (
+    value = minimum_separation(robot, agents)
+    case = f"robot {show(robot)}, {show(agents)} m"
+    for change, arguments in (
         ("after a rigid motion", (robot @ turn + 7.0, agents @ turn + 7.0)),
         ("with the agents in reverse", (robot[::-1], agents[::-1])),
         ("with the roles exchanged", (agents, robot)),
     ):
         expect(
-            minimum_separation(*other),
+            minimum_separation(*arguments),
             value,
-            what=f"the separation {change}",
+            label=f"the separation {change}",
             case=case,
         )
 
@@ -131,40 +128,40 @@ def missed_rate_hand_examples(missed_conflict_rate: Function) -> None:
         "1111 0000": 1.0,
         "0000 1010": nan,
     }
-    _rates(missed_conflict_rate, examples | {"10000000 00000000": 1.0})
+    _expect_rates(missed_conflict_rate, examples | {"10000000 00000000": 1.0})
 
 
 @check
 def false_alarm_rate_hand_examples(false_alarm_rate: Function) -> None:
-    """The false-alarm rate is the share of conflict-free scenes with a predicted conflict."""
+    """The false-alarm rate is the share of conflict-free scenes with an alarm."""
     examples = {
         "1000 1011": 2 / 3,
         "1100 1100": 0.0,
         "0000 1111": 1.0,
         "1111 0101": nan,
     }
-    _rates(false_alarm_rate, examples | {"01111111 10000000": 1.0})
+    _expect_rates(false_alarm_rate, examples | {"01111111 10000000": 1.0})
 
 
 @check
 def missed_rate_matches_brute_force(
     missed_conflict_rate: Function, rng: Generator
 ) -> None:
-    """The missed rate equals the count on random scenes; conflict-free scenes do not matter."""
-    _wrong_among(missed_conflict_rate, rng, truth=True)
+    """The missed rate equals the count on random scenes, over true conflicts only."""
+    _expect_wrong_share(missed_conflict_rate, rng, truth=True)
 
 
 @check
 def false_alarm_rate_matches_brute_force(
     false_alarm_rate: Function, rng: Generator
 ) -> None:
-    """The false-alarm rate equals the count on random scenes; true conflicts do not matter."""
-    _wrong_among(false_alarm_rate, rng, truth=False)
+    """The false-alarm rate equals the count on random conflict-free scenes."""
+    _expect_wrong_share(false_alarm_rate, rng, truth=False)
 
 
 @check
 def distance_mae_hand_examples(distance_mae_m: Function) -> None:
-    """The distance MAE is the mean absolute error; errors of either sign do not cancel."""
+    """The distance MAE is the mean absolute error; opposite signs do not cancel."""
     true_m = np.array([1.0, 2.0, 3.0, 0.0])
     expect_call(distance_mae_m, true_m, np.array([1.5, 1.0, 3.0, 0.5]), gives=0.5)
     expect_call(distance_mae_m, np.array([]), np.array([]), gives=nan)
@@ -183,10 +180,10 @@ def distance_mae_matches_brute_force(distance_mae_m: Function, rng: Generator) -
 
 @check
 def fid_rule_hand_examples(fid_d_sigma: Function) -> None:
-    """0 up to rho = 1, alpha (beta - 1) just above, alpha (beta - 1/e) at 2, alpha beta at inf."""
+    """0 to rho 1, alpha (beta - 1) above, alpha (beta - 1/e) at 2, then alpha beta."""
     fid = np.array([0.0, 4.0, 8.0, float(np.nextafter(8.0, 9.0)), 16.0, 1e300, inf])
-    wanted = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
-    expect_call(fid_d_sigma, fid, 8.0, 0.5, 1.5, gives=wanted)
+    expected = [0.0, 0.0, 0.0, 0.25, 0.5 * (1.5 - exp(-1.0)), 0.75, 0.75]
+    expect_call(fid_d_sigma, fid, 8.0, 0.5, 1.5, gives=expected)
 
 
 @check
@@ -196,8 +193,10 @@ def fid_rule_matches_brute_force(fid_d_sigma: Function, rng: Generator) -> None:
     alpha_m, beta = float(rng.uniform(0, 2)), float(rng.uniform(1, 3))
     fid = eta * 10.0 ** rng.uniform(-2, 2, int(rng.integers(1, 20)))
     rho = (fid / eta).tolist()
-    wanted = [0.0 if one <= 1 else alpha_m * (beta - exp(-(one - 1))) for one in rho]
-    expect_call(fid_d_sigma, fid, eta, alpha_m, beta, gives=wanted)
+    expected = [
+        0.0 if ratio <= 1 else alpha_m * (beta - exp(-(ratio - 1))) for ratio in rho
+    ]
+    expect_call(fid_d_sigma, fid, eta, alpha_m, beta, gives=expected)
 
 
 @check
@@ -207,31 +206,35 @@ def fid_rule_monotone(fid_d_sigma: Function) -> None:
     d_sigma = np.stack([fid_d_sigma(fid, eta, 0.5, 1.5) for eta in etas])
     case = f"fid from 0.1 to 1e5, eta {etas}, alpha 0.5 m, beta 1.5"
     expect_that(
-        (np.diff(d_sigma, axis=1) >= 0).all(), what="d_sigma falls with fid", case=case
+        (np.diff(d_sigma, axis=1) >= 0).all(),
+        failure="d_sigma falls with fid",
+        case=case,
     )
     expect_that(
-        (np.diff(d_sigma, axis=0) <= 0).all(), what="d_sigma grows with eta", case=case
+        (np.diff(d_sigma, axis=0) <= 0).all(),
+        failure="d_sigma grows with eta",
+        case=case,
     )
 
 
-def _rates(rate_of: Function, examples: dict[str, float]) -> None:
-    """Compare rates by the scenes in conflict and those predicted to be, "1" for either."""
+def _expect_rates(rate_function: Function, examples: dict[str, float]) -> None:
+    """Compare rates; each example marks scenes in conflict, then those predicted."""
     for text, rate in examples.items():
         conflict, predicted = (
-            np.array([scene == "1" for scene in one]) for one in text.split()
+            np.array([scene == "1" for scene in flags]) for flags in text.split()
         )
-        expect_call(rate_of, conflict, predicted, gives=rate)
+        expect_call(rate_function, conflict, predicted, gives=rate)
 
 
-def _wrong_among(rate_of: Function, rng: Generator, *, truth: bool) -> None:
+def _expect_wrong_share(
+    rate_function: Function, rng: Generator, *, truth: bool
+) -> None:
     size = int(rng.integers(1, 15))
-    conflict, predicted = (
-        rng.random(size) < rng.random(),
-        rng.random(size) < rng.random(),
-    )
+    conflict = rng.random(size) < rng.random()
+    predicted = rng.random(size) < rng.random()
     decided = predicted[conflict == truth].tolist()
     rate = decided.count(not truth) / len(decided) if decided else nan
-    expect_call(rate_of, conflict, predicted, gives=rate)
+    expect_call(rate_function, conflict, predicted, gives=rate)
 
 
 def _scene(rng: Generator) -> tuple[Floats, Floats]:

@@ -13,8 +13,8 @@ from attacks.__main__ import KINDS, main
 from attacks.testing import CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS
 from isac_track import plugins
 
-GUIDE = (ROOT / "docs" / "attacks.md").read_text(encoding="utf-8")
-MINE, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
+GUIDE = (ROOT / "docs" / "how-to" / "your-attack.md").read_text(encoding="utf-8")
+BROKEN, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
 
 
 @pytest.fixture
@@ -22,11 +22,13 @@ def installed(monkeypatch):
     """Pretend that somebody has installed these attacks."""
 
     def install(kind="attacks", **points):
-        found = tuple(
+        entry_points = tuple(
             EntryPoint(*point, group=f"isac_track.{kind}") for point in points.items()
         )
         monkeypatch.setattr(
-            plugins, "_entry_points", lambda asked: found * (asked == kind)
+            plugins,
+            "_entry_points",
+            lambda asked: entry_points if asked == kind else (),
         )
 
     return install
@@ -40,8 +42,10 @@ def here(tmp_path, monkeypatch):
 
 def test_list_names_rows_and_what_they_do_and_skips_broken_ones(capsys, installed):
     broken = {"lost": "no_such_module:Lost", "many": f"{LINKERS}:NeedsRepeats"}
-    mine = f"{MINE}:one_frame_for_all"
-    installed(fine=f"{MINE}:own_dice", mine=mine, linker=f"{LINKERS}:Tiny", **broken)
+    shared_frame = f"{BROKEN}:common_frame"
+    installed(
+        fine=f"{BROKEN}:own_dice", mine=shared_frame, linker=f"{LINKERS}:Tiny", **broken
+    )
     assert main(["list"]) == 0
     captured = capsys.readouterr()
     head, *lines = captured.out.splitlines()
@@ -82,7 +86,7 @@ class TestCheck:
         assert summary == f"{len(CHECKS)} passed, 0 failed, 0 skipped"
 
     def test_an_attack_that_fails_as_a_module(self, tmp_path):
-        done = run(tmp_path, "-m", "attacks", "check", f"{MINE}:across_tracks")
+        done = run(tmp_path, "-m", "attacks", "check", f"{BROKEN}:across_tracks")
         assert (done.code, done.err) == (1, "")
         assert f"{len(CHECKS) - 1} passed, 1 failed, 0 skipped" in done.out
         (failed,) = re.findall(r"^  FAIL  (\w+) +(.*)$", done.out, re.MULTILINE)
@@ -106,7 +110,7 @@ class TestCheck:
             ("predictors.kalman:KalmanCV", "as a predictor:", PREDICTOR_CHECKS),
         ],
     )
-    def test_other_kinds_are_found_by_name_or_method(self, spec, head, checks, capsys):
+    def test_the_kind_follows_from_name_or_method(self, spec, head, checks, capsys):
         assert main(["check", spec]) == 0
         first, *lines, _ = capsys.readouterr().out.splitlines()
         assert first == f"{spec} {head}"
@@ -118,7 +122,7 @@ class TestCheck:
             ("fixed", "fixed needs a value for d_sigma"),
             ("no_such.module:Noise", "cannot be loaded from no_such.module:Noise"),
             ("kalman_rst", "unknown attack 'kalman_rst'; did you mean 'kalman_rts'?"),
-            (f"{MINE}:Nobody", f"cannot be loaded from {MINE}:Nobody"),
+            (f"{BROKEN}:Nobody", f"cannot be loaded from {BROKEN}:Nobody"),
             ("kalman_rts:-1", "q must be positive"),
             (f"{LINKERS}:NeedsRepeats", "nobody who links is granted"),
         ],
@@ -235,15 +239,15 @@ class TestNew:
         assert [path.name for path in here.iterdir()] == ["fid"]
 
     def test_nothing_is_overwritten(self, here, capsys):
-        mine = here / "my_attack" / "my_attack.py"
-        mine.parent.mkdir()
-        mine.write_text("work of weeks", encoding="utf-8")
+        existing = here / "my_attack" / "my_attack.py"
+        existing.parent.mkdir()
+        existing.write_text("work of weeks", encoding="utf-8")
         (here / "a_file").write_text("", encoding="utf-8")
         for name in ("my_attack", "a_file"):
             assert main(["new", name]) == 2
             message = f"{name} is there already; take another name, or --into DIR"
             assert message in capsys.readouterr().err
-        assert mine.read_text(encoding="utf-8") == "work of weeks"
+        assert existing.read_text(encoding="utf-8") == "work of weeks"
         assert main(["new", "other", "--into", "a_file"]) == 2
         assert "cannot write a_file" in capsys.readouterr().err
 

@@ -9,56 +9,58 @@ from attacks.linkage.behaviour import features
 from attacks.linkage.signals import on_grid
 from attacks.remembered import (
     as_shared,
+    find_origin,
+    memoised,
     noise_m2,
-    part,
-    reconstructed_from,
-    remembered,
-    whole,
+    record_shared,
+    select_tracks,
 )
 from isac_track.types import derived
 
 
-def test_it_is_made_once_for_each_release_and_dies_with_it():
+def test_a_result_is_computed_once_and_dies_with_its_release():
     made = []
 
-    @remembered
+    @memoised
     def counted(release, *rest, factor=1):
         made.append((len(release), rest, factor))
         return len(made)
 
-    one, other = (smooth_walks(3)[0] for _ in range(2))
+    first, second = (smooth_walks(3)[0] for _ in range(2))
     asked = [
-        (one, 1),
-        (one, 1),
-        (one, 2),
-        (other, 1),
-        (one, other),
-        (one, 1),
-        (one, other),
+        (first, 1),
+        (first, 1),
+        (first, 2),
+        (second, 1),
+        (first, second),
+        (first, 1),
+        (first, second),
     ]
     asked += [
-        (other, one),
-        (one, one),
-        (other, one),
+        (second, first),
+        (first, first),
+        (second, first),
     ]  # nobody keeps itself or its partner alive
     assert [counted(*each) for each in asked] == [1, 1, 2, 3, 4, 1, 4, 5, 6, 5]
-    alive = [weakref.ref(each) for each in (one, other)]
-    assert counted(one, factor=2) == 7
-    assert counted(one, factor=3) == 8
-    del one, other, asked, made[:]
+    alive = [weakref.ref(each) for each in (first, second)]
+    assert counted(first, factor=2) == 7
+    assert counted(first, factor=3) == 8
+    del first, second, asked, made[:]
     assert [each() for each in alive] == [None, None]
 
 
-def test_what_is_known_of_a_part_is_what_is_made_of_its_tracks_alone():
+def test_a_part_has_the_results_of_its_tracks_by_themselves():
     release, _, _ = two_releases(9, noise_m=0.3)
-    some = part(part(release, np.array([8, 0, 3, 5])), np.array([2, 0]))
-    assert whole(some)[0] is release
-    assert whole(some)[1].tolist() == [3, 8]
+    part = select_tracks(
+        select_tracks(release, np.array([8, 0, 3, 5])), np.array([2, 0])
+    )
+    assert find_origin(part)[0] is release
+    assert find_origin(part)[1].tolist() == [3, 8]
     alone = release.tracks([3, 8])
-    assert whole(alone)[0] is alone
-    for made in (noise_m2, features):
-        np.testing.assert_allclose(made(some), made(alone), rtol=1e-12)
-    walks, by_itself = on_grid(some), on_grid(alone)
+    assert find_origin(alone)[0] is alone
+    for function in (noise_m2, features):
+        np.testing.assert_allclose(function(part), function(alone), rtol=1e-12)
+    walks, by_itself = on_grid(part), on_grid(alone)
     assert np.array_equal(walks.sizes, by_itself.sizes)
     for row, cells in enumerate(walks.sizes):
         assert np.array_equal(
@@ -66,16 +68,18 @@ def test_what_is_known_of_a_part_is_what_is_made_of_its_tracks_alone():
         )
 
 
-def test_a_reconstruction_and_its_parts_know_what_was_shared_for_as_long_as_they_live():
+def test_a_reconstruction_and_its_parts_know_the_shared_release_while_they_live():
     shared, _, _ = two_releases(9, noise_m=0.3)
     assert as_shared(shared) is shared
-    smooth = reconstructed_from(derived(shared, xy=0.5 * shared.xy), shared)
+    smooth = record_shared(derived(shared, xy=0.5 * shared.xy), shared)
     assert as_shared(smooth) is shared
-    some = as_shared(part(part(smooth, np.array([8, 0, 3])), np.array([2, 0])))
-    assert whole(some)[0] is shared
-    assert np.array_equal(some.xy, shared.tracks([3, 8]).xy)
+    part = as_shared(
+        select_tracks(select_tracks(smooth, np.array([8, 0, 3])), np.array([2, 0]))
+    )
+    assert find_origin(part)[0] is shared
+    assert np.array_equal(part.xy, shared.tracks([3, 8]).xy)
     alive = weakref.ref(shared)
-    del shared, some
+    del shared, part
     assert alive() is not None
     del smooth
     assert alive() is None

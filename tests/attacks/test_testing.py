@@ -1,4 +1,4 @@
-"""The kits: what is built in passes them, and each mistake fails the one check about it."""
+"""The kits: built-ins pass them, and each mistake fails the check about it."""
 
 import re
 import sys
@@ -21,15 +21,15 @@ from attacks.testing import (
     PREDICTOR_CHECKS,
     CheckResult,
     _rows,
-    adversaries_of,
     checks_for,
+    list_adversaries,
     parametrize_attack_checks,
     parametrize_mechanism_checks,
     parametrize_predictor_checks,
     run_checks,
 )
 from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
-from attacks.testing._releases import RAW_SIGMA_M, of_each
+from attacks.testing._releases import RAW_SIGMA_M, map_releases
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge
@@ -88,11 +88,11 @@ def test_a_fair_attack_passes(attack, check):
 
 @pytest.mark.slow
 @parametrize_attack_checks([plugins.parse("attacks", f"{TRAINS}:trees=4")[0].instance])
-def test_who_trains_for_long_passes(attack, check):
+def test_an_attack_that_trains_long_passes(attack, check):
     check(attack)
 
 
-@parametrize_mechanism_checks([*(one.instance for one in MECHANISMS), Noise()])
+@parametrize_mechanism_checks([*(plugin.instance for plugin in MECHANISMS), Noise()])
 def test_a_fair_mechanism_passes(mechanism, check):
     check(mechanism)
 
@@ -103,7 +103,7 @@ def test_a_fair_predictor_passes(predictor, check):
 
 
 def test_every_mechanism_is_among_them():
-    assert {one.family for one in MECHANISMS} == set(plugins.names("mechanisms"))
+    assert {spec.family for spec in MECHANISMS} == set(plugins.names("mechanisms"))
 
 
 @pytest.mark.parametrize(
@@ -136,9 +136,9 @@ def failed(made, names=None):
     """Return the messages of what does not pass, of an attack or the class of one."""
     subject = made() if isinstance(made, type) else made
     return {
-        one.name: one.message
-        for one in run_checks(subject, names=names)
-        if not one.passed
+        result.name: result.message
+        for result in run_checks(subject, names=names)
+        if not result.passed
     }
 
 
@@ -263,10 +263,10 @@ class TestMistakesWithoutEnd:
         ],
     )
     def test_in_words(self, made, name, message):
-        (found,) = failed(made, names=[name]).values()
-        assert message in found
+        (text,) = failed(made, names=[name]).values()
+        assert message in text
         # A fault of its own is not blamed on knowledge.
-        assert "given all knowledge it runs" not in found
+        assert "given all knowledge it runs" not in text
 
 
 class TestRows:
@@ -278,23 +278,23 @@ class TestRows:
         ],
     )
     def test_scene_exempts_from_another_frame(self, made, check):
-        (skipped,) = [one for one in run_checks(made()) if not one.passed]
+        (skipped,) = [result for result in run_checks(made()) if not result.passed]
         assert (skipped.name, skipped.status) == (check, "skipped")
         assert "granted SCENE in every row" in skipped.message
 
     def test_are_those_of_tasks_that_show_what_it_requires(self):
         learns = linker(lambda _context: None, uses=TRAIN | MECHANISM | SIGMA)()
-        assert adversaries_of(BASE) == ("blind",)
-        assert adversaries_of(Kinematic()) == ("blind", "informed")
-        assert adversaries_of(learns) == ("blind", "informed", "oracle")
-        assert adversaries_of(broken_attacks.one_frame_for_all()) == ("oracle",)
+        assert list_adversaries(BASE) == ("blind",)
+        assert list_adversaries(Kinematic()) == ("blind", "informed")
+        assert list_adversaries(learns) == ("blind", "informed", "oracle")
+        assert list_adversaries(broken_attacks.common_frame()) == ("oracle",)
         granted = [row.granted for row in _rows(learns)]
         assert granted[1:] == [TRAIN | MECHANISM, learns.uses]
 
     def test_both_with_the_scene_shown_and_hidden(self):
         both = broken_linkers.ContinuesWhereShown()
         assert [row.granted for row in _rows(both)] == [frozenset(), SCENE]
-        assert adversaries_of(both) == ("blind",)
+        assert list_adversaries(both) == ("blind",)
 
 
 class TestRunning:
@@ -324,7 +324,7 @@ class TestRunning:
     @pytest.mark.parametrize("checks", KITS)
     def test_every_check_states_what_it_shows_and_is_in_the_guide(self, checks):
         assert all(check.statement.endswith(".") for check in checks.values())
-        pages = (ROOT / "docs").glob("*.md")
+        pages = (ROOT / "docs").rglob("*.md")
         guide = "".join(path.read_text(encoding="utf-8") for path in pages)
         assert [name for name in checks if f"`{name}`" not in guide] == []
 
@@ -337,7 +337,7 @@ class TestRunning:
         assert done.code == 0, done
 
 
-def test_sigma_is_there_for_who_requires_it():
+def test_sigma_is_granted_where_it_is_required():
     base = type(plugin(broken_plugins.takes_sigma))
     asks = type("Asks", (base,), {"requires": frozenset({Knowledge.SIGMA})})()
     outcomes = {result.name: result.status for result in run_checks(asks)}
@@ -413,11 +413,12 @@ class TestWithPytest:
         ]
 
 
-# What it makes up to try attacks on
+# The cases on which attacks are tried.
 
 whole, _ = ReconstructionCase.ordinary_and_another(frozenset())
 hidden, shown = (
-    LinkageCase.ordinary_and_another(one)[0].noisy for one in (frozenset(), SCENE)
+    LinkageCase.ordinary_and_another(granted)[0].noisy
+    for granted in (frozenset(), SCENE)
 )
 
 
@@ -441,14 +442,16 @@ def test_levels_differ_in_the_size_of_errors_alone_which_is_as_announced(
 
 
 def releases(case):
-    found = []
-    of_each(case, lambda release: found.append(release) or release)
-    return found
+    collected = []
+    map_releases(case, lambda release: collected.append(release) or release)
+    return collected
 
 
 def test_other_people_and_repeats_are_what_they_should_be():
     case = whole.noisy(0.3, "radial")
-    errors = np.stack([one.xy - case.truth for one in (case.release, *case.repeats)])
+    errors = np.stack(
+        [shown.xy - case.truth for shown in (case.release, *case.repeats)]
+    )
     assert np.sqrt((errors**2).sum(axis=2).mean()) == pytest.approx(0.3, rel=0.05)
     assert np.abs(np.corrcoef(errors.reshape(3, -1)) - np.eye(3)).max() < 0.06
     assert not np.isin(case.train.truth, case.truth).any()

@@ -1,4 +1,4 @@
-"""The benchmarks judge rightly: one test each of what only a run of hours would show wrong."""
+"""The benchmarks judge rightly: a test of each error that only long runs would show."""
 
 import json
 import subprocess
@@ -17,9 +17,9 @@ from benchmarks import frontier_seeds, paired_linkers, scale, soak
 @pytest.mark.parametrize("power", [0.8, 1.0, 2.0])
 def test_scale_finds_a_planted_power_behind_a_start_up(power):
     sizes = np.array([2.0, 500, 1500, 5000, 15_000, 50_000])
-    found = scale.grown(sizes, 4.0 + 2.0 * (sizes / 500) ** power)
-    assert found.net == pytest.approx(power, abs=0.01)
-    assert found.raw < 0.9 * power  # which flatters
+    result = scale.grown(sizes, 4.0 + 2.0 * (sizes / 500) ** power)
+    assert result.net == pytest.approx(power, abs=0.01)
+    assert result.raw < 0.9 * power  # which flatters
 
 
 def test_soak_ends_without_a_recording_in_one_line_and_code_2(monkeypatch, capsys):
@@ -51,21 +51,21 @@ def test_beside_results_that_differ_are_an_error_missing_ones_a_line(tmp_path):
 
 @pytest.mark.slow
 def test_runs_of_one_seed_pooled_are_that_run(tmp_path):
-    """Twice the same run is the run: level, descriptors and the robot's own, with intervals."""
+    """The same run twice agrees: level, descriptors, own plug-ins, with intervals."""
     axes = {"predictors": ("kalman_cv",), "mechanisms": ("raw", "fixed:0.4..1.2/3")}
     axes["attacks"] = ("kalman_rts",)
     settings = smoke("plaza", tmp_path / "run", scenes=250, **axes)
-    one = evaluation.run(settings, pictures=False).frontier
-    assert one["level"].notna().any()
+    result = evaluation.run(settings, pictures=False).frontier
+    assert result["level"].notna().any()
     both = frontier_seeds.pooled([tmp_path / "run"] * 2)
-    pd.testing.assert_frame_equal(one, both, check_dtype=False)
+    pd.testing.assert_frame_equal(result, both, check_dtype=False)
     # Another seed, and fewer scenes: other people are in them.
     settings = smoke("plaza", tmp_path / "other", scenes=40, seed=1, **axes)
     other = evaluation.run(settings, pictures=False).frontier
     apart = frontier_seeds.pooled([tmp_path / "run", tmp_path / "other"])
     plr = apart[apart["metric"] == "plr"]["value"].dropna()
     assert len(plr) > 0
-    assert not plr.isin([*one["value"], *other["value"]]).any()
+    assert not plr.isin([*result["value"], *other["value"]]).any()
 
 
 @pytest.mark.slow
@@ -83,9 +83,9 @@ def test_linkers_are_compared_where_they_know_the_same(tmp_path):
     ]
     rank1 = rows.set_index(["consumer", "knowledge"])["value"]
     every = paired_linkers.paired(out, names[1], "rank1_g100")
-    found = [one for one in every if one[0].mechanism == "raw"]
-    assert [key.knowledge for key, _, _ in found] == ["blind", "informed"]
-    for key, best, gap in found:
+    result = [item for item in every if item[0].mechanism == "raw"]
+    assert [key.knowledge for key, _, _ in result] == ["blind", "informed"]
+    for key, best, gap in result:
         apart = (
             rank1[key.consumer, key.knowledge] - rank1["rerelease/shape", key.knowledge]
         )

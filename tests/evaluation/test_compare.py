@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.commands import assert_refused, start
-from helpers.runs import rows_of
+from helpers.runs import stored_rows
 from helpers.small_runs import smoke, write_walks
 from helpers.summaries import edit_manifest
 from rich.console import Console
@@ -54,9 +54,14 @@ def run(tmp_path_factory):
     }
     others = write_walks(folder / "others.csv", n_people=24, seed=7)
     # The group column makes one cluster of everybody.
-    one = write_walks(folder / "one.csv", n_people=12)
-    pd.read_csv(one).assign(group="all").to_csv(one, index=False)
-    of_one = {"dataset": str(one), "mechanisms": ("raw",), "attacks": (), "tasks": ()}
+    result = write_walks(folder / "one.csv", n_people=12)
+    pd.read_csv(result).assign(group="all").to_csv(result, index=False)
+    own_options = {
+        "dataset": str(result),
+        "mechanisms": ("raw",),
+        "attacks": (),
+        "tasks": (),
+    }
     usual = StageSettings().changed({"conflict.horizons_s": ()})
     wide = {"stages": usual.changed({"privacy.epsilon_m": 0.5})}
     longer = {"stages": usual.changed({"resample.min_duration_s": 28.0})}
@@ -72,8 +77,8 @@ def run(tmp_path_factory):
         "narrow": {"mechanisms": ("raw",), **ALONE},
         "apart": {"mechanisms": ("fixed:0.3",), **ALONE},
         "longer": {"mechanisms": ("fixed:0.7",), **ALONE, **longer},
-        "one": of_one,
-        "one_wide": of_one | wide,
+        "one": own_options,
+        "one_wide": own_options | wide,
     }
 
     def made(name):
@@ -119,7 +124,7 @@ def by_key(comparison):
 
 def plr_replicates(out, *, weights, groups=None, spec="fixed:0.7"):
     """PLR as shared and its replicates, straight from the cells."""
-    rows = rows_of(out, spec, "shared")
+    rows = stored_rows(out, spec, "shared")
     by_group = rows.groupby("group", observed=True)["plr"].agg(["sum", "count"])
     by_group = by_group.reindex(groups or read_manifest(out)["groups"]).fillna(0.0)
     value = by_group["sum"].sum() / by_group["count"].sum()
@@ -141,16 +146,16 @@ def test_the_same_settings_give_the_same_numbers_and_the_text_says_so(
     edit_manifest(
         again, lambda manifest: manifest.update(wall_time_s=1e3, dropped_cells=7)
     )
-    found = compared(run("base"), again)
-    assert set(found.rows["finding"]) == {"identical"}
-    assert set(found.rows["pairing"]) == {"people and draws"}
-    assert (found.rows[EFFECT] == 0.0).all(axis=None)
-    assert not any(found.changed.values())
-    assert found.only == {}
+    result = compared(run("base"), again)
+    assert set(result.rows["finding"]) == {"identical"}
+    assert set(result.rows["pairing"]) == {"people and draws"}
+    assert (result.rows[EFFECT] == 0.0).all(axis=None)
+    assert not any(result.changed.values())
+    assert result.only == {}
     code, text, errors = command("{base}", again, "--fail-on-change")
     assert (code, errors) == (0, "")
     assert "Nothing changed in data, settings, code and libraries." in text
-    assert f"{len(found.rows)} of {len(found.rows)} numbers are identical" in text
+    assert f"{len(result.rows)} of {len(result.rows)} numbers are identical" in text
 
 
 class TestFurtherHorizon:
@@ -202,38 +207,38 @@ class TestFurtherHorizon:
 
 class TestAnotherRadius:
     def test_the_setting_is_all_that_changed_and_moves_what_it_defines(self, both):
-        found = both("base", "wide")
+        result = both("base", "wide")
         setting = {"privacy.epsilon_m": (0.3, 0.5)}
-        assert found.changed == {"data": {}, "settings": setting, "code": {}}
-        assert "privacy.epsilon_m  0.3 -> 0.5" in shown(found)
-        moved = set(found.rows.query("finding != 'identical'")["metric"])
+        assert result.changed == {"data": {}, "settings": setting, "code": {}}
+        assert "privacy.epsilon_m  0.3 -> 0.5" in shown(result)
+        moved = set(result.rows.query("finding != 'identical'")["metric"])
         assert {"plr", "ael", "mel"} <= moved
-        of_epsilon = {
+        epsilon_rows = {
             "plr_wide",
             "plr_worst_tenth",
             "plr_over_benchmark",
             "plr_ceiling",
         }
-        assert moved <= {"plr", "ael", "mel"} | of_epsilon
-        assert set(found.rows["pairing"]) == {"people and draws"}
+        assert moved <= {"plr", "ael", "mel"} | epsilon_rows
+        assert set(result.rows["pairing"]) == {"people and draws"}
 
     def test_differences_are_those_of_the_summaries(self, run, both):
-        found, a, b = (
+        differences, a, b = (
             by_key(both("base", "wide")),
-            *(numbers(run(one)) for one in ("base", "wide")),
+            *(numbers(run(item)) for item in ("base", "wide")),
         )
         expected = pd.DataFrame(
             {"a": a["value"], "b": b["value"], "difference": b["value"] - a["value"]}
         )
         pd.testing.assert_frame_equal(
-            found[[*expected]].sort_index(), expected.sort_index()
+            differences[[*expected]].sort_index(), expected.sort_index()
         )
 
     @pytest.mark.parametrize("other", ["wide", "reseeded"])
     def test_the_interval_is_that_of_the_same_people_drawn_for_both(
         self, run, both, other
     ):
-        weights = summary.weights_of(read_manifest(run("base")))
+        weights = summary.bootstrap_weights(read_manifest(run("base")))
         (a, drawn_a), (b, drawn_b) = (
             plr_replicates(run(name), weights=weights) for name in ("base", other)
         )
@@ -264,13 +269,13 @@ class TestAnotherRadius:
 def test_another_seed_moves_no_headline_number_and_the_text_says_what_is_paired(both):
     # Of one population: a false "differs" has a chance of at most 5 %, and the seeds
     # are fixed.
-    found = both("base", "reseeded")
-    assert "differs" not in set(found.headline["finding"])
-    text = shown(found, width=300)
+    result = both("base", "reseeded")
+    assert "differs" not in set(result.headline["finding"])
+    text = shown(result, width=300)
     assert re.search(r"seed +0 -> 1", text)
     assert "paired over people, not over draws" in text
     assert "not paired: intervals of independent estimates" in text
-    some, every = shown(found), shown(found, every=True)
+    some, every = shown(result), shown(result, every=True)
     assert "The 20 surest of" in some
     assert "AUC" not in some
     assert "AUC" in every
@@ -302,40 +307,40 @@ def test_a_setting_pairs_scenes_and_linkage(run, name, value, scenes, linkage):
     changed = task if name == "people" else second["identity"]
     assert name in changed
     changed[name] = value
-    found = [
-        pairing(first, second, consumer=one) for one in ("shared", "rerelease/shape")
+    result = [
+        pairing(first, second, consumer=item) for item in ("shared", "rerelease/shape")
     ]
-    assert found == [scenes, linkage]
+    assert result == [scenes, linkage]
 
 
 class TestOtherPeople:
     def test_nothing_is_paired_and_intervals_combine_those_of_either_run(
         self, run, both
     ):
-        found = both("base", "others")
-        assert set(found.rows["pairing"]) == {"none"}
+        result = both("base", "others")
+        assert set(result.rows["pairing"]) == {"none"}
         # Galleries of two sizes do not compare.
         assert (
-            found.rows.loc[found.rows["metric"] == "rank1", "difference"].isna().all()
+            result.rows.loc[result.rows["metric"] == "rank1", "difference"].isna().all()
         )
-        assert set(found.lead["metric"]) == {"missed_conflict_rate", "plr"}
-        assert {"sha256", "tracks", "tracks_used"} <= found.changed["data"].keys()
-        assert re.search(r"tracks_used +30 -> 24", shown(found))
-        one, two = (numbers(run(name)).loc[PLR] for name in ("base", "others"))
-        value = two["value"] - one["value"]
+        assert set(result.lead["metric"]) == {"missed_conflict_rate", "plr"}
+        assert {"sha256", "tracks", "tracks_used"} <= result.changed["data"].keys()
+        assert re.search(r"tracks_used +30 -> 24", shown(result))
+        first, two = (numbers(run(name)).loc[PLR] for name in ("base", "others"))
+        value = two["value"] - first["value"]
         low = value - np.hypot(
-            two["value"] - two["ci_low"], one["ci_high"] - one["value"]
+            two["value"] - two["ci_low"], first["ci_high"] - first["value"]
         )
         high = value + np.hypot(
-            two["ci_high"] - two["value"], one["value"] - one["ci_low"]
+            two["ci_high"] - two["value"], first["value"] - first["ci_low"]
         )
-        row = by_key(found).loc[PLR]
+        row = by_key(result).loc[PLR]
         assert [*row[EFFECT]] == pytest.approx([value, low, high], abs=1e-12)
 
     def test_who_is_in_both_runs_is_drawn_alike(self, run, both):
         everybody = read_manifest(run("base"))["groups"]
         assert (len(everybody), len(read_manifest(run("longer"))["groups"])) == (30, 20)
-        weights = summary.weights_of(read_manifest(run("base")))
+        weights = summary.bootstrap_weights(read_manifest(run("base")))
         (a, drawn_a), (b, drawn_b) = (
             plr_replicates(run(name), weights=weights, groups=everybody)
             for name in ("base", "longer")
@@ -379,13 +384,13 @@ class TestCommand:
         assert some["changed"]["settings"] == {
             "privacy.epsilon_m": {"a": 0.3, "b": 0.5}
         }
-        found = both("base", "wide")
+        result = both("base", "wide")
         counts = some["numbers"]["headline"]
         assert [*counts] == ["identical", "differs", "between", "untested"]
-        assert counts["differs"] == (found.headline["finding"] == "differs").sum()
-        assert sum(counts.values()) == len(some["differences"]) == len(found.headline)
+        assert counts["differs"] == (result.headline["finding"] == "differs").sum()
+        assert sum(counts.values()) == len(some["differences"]) == len(result.headline)
         assert (
-            some["numbers"]["in_both"] == len(every["differences"]) == len(found.rows)
+            some["numbers"]["in_both"] == len(every["differences"]) == len(result.rows)
         )
 
     @pytest.mark.parametrize(

@@ -32,11 +32,11 @@ def holding(name, content=None):
 class TestExitCode:
     def test_is_0_if_some_level_holds_everything(self, made, ran):
         said = ran(design, made())
-        told = (
+        message = (
             "Yes, against one release: slow noise of 0.4 m keeps within the limits."
             " Limits: 50 %"
         )
-        assert (said.code, " ".join(said.out.split())[: len(told)]) == (0, told)
+        assert (said.code, " ".join(said.out.split())[: len(message)]) == (0, message)
 
     def test_is_1_if_a_control_alone_would(self, made, ran):
         said = ran(design, made((RAW, BAD, SHIFTED)), *IND)
@@ -44,7 +44,7 @@ class TestExitCode:
         assert said.out.startswith("No: no level keeps within the limits.")
 
     @pytest.mark.parametrize(
-        ("options", "code", "told"),
+        ("options", "code", "expected"),
         [
             (["--max-missed", "0.23"], 0, "23 % of future conflicts within 3 s missed"),
             (
@@ -94,9 +94,11 @@ class TestExitCode:
             ),
         ],
     )
-    def test_follows_what_is_asked_and_names_it(self, made, ran, options, code, told):
+    def test_follows_what_is_asked_and_names_it(
+        self, made, ran, options, code, expected
+    ):
         said = ran(design, *options, *IND, made())
-        assert (said.code, told in " ".join(said.out.split())) == (code, True)
+        assert (said.code, expected in " ".join(said.out.split())) == (code, True)
 
     def test_a_yes_says_who_breaks_it(self, made, ran):
         broken = changed(GOOD, beyond={"anchor": 0.92})
@@ -160,14 +162,14 @@ class TestExitCode:
     def test_json_is_one_object_and_nothing_else(self, made, ran):
         out = made(simulated=True, notice="nobody walked here")
         said = ran(design, "--max-plr", "0.1", "--json", out)
-        found = json.loads(said.out)
-        assert (said.code, said.err, found["met"]) == (1, "", False)
-        assert "nobody walked here" in found["notes"]
-        assert found["nearest"]["mechanism"] == "ou"
+        result = json.loads(said.out)
+        assert (said.code, said.err, result["met"]) == (1, "", False)
+        assert "nobody walked here" in result["notes"]
+        assert result["nearest"]["mechanism"] == "ou"
         whole = json.loads(ran(design, "--json", out).out)
         (proposed,) = whole["proposals"]
         assert proposed["after_attack"]["plr_wide"]["value"] == pytest.approx(0.4)
-        assert [one.get("breaks") for one in proposed["beyond"]] == [
+        assert [item.get("breaks") for item in proposed["beyond"]] == [
             False,
             False,
             None,

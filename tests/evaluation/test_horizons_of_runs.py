@@ -12,20 +12,20 @@ import evaluation
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.frontier import usual_price
 from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
-from evaluation.estimates.keys import Measure, horizons_in, worlds_of
+from evaluation.estimates.keys import Measure, horizons_in, row_worlds
 from evaluation.estimates.metrics import MISSED_FUTURE, MISSED_RATE
-from evaluation.estimates.summary import clusters, weights_of
-from evaluation.plan.constants import horizon_of, horizon_world, is_world
+from evaluation.estimates.summary import bootstrap_weights, clusters
+from evaluation.plan.constants import horizon_world, is_world, world_horizon_s
 from evaluation.plan.presets import BASELINE, PRESETS
 from evaluation.reporting import tables
 from evaluation.reporting.answers import answers, lead_robot
 from evaluation.reporting.figures.conflict_times import figures
 from evaluation.reporting.first_screen import first_screen, screen_columns
-from evaluation.reporting.headline import Shown, headline
+from evaluation.reporting.headline import HeadlineColumn, headline
 from evaluation.reporting.notices import notices
 from evaluation.store.cell_files import read_rows
 from evaluation.verdict.items import Draft
-from isac_track.intervals import Estimate, estimate_of
+from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.rng import stream
 
 ROBOTS = ("least_squares", "kalman_cv", "constant_position")
@@ -51,11 +51,11 @@ def made(tmp_path_factory):
 
 def test_nothing_of_the_papers_horizon_changes(made):
     alone, both = (made[name].summary for name in ("alone", "both"))
-    own = both[worlds_of(both) == ""].reset_index(drop=True)
+    own = both[row_worlds(both) == ""].reset_index(drop=True)
     pd.testing.assert_frame_equal(own, alone)
-    assert set(worlds_of(both)) == {"", WORLD}
-    assert set(worlds_of(alone)) == {""}
-    later = both[worlds_of(both) == WORLD]
+    assert set(row_worlds(both)) == {"", WORLD}
+    assert set(row_worlds(alone)) == {""}
+    later = both[row_worlds(both) == WORLD]
     assert set(later["dataset"]) == {f"{made['both'].dataset}:{WORLD}"}
     assert set(later["consumer"]) == set(ROBOTS)  # nobody else reads there
     assert not both[KEYS].duplicated().any()
@@ -103,7 +103,9 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
             ).to_pandas()
             inside = rows.loc[rows["conflict"], "inside_now"]
             shares.setdefault(entry["world"] or "", set()).add(inside.mean())
-    assert all(len(of_robots) == 1 for of_robots in shares.values())  # whoever foresees
+    assert all(
+        len(robot_rows) == 1 for robot_rows in shares.values()
+    )  # whoever foresees
     assert shares[WORLD].pop() < shares[""].pop()
 
 
@@ -117,18 +119,18 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     rows = table.to_pandas()
     rows = rows.assign(cluster=clusters(table, run.manifest))
     rows = rows[~(rows["conflict"] & rows["inside_now"])]
-    of_scenes = curve(
+    scene_rows = curve(
         score=-rows["predicted_separation_m"].to_numpy(),
         conflict=rows["conflict"].to_numpy(),
         cluster=rows["cluster"].to_numpy(),
-        weights=weights_of(run.manifest),
+        weights=bootstrap_weights(run.manifest),
     )
     shown = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
     shown = shown[
         (shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])
     ].iloc[0]
     at = np.full(1001, shown["false_alarm_rate"])
-    assert shown["missed_future_rate"] == pytest.approx(of_scenes.missed_at(at)[0])
+    assert shown["missed_future_rate"] == pytest.approx(scene_rows.missed_at(at)[0])
 
 
 def test_the_frontier_holds_each_criterion_at_each_horizon(made):
@@ -171,7 +173,7 @@ def test_every_preset_compares_its_robots_with_nobody_moving_on():
 
 def test_a_horizon_has_a_name():
     assert [horizon_world(3.0), horizon_world(1.5)] == ["horizon=3s", "horizon=1.5s"]
-    assert horizon_of("horizon=1.5s") == 1.5
+    assert world_horizon_s("horizon=1.5s") == 1.5
     for name in (
         "",
         "model",
@@ -181,7 +183,7 @@ def test_a_horizon_has_a_name():
         "xhorizon=3s",
         "law=isotropic",
     ):
-        assert horizon_of(name) is None
+        assert world_horizon_s(name) is None
     assert is_world("model")
     assert is_world(WORLD)
     assert not is_world("students03")
@@ -246,14 +248,14 @@ class TestStandingStill:
     WHERE = ("fixed", 0.7)
 
     def robots(self, missed, *, robot="least_squares", clusters=40):
-        """A robot's misses and those of standing still, in replicates that differ alike."""
+        """Misses of a robot and of standing still, in replicates that differ alike."""
         noise = stream(0, "test", "standing").normal(0.0, 0.01, 400)
         ends = {"n": clusters, "effective": float(clusters)}
         return {
-            Measure(robot, MISSED_RATE).at(*self.WHERE): estimate_of(
+            Measure(robot, MISSED_RATE).at(*self.WHERE): estimate_from_replicates(
                 np.append(missed, missed + noise), **ends
             ),
-            Measure(BASELINE, MISSED_RATE).at(*self.WHERE): estimate_of(
+            Measure(BASELINE, MISSED_RATE).at(*self.WHERE): estimate_from_replicates(
                 np.append(0.3, 0.3 + 0.9 * noise), **ends
             ),
         }
@@ -321,7 +323,8 @@ def test_the_screen_has_six_columns_at_most(n_linked):
     first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
     robots = first.robots
     linked = [
-        Shown("found", f"task-{n}", Measure(f"t{n}", "rank1")) for n in range(n_linked)
+        HeadlineColumn("found", f"task-{n}", Measure(f"t{n}", "rank1"))
+        for n in range(n_linked)
     ]
     later = {
         robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)

@@ -88,11 +88,14 @@ def test_a_name_that_a_spreadsheet_would_run_is_text_in_every_table(
     named = csv_recording.rename(tmp_path / "=cmd.csv")
     assert ran(matrix, "--dataset", named, *small[2:]).code == 0
     tables = [path.read_text() for path in (tmp_path / "run").rglob("*.csv")]
-    assert any("'=cmd" in one for one in tables)
+    assert any("'=cmd" in table for table in tables)
     cells = [
-        cell for one in tables for line in one.splitlines() for cell in line.split(",")
+        cell
+        for table in tables
+        for line in table.splitlines()
+        for cell in line.split(",")
     ]
-    assert not any(one.startswith("=") for one in cells)
+    assert not any(cell.startswith("=") for cell in cells)
 
 
 def test_numbers_among_names_stay_numbers():
@@ -114,9 +117,9 @@ def test_an_interruption_is_exit_code_130_and_says_how_to_continue(
     assert "the same command continues" in ended.err
 
 
-def settings_of(*arguments):
+def parse_settings(*arguments):
     return matrix.settings_from(
-        matrix.parser().parse_args([str(one) for one in arguments])
+        matrix.parser().parse_args([str(argument) for argument in arguments])
     )
 
 
@@ -126,7 +129,7 @@ def test_options_become_settings():
         " --predictor=none"
     )
     words += " --dataset=walks.txt --format=obsmat --fps=25"
-    settings = settings_of(*words.split(), "--set=privacy.epsilon_m=0.5", "--fresh")
+    settings = parse_settings(*words.split(), "--set=privacy.epsilon_m=0.5", "--fresh")
     assert (settings.dataset, settings.format, settings.fps) == (
         "walks.txt",
         "obsmat",
@@ -137,7 +140,7 @@ def test_options_become_settings():
     assert settings.n_scenes == 5000
     assert settings.stages.privacy.epsilon_m == 0.5
     assert (settings.seed, settings.jobs, settings.fresh) == (3, 2, True)
-    assert settings_of() == Settings()
+    assert parse_settings() == Settings()
 
 
 def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
@@ -148,7 +151,7 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
         ' 0.4\n[sensing]\nlaw = "isotropic"\n',
         encoding="utf-8-sig",  # some editors put a mark in front
     )
-    settings = settings_of(
+    settings = parse_settings(
         "--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2"
     )
     assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
@@ -236,7 +239,7 @@ def test_the_presets_are_those_of_the_design():
     assert PRESETS["full"].scenes == 5000
     frontier = axes(Settings(preset="frontier"))
     assert frontier.utility == {
-        one.spec for one in frontier.predictors
+        predictor.spec for predictor in frontier.predictors
     }  # all scenes, each robot
 
 
@@ -294,10 +297,10 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     )
     assert "2 notices in full: tables.txt" in shown.err
     doubts = " ".join(shown.out.partition("Doubts: ")[2].split())
-    told = "12 usable tracks: too few to decide anything; 2 more: tables.txt. "
-    assert doubts.startswith(told)
-    told = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
-    assert re.search(r"\d+ background agents keep their last draw", told)
+    message = "12 usable tracks: too few to decide anything; 2 more: tables.txt. "
+    assert doubts.startswith(message)
+    message = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
+    assert re.search(r"\d+ background agents keep their last draw", message)
 
 
 def test_what_is_said_of_a_file_is_the_same_from_a_config_and_in_the_identity(tmp_path):
@@ -307,7 +310,7 @@ on_duplicate = "mean"
 crs = "degrees"
 drop_frozen = 3
 """)
-    typed = settings_of(
+    typed = parse_settings(
         "--dataset",
         tmp_path / "f.csv",
         "--columns",
@@ -319,11 +322,11 @@ drop_frozen = 3
         "--drop-frozen",
         3,
     )
-    assert settings_of("--config", tmp_path / "c.toml") == typed
+    assert parse_settings("--config", tmp_path / "c.toml") == typed
     expected = {
         "columns": "t=time[ms],x=px[cm]",
         "on_duplicate": "mean",
         "crs": "degrees",
     }
     assert asked_of_file(typed) == {**expected, "drop_frozen": 3.0}
-    assert asked_of_file(settings_of()) == {}
+    assert asked_of_file(parse_settings()) == {}

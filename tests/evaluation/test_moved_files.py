@@ -23,7 +23,7 @@ def write(path, tracks, *, matrix=None, shift_m=(0.0, 0.0), clock_s=0.0):
     xy = tracks.xy @ (np.eye(2) if matrix is None else matrix).T + np.array(shift_m)
     owner = np.repeat(tracks.source, np.diff(tracks.offsets))
     rows = zip((tracks.t + clock_s).tolist(), owner, *xy.T.tolist(), strict=True)
-    lines = [f"{t!r},{who},{x!r},{y!r}" for t, who, x, y in rows]
+    lines = [f"{t!r},{person},{x!r},{y!r}" for t, person, x, y in rows]
     path.write_text("\n".join(["t,id,x,y", *lines, ""]), encoding="utf-8")
     return path
 
@@ -31,14 +31,14 @@ def write(path, tracks, *, matrix=None, shift_m=(0.0, 0.0), clock_s=0.0):
 def summary(path, **settings):
     """All metrics of a run of a recording."""
     whole = smoke(path, path.with_suffix(""), **settings)
-    found = run(whole, progress=False, pictures=False).summary
+    result = run(whole, progress=False, pictures=False).summary
     # Of controls that see one number a track many joint matchings have the same total,
     # to rounding.
-    has_many = found["consumer"].str.contains("control-") & (
-        found["metric"] == "rank1_assigned"
+    has_many = result["consumer"].str.contains("control-") & (
+        result["metric"] == "rank1_assigned"
     )
-    found = found[~has_many]
-    return found.drop(columns="dataset").set_index(KEYS[1:])
+    result = result[~has_many]
+    return result.drop(columns="dataset").set_index(KEYS[1:])
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_a_file_in_another_place_or_on_another_clock_changes_no_metric(
 
 
 def moved_share(moved, ours):
-    """The share of metrics that moved by more than half of their interval's half-width."""
+    """The share of metrics that moved by more than half of their half-width."""
     assert moved.index.equals(ours.index)
     half = (ours["ci_high"] - ours["ci_low"]) / 2
     apart = ((moved["value"] - ours["value"]).abs() / half)[half > 0]
@@ -93,7 +93,7 @@ def by_another_seed(walks, ours):
 def test_a_turned_file_moves_fewer_metrics_than_another_seed(
     walks, ours, by_another_seed, name, matrix
 ):
-    """The station stands in another direction from the crowd, which is some 20 m wide."""
+    """The station stands in another direction from the crowd, some 20 m wide."""
     folder, tracks = walks
     moved = summary(write(folder / f"{name}.csv", tracks, matrix=matrix), **AXES)
     assert moved_share(moved, ours) < by_another_seed / 2

@@ -1,4 +1,4 @@
-"""A run in a notebook's kernel: one progress display, whole files, and names that complete."""
+"""A run in a notebook's kernel: one progress display, whole files, completed names."""
 
 import inspect
 from dataclasses import fields
@@ -94,7 +94,13 @@ def test_a_data_set_and_its_tracks_are_a_line(cells):
 
 def test_every_option_of_a_run_has_a_name_that_completes():
     parameters = inspect.signature(evaluation.run).parameters
-    named = [one for one in parameters.values() if one.kind is one.KEYWORD_ONLY]
-    assert {item.name for item in fields(Settings)} <= {one.name for one in named}
-    assert all(one.name in evaluation.run.__doc__ for one in named)
-    assert all(one.annotation is not one.empty for one in parameters.values())
+    named = [
+        parameter
+        for parameter in parameters.values()
+        if parameter.kind is parameter.KEYWORD_ONLY
+    ]
+    assert {item.name for item in fields(Settings)} <= {item.name for item in named}
+    assert all(item.name in evaluation.run.__doc__ for item in named)
+    assert all(
+        parameter.annotation is not parameter.empty for parameter in parameters.values()
+    )

@@ -8,7 +8,7 @@ from evaluation import matrix
 def test_what_was_made_of_a_recording_is_told_at_once_in_tables_and_on_the_page(
     tmp_path, capsys
 ):
-    """26 people at 1 m/s in mm, 5 of them for 30 s: with a gap, a split, a lost row, one alone."""
+    """26 people at 1 m/s in mm, 5 for 30 s: a gap, a split, a lost row, a lone row."""
     people = [(name, 30.0 if name < 5 else 18.0) for name in range(26)]
     rows = [
         f"{t:.1f},{name},{1000 * t:.0f},{300 * name}"

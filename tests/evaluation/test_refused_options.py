@@ -8,7 +8,7 @@ from helpers.commands import FEW, MATRIX, assert_refused, run
 from helpers.small_runs import write_walks
 
 from evaluation.matrix import parser, settings_from
-from evaluation.plan.axes import axes, jobs_of, most_workers
+from evaluation.plan.axes import axes, choose_jobs, most_workers
 from evaluation.plan.settings import Settings
 from isac_track.command_line import exit_code
 from isac_track.errors import SettingsError
@@ -29,7 +29,7 @@ CONFIGS = {
 }
 
 
-def of_config(tmp_path, text, *words):
+def config_settings(tmp_path, text, *words):
     path = tmp_path / "run.toml"
     path.write_text(text)
     return settings_from(parser().parse_args(["--config", str(path), *words]))
@@ -38,7 +38,7 @@ def of_config(tmp_path, text, *words):
 @pytest.mark.parametrize("text", CONFIGS)
 def test_a_config_that_cannot_be_meant_is_one_line(text, tmp_path):
     with pytest.raises(SettingsError) as caught:
-        of_config(tmp_path, text)
+        config_settings(tmp_path, text)
     assert CONFIGS[text] in str(caught.value)
     assert "run.toml: " in str(caught.value)
     assert len(str(caught.value)) < 1000
@@ -51,23 +51,25 @@ def test_a_config_without_end_is_read_up_to_a_limit():
 
 @pytest.mark.parametrize("axis", ["mechanism", "predictor", "attack", "task"])
 def test_an_empty_list_in_a_config_is_none(axis, tmp_path):
-    assert getattr(of_config(tmp_path, f"{axis} = []"), f"{axis}s") == ()
-    assert getattr(of_config(tmp_path, "seed = 1"), f"{axis}s") is None
+    assert getattr(config_settings(tmp_path, f"{axis} = []"), f"{axis}s") == ()
+    assert getattr(config_settings(tmp_path, "seed = 1"), f"{axis}s") is None
 
 
 def test_the_command_line_is_over_an_empty_list(tmp_path):
-    assert of_config(tmp_path, "attack = []", "--attack", "shape").attacks == ("shape",)
-    assert of_config(tmp_path, "seed = 5", "--seed", "0").seed == 0
+    assert config_settings(tmp_path, "attack = []", "--attack", "shape").attacks == (
+        "shape",
+    )
+    assert config_settings(tmp_path, "seed = 5", "--seed", "0").seed == 0
 
 
 def test_flags_in_a_config(tmp_path):
     flags = ("persistent_ids", "fresh", "keep_scores")
     for value in (True, False):
         text = "\n".join(f"{name} = {str(value).lower()}" for name in flags)
-        assert [getattr(of_config(tmp_path, text), name) for name in flags] == [
+        assert [getattr(config_settings(tmp_path, text), name) for name in flags] == [
             value
         ] * 3
-    assert of_config(tmp_path, "fresh = false", "--fresh").fresh
+    assert config_settings(tmp_path, "fresh = false", "--fresh").fresh
 
 
 COMMANDS = {
@@ -132,7 +134,7 @@ def test_there_are_no_more_workers_than_works():
     )
     crossed = axes(few)
     assert most_workers(crossed, few) == 2
-    assert jobs_of(crossed, few) == 2
+    assert choose_jobs(crossed, few) == 2
 
 
 LIMITS = {
@@ -159,9 +161,9 @@ LIMITS = {
 }
 
 
-@pytest.mark.parametrize("what", LIMITS)
-def test_a_limit_of_the_machine_is_one_line(what, capsys):
-    error, says = LIMITS[what]
+@pytest.mark.parametrize("case", LIMITS)
+def test_a_limit_of_the_machine_is_one_line(case, capsys):
+    error, says = LIMITS[case]
 
     def command():
         raise error
@@ -200,10 +202,10 @@ def test_another_error_of_the_program_stays_one():
 PROCESSES = {"few descriptors": (resource.RLIMIT_NOFILE, 12)}
 
 
-@pytest.mark.parametrize("what", PROCESSES)
-def test_a_process_with_limits_ends_in_one_line_or_computes(what, tmp_path):
+@pytest.mark.parametrize("case", PROCESSES)
+def test_a_process_with_limits_ends_in_one_line_or_computes(case, tmp_path):
     write_walks(tmp_path / "walks.csv", n_people=24)
-    kind, most = PROCESSES[what]
+    kind, most = PROCESSES[case]
     words = (*FEW, "--scenes", 8, "--dataset", "walks.csv", "--jobs", 2)
     ended = run(
         tmp_path,

@@ -1,4 +1,4 @@
-"""Variants of a finished run: what is changed, what is run, and what becomes of every item."""
+"""Variants of a finished run: their changes, their runs, every item of a verdict."""
 
 import json
 import re
@@ -14,13 +14,18 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import sensitivity
-from evaluation.plan.variants import BASE, parse, settings_of, variants
-from evaluation.reporting.difference_tables import turned
+from evaluation.plan.variants import BASE, parse, variant_settings, variants
+from evaluation.reporting.difference_tables import sign_changes
 from evaluation.sensitivity import main
 from evaluation.store.manifest import read_manifest
 from evaluation.store.people import with_paths
 from evaluation.verdict import sensitivity as held
-from evaluation.verdict.sensitivity import COLUMNS, attacks_of, folder_of, read_verdict
+from evaluation.verdict.sensitivity import (
+    COLUMNS,
+    attack_tasks,
+    read_verdict,
+    variant_folder,
+)
 from isac_track.errors import DataError, SettingsError
 
 NAMES = (
@@ -62,7 +67,7 @@ def out(finished, tmp_path):
 
 @pytest.fixture(scope="module")
 def little(tmp_path_factory):
-    """A run of few levels and scenes, for what happens beside the numbers; kept as it is."""
+    """A run of few levels and scenes, for all but its numbers; no test changes it."""
     folder = tmp_path_factory.mktemp("little")
     axes = {"mechanisms": ("raw", "fixed:0.2", "fixed:1"), "attacks": ("kalman_rts",)}
     evaluation.run(
@@ -82,7 +87,7 @@ def tried(finished, tmp_path_factory):
     """The run after some of its variants."""
     folder = shutil.copytree(finished, tmp_path_factory.mktemp("tried") / "run")
     assert (
-        main([str(folder), "--jobs=1", *(f"--variant={one}" for one in NAMES[:0:-1])])
+        main([str(folder), "--jobs=1", *(f"--variant={item}" for item in NAMES[:0:-1])])
         == 0
     )
     return folder
@@ -132,7 +137,7 @@ class TestNames:
             "predictor=least_squares",
         )
         assert variants() == [parse(name) for name in promised]
-        assert tuple(one.name for one in variants()) == promised
+        assert tuple(variant.name for variant in variants()) == promised
 
     @pytest.mark.parametrize("name", ["privacy.epsilon_m = 0.4", "epsilon=0.4"])
     def test_any_setting_makes_a_variant(self, name):
@@ -162,7 +167,7 @@ class TestNames:
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
         recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
-        names = {one.name for one in variants(manifest)}
+        names = {variant.name for variant in variants(manifest)}
         assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
@@ -171,17 +176,17 @@ class TestNames:
             "privacy.epsilon_m": 0.5,
         }
         manifest["settings"]["predictors"] = ["kalman_cv"]
-        names = {one.name for one in variants(manifest)}
-        gone = {
+        names = {variant.name for variant in variants(manifest)}
+        missing = {
             "recording=zara01",
             "law=isotropic",
             "epsilon=0.5",
             "predictor=kalman_cv",
         }
-        assert names.isdisjoint(gone)
+        assert names.isdisjoint(missing)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
-        assert not any(one.predictor for one in variants(manifest))
+        assert not any(variant.predictor for variant in variants(manifest))
 
 
 class TestChanges:
@@ -203,7 +208,7 @@ class TestChanges:
         name, effect = ("claim/new", None) if change == "missing" else ("claim/a", -0.5)
         base = {"items": [item("claim/a", *before)]}
         said = {"items": [item(name, *after, effect=-0.5)]}
-        (row,) = held.changes("v", base=base, said=said)
+        (row,) = held.changes("v", base=base, varied=said)
         assert (row["id"], row["changed"]) == ("claim/a", change)
         assert (row["decision_base"], row["sign_base"], row["effect_base"]) == (
             *before,
@@ -222,26 +227,26 @@ class TestChanges:
             item("claim/a", "reversed", -1, effect=-0.25, ci_low=-0.5, ci_high=-0.125),
             item("claim/b", "between", 0),
         ]
-        found = held.changes(
-            "law=x", base={"items": before + same}, said={"items": after + same}
+        result = held.changes(
+            "law=x", base={"items": before + same}, varied={"items": after + same}
         )
-        rows = pd.DataFrame(found, columns=list(COLUMNS))
+        rows = pd.DataFrame(result, columns=list(COLUMNS))
         claim = {"not decided before and after": 1, "changed sign": 1, "lost": 1}
         assert held.counts(rows) == {
             "law=x": {"claim": claim, "inflation": {"same": 1}}
         }
-        told = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
-        assert turned(rows) == [told]
+        message = "law=x: claim/a: holds (0.5) -> reversed (-0.25 [-0.5, -0.125])"
+        assert sign_changes(rows) == [message]
 
 
 def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
-    return settings_of(
+    return variant_settings(
         parse(name),
         manifest=with_paths(
             finished, read_manifest(finished) if manifest is None else manifest
         ),
-        attacks=attacks_of(read_verdict(finished)["items"]),
+        attacks=attack_tasks(read_verdict(finished)["items"]),
         out=Path(out),
         **more,
     )
@@ -253,32 +258,32 @@ class TestSettings:
     )
     def test_one_thing_is_changed(self, finished, name):
         ran = read_manifest(finished)["settings"]
-        found, _ = settings(finished, name)
-        changed = found.stages.flat().items() - ran["stages"].items()
+        variant, _ = settings(finished, name)
+        changed = variant.stages.flat().items() - ran["stages"].items()
         assert dict(changed) == parse(name).stages
-        assert found.dataset == settings(finished, BASE)[0].dataset
-        assert found.predictors == ("least_squares",)
+        assert variant.dataset == settings(finished, BASE)[0].dataset
+        assert variant.predictors == ("least_squares",)
         # Of the attacks those that the verdict is about.
-        wanted = set(attacks_of(read_verdict(finished)["items"]))
-        assert set(found.attacks) == wanted < set(ran["attacks"])
+        wanted = set(attack_tasks(read_verdict(finished)["items"]))
+        assert set(variant.attacks) == wanted < set(ran["attacks"])
         for key in ("mechanisms", "tasks"):
-            assert getattr(found, key) == tuple(ran[key])
-        assert (found.scenes, found.seed) == (ran["scenes"], ran["seed"])
+            assert getattr(variant, key) == tuple(ran[key])
+        assert (variant.scenes, variant.seed) == (ran["scenes"], ran["seed"])
 
     def test_another_recording_brings_its_own_format_and_leaves_out_what_it_is_too_small_for(
         self, finished, tmp_path
     ):
-        found, left_out = settings(finished, "recording=plaza")
-        assert (found.dataset, found.format, found.fps, left_out) == (
+        changed, left_out = settings(finished, "recording=plaza")
+        assert (changed.dataset, changed.format, changed.fps, left_out) == (
             "plaza",
             None,
             None,
             (),
         )
         write_walks(tmp_path / "few.csv", n_people=2)
-        found, left_out = settings(finished, f"recording={tmp_path / 'few.csv'}")
-        assert (found.tasks, found.attacks) == ((), ("kalman_rts",))
-        assert ["rerelease" in one for one in left_out] == [True]
+        changed, left_out = settings(finished, f"recording={tmp_path / 'few.csv'}")
+        assert (changed.tasks, changed.attacks) == ((), ("kalman_rts",))
+        assert ["rerelease" in item for item in left_out] == [True]
 
     def test_a_recording_that_has_changed_is_refused(self, finished):
         manifest = read_manifest(finished)
@@ -309,28 +314,28 @@ class TestRun:
         asked, _ = settings(finished, "epsilon=1", out=tmp_path / "alone", jobs=1)
         evaluation.run(asked, pictures=False)
         for name in ("summary.csv", "verdict.json"):
-            of_variant = folder_of(tried, "epsilon=1") / name
-            assert of_variant.read_bytes() == (tmp_path / "alone" / name).read_bytes()
+            variant_rows = variant_folder(tried, "epsilon=1") / name
+            assert variant_rows.read_bytes() == (tmp_path / "alone" / name).read_bytes()
 
     def test_cells_that_the_run_has_are_not_computed_again(self, tried):
-        def cells_of(folder):
+        def list_cells(folder):
             return {
                 path.name: path.read_bytes() for path in (folder / "cells").iterdir()
             }
 
-        run = cells_of(tried)
+        run = list_cells(tried)
         for name in (BASE, "predictor=kalman_cv"):
-            cells = cells_of(folder_of(tried, name))
+            cells = list_cells(variant_folder(tried, name))
             assert cells
             # A unit's file is taken over whole, whoever else is in it.
             assert cells.items() <= run.items()
-        assert cells_of(folder_of(tried, "epsilon=1")).keys().isdisjoint(run)
+        assert list_cells(variant_folder(tried, "epsilon=1")).keys().isdisjoint(run)
 
     def test_the_same_command_computes_nothing_again_and_what_was_run_stays(
         self, tried, ran, monkeypatch
     ):
         monkeypatch.setenv("COLUMNS", "200")  # all sections beside each other
-        cells = folder_of(tried, "epsilon=1") / "cells"
+        cells = variant_folder(tried, "epsilon=1") / "cells"
         before = {path.name: path.stat().st_mtime_ns for path in cells.iterdir()}
         table = (tried / "sensitivity.csv").read_bytes()
         shown = ran(sensitivity, tried, "--jobs", "1", "--variant", "epsilon=1")
@@ -373,8 +378,8 @@ class TestRun:
     def test_set_adds_to_what_runs(self, tried, ran):
         words = ["--jobs=1", "--variant=base", "--set=privacy.epsilon_m=0.4", "--json"]
         said = json.loads(ran(sensitivity, tried, *words).out)
-        told = {one["name"]: one["state"] for one in said["variants"]}
-        assert told == dict.fromkeys((BASE, "privacy.epsilon_m=0.4"), "finished")
+        message = {variant["name"]: variant["state"] for variant in said["variants"]}
+        assert message == dict.fromkeys((BASE, "privacy.epsilon_m=0.4"), "finished")
         assert tuple(said["counts"]) == NAMES
         assert len(said["items"]) == len(NAMES) * len(read_verdict(tried)["items"])
 
@@ -392,7 +397,7 @@ class TestTable:
                 lambda manifest: manifest["identity"].update(scenes=8),
             ),
         ):
-            edit_manifest(folder_of(out, name), change)
+            edit_manifest(variant_folder(out, name), change)
         rows, left_out = held.collect(out)
         assert set(rows["variant"]) == {BASE, "privacy.epsilon_m=0.4"}
         assert left_out == {
@@ -403,19 +408,19 @@ class TestTable:
 
     def test_all_but_the_base_are_held_against_the_base(self, tried, tmp_path):
         out = shutil.copytree(tried, tmp_path / "run")
-        path = folder_of(out, BASE) / "verdict.json"
+        path = variant_folder(out, BASE) / "verdict.json"
         said = json.loads(path.read_text())
-        for one in said["items"]:
-            if one["section"] == "inflation":
-                assert one["sign"] == 1
-                one |= {"sign": -1, "decision": "deflated"}
+        for item in said["items"]:
+            if item["section"] == "inflation":
+                assert item["sign"] == 1
+                item |= {"sign": -1, "decision": "deflated"}
         path.write_text(json.dumps(said))
         rows, _ = held.collect(out)
         inflation = rows[rows["section"] == "inflation"].set_index("variant")
         for name, before in ((BASE, 1), ("predictor=kalman_cv", -1)):
             assert set(inflation.loc[[name], "sign_base"]) == {before}
             assert set(inflation.loc[[name], "changed"]) == {"changed sign"}
-        assert len(turned(rows)) >= 2 * len(inflation.loc[[BASE]])
+        assert len(sign_changes(rows)) >= 2 * len(inflation.loc[[BASE]])
 
 
 class TestErrors:
@@ -444,8 +449,8 @@ class TestErrors:
 
     def test_a_run_that_is_not_finished(self, out, ran):
         edit_manifest(out, lambda manifest: manifest.update(state="running"))
-        told = f"the run in {out} is not finished; run the matrix again"
-        assert_refused(ran(sensitivity, out), told)
+        message = f"the run in {out} is not finished; run the matrix again"
+        assert_refused(ran(sensitivity, out), message)
 
     @pytest.mark.parametrize(
         ("words", "message"),
@@ -488,7 +493,7 @@ class TestErrors:
         assert ran(*words, 8).code == 0
         assert_refused(ran(*words, 10), "holds another run (scenes 8 -> 10)")
         assert ran(*words, 10, "--fresh").code == 0
-        assert read_manifest(folder_of(small, BASE))["settings"]["scenes"] == 10
+        assert read_manifest(variant_folder(small, BASE))["settings"]["scenes"] == 10
 
     def test_an_interrupted_run_says_how_to_continue(self, small, ran, monkeypatch):
         def interrupted():
@@ -500,4 +505,4 @@ class TestErrors:
         )
         assert code == 130
         assert "the same command continues" in errors
-        assert read_manifest(folder_of(small, BASE))["state"] == "finished"
+        assert read_manifest(variant_folder(small, BASE))["state"] == "finished"

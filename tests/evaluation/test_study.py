@@ -1,4 +1,4 @@
-"""Several runs, one answer: the table, the page, what is read again, and what is refused."""
+"""Several runs, one answer: table and page, runs read again, and refusals."""
 
 import math
 
@@ -55,11 +55,11 @@ def test_the_table_has_a_row_a_seed_and_their_mean_and_pools_nothing_simulated(
     assert set(table["recording"]) == {
         "plaza"
     }  # never pooled: it is simulated, and one
-    told = table[
+    message = table[
         (table["question"] == "left_after_attack") & (table["adding"] == "linear")
     ]
-    assert list(told["seed"]) == ["0", "1", "mean"]
-    values = told.set_index("seed")["value"]
+    assert list(message["seed"]) == ["0", "1", "mean"]
+    values = message.set_index("seed")["value"]
     assert values["mean"] == pytest.approx((values["0"] + values["1"]) / 2)
     assert {"robot_loses", "left_after_attack"} <= set(table["question"])
     assert set(table["settings"]) == {"linkage.most_people=60"}
@@ -86,53 +86,57 @@ def test_future_conflicts_are_those_of_the_robot_3_s_ahead(answered):
 
 
 def test_who_has_fewer_than_100_candidates_is_compared_with_nobody(answered):
-    of, _, out, _ = answered
+    answers, _, out, _ = answered
     (name,) = {
-        one for one in pd.read_csv(out / "study.csv")["question"] if "linked" in one
+        item for item in pd.read_csv(out / "study.csv")["question"] if "linked" in item
     }
     assert name == "people_linked_own_gallery"
-    rows = [{**of[0].rows[0], "question": name, "recording": one} for one in "abcde"]
+    rows = [
+        {**answers[0].rows[0], "question": name, "recording": item} for item in "abcde"
+    ]
     rows[0] |= {"ci_low": math.nan, "ci_high": math.nan}
-    (told,) = pooled.answered(rows, simulated=frozenset())
-    page = study_page.render([told], simulated=frozenset(), runs=[])
+    (answer,) = pooled.answered(rows, simulated=frozenset())
+    page = study_page.render([answer], simulated=frozenset(), runs=[])
     assert page.count("too few people for an interval") == 1
-    assert (told.pooled, told.sentence[:12]) == (None, "Neither comp")
+    assert (answer.pooled, answer.sentence[:12]) == (None, "Neither comp")
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_what_is_finished_is_read_again(answered, capsys, monkeypatch):
-    of, _, out, asked = answered
+    answers, _, out, asked = answered
     read = []
     monkeypatch.setattr(
-        datasets, "load", lambda *name, **of: read.append(name) or load(*name, **of)
+        datasets,
+        "load",
+        lambda *name, **answers: read.append(name) or load(*name, **answers),
     )
     before = (out / "study.csv").read_bytes()
     cells = {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")}
     again, _ = answer(asked, out=out)
     assert capsys.readouterr().err.count("finished before") == len(asked)
     assert len(read) == 1  # the recording, once for all runs
-    assert [one.sentence for one in again] == [one.sentence for one in of]
+    assert [item.sentence for item in again] == [item.sentence for item in answers]
     assert (out / "study.csv").read_bytes() == before
     assert {path: path.stat().st_mtime_ns for path in out.glob("*/cells/*")} == cells
 
 
 def test_what_fid_is_held_against_fixed_noise_by_is_no_other_mechanism(answered):
     _, _, out, _ = answered
-    of = {
+    result = {
         "section": "claim",
         "criterion": "missed",
         "of": "after-attack",
         "descriptor": "plr",
     }
-    of |= {"adding": "linear", "ci_low": 0.01, "ci_high": 0.03, "n": 50}
-    items = [of | {"effect": 0.02}, of | {"effect": -0.4, "mechanism": "ou"}]
+    result |= {"adding": "linear", "ci_low": 0.01, "ci_high": 0.03, "n": 50}
+    items = [result | {"effect": 0.02}, result | {"effect": -0.4, "mechanism": "ou"}]
     folder = out / "plaza-0"
-    told = pooled.answers_of(
+    message = pooled.run_answers(
         folder, read_manifest(folder), {"items": items}, law="radial"
     )
-    assert [one["value"] for one in told if one["question"] == "fid_against_fixed"] == [
-        0.02
-    ]
+    assert [
+        item["value"] for item in message if item["question"] == "fid_against_fixed"
+    ] == [0.02]
 
 
 @pytest.mark.parametrize(

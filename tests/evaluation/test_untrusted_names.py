@@ -1,4 +1,4 @@
-"""Names in files are words: none becomes a tag, a command, a path, or a module to import."""
+"""Names in files are words: never a tag, a command, a path, or a module to import."""
 
 import contextlib
 import io
@@ -38,12 +38,12 @@ TURNS = {"": (1, 1), "-": (-1, 1), "+": (1, -1)}
 
 
 def write_csv(path, tracks, *, mark=""):
-    """Thirty-six people whose ids and groups end in `mark`: every track as it is and turned."""
+    """Thirty-six people whose ids and groups end in `mark`: each track, also turned."""
     walks = []
     for (turn, signs), track in product(TURNS.items(), tracks):
-        who = f"{track.source[0]}{turn}{mark}"
+        result = f"{track.source[0]}{turn}{mark}"
         walk = pd.DataFrame(track.xy * signs, columns=["x", "y"])
-        walks.append(walk.assign(t=track.t, id=who, group=f"g{who}"))
+        walks.append(walk.assign(t=track.t, id=result, group=f"g{result}"))
     pd.concat(walks).to_csv(path, index=False)
     return path
 
@@ -81,12 +81,12 @@ class TestOddNames:
     def test_no_tag_and_no_attribute_comes_from_a_name(self, odd, plain):
         name, results, _ = odd
         page, usual = (
-            Tags((of.out / "report.html").read_text(encoding="utf-8"))
-            for of in (results, plain)
+            Tags((item.out / "report.html").read_text(encoding="utf-8"))
+            for item in (results, plain)
         )
         structure, expected = (
-            {(tag, *sorted(attributes)) for tag, attributes in one.found}
-            for one in (page, usual)
+            {(tag, *sorted(attributes)) for tag, attributes in item.found}
+            for item in (page, usual)
         )
         assert structure == expected
         assert name in "".join(page.text)
@@ -206,12 +206,12 @@ def planted(plain, tmp_path):
 
     def to_plant(spec, *, only_settings=False):
         out = shutil.copytree(plain.out, tmp_path / "planted")
-        found = read_manifest(out)
-        found |= {"settings": replanted(found["settings"], spec)}
-        write_manifest(out, found if only_settings else replanted(found, spec))
+        manifest = read_manifest(out)
+        manifest |= {"settings": replanted(manifest["settings"], spec)}
+        write_manifest(out, manifest if only_settings else replanted(manifest, spec))
         for path in () if only_settings else (out / "verdict.json", out / "flags.json"):
-            found = json.loads(path.read_text(encoding="utf-8"))
-            path.write_text(json.dumps(replanted(found, spec)), encoding="utf-8")
+            manifest = json.loads(path.read_text(encoding="utf-8"))
+            path.write_text(json.dumps(replanted(manifest, spec)), encoding="utf-8")
         return out
 
     return to_plant
@@ -245,9 +245,9 @@ class TestNothingIsImportedFromAFile:
     @pytest.mark.parametrize("spec", PLANTED)
     def test_a_recording_imports_nothing(self, evil, spec, tmp_path, tracks):
         path = write_csv(tmp_path / f"{spec}.csv", tracks, mark=spec)
-        found = datasets.load(path)
-        assert found.name == spec
-        assert found.tracks.source[0].endswith(spec)
+        result = datasets.load(path)
+        assert result.name == spec
+        assert result.tracks.source[0].endswith(spec)
         assert not evil.exists()
 
 
@@ -258,18 +258,20 @@ SOURCES = {
 }
 
 
-def found_in(pattern):
+def source_matches(pattern):
     return {name for name, text in SOURCES.items() if re.search(pattern, text)}
 
 
 def test_nothing_that_runs_what_it_reads_is_hidden_from_the_linter():
     """Ruff's S rules know eval, exec, shells, pickle and the like."""
-    assert found_in(r"noqa:[^#\n]*\bS(102|30[1-7]|310|50\d|60[245679])\b") == set()
+    assert (
+        source_matches(r"noqa:[^#\n]*\bS(102|30[1-7]|310|50\d|60[245679])\b") == set()
+    )
 
 
 def test_a_module_whose_name_is_not_in_the_source_is_imported_in_few_places():
-    """Of classes and metrics that the user named, and of fixed tables of our own modules."""
-    assert found_in(r"(import_module|resolve_name)\((?![\s\"')])") == {
+    """Classes and metrics that the user named, and fixed tables of our own modules."""
+    assert source_matches(r"(import_module|resolve_name)\((?![\s\"')])") == {
         "evaluation/__init__.py",
         "evaluation/__main__.py",
         "evaluation/reporting/figures/figure.py",

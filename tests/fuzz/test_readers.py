@@ -1,4 +1,4 @@
-"""Whatever the bytes, a reader gives tracks or one `DataError` that names the file; no warning.
+"""For any bytes a reader gives tracks or a `DataError` with the file, and no warning.
 
 ``benchmarks/fuzz_readers.py`` searches further, from the same small files.
 """
@@ -13,7 +13,7 @@ import pytest
 from helpers.recordings import (
     CORPUS,
     TEXT,
-    assert_told,
+    assert_message,
     packed,
     read_walk,
     refusal,
@@ -29,10 +29,10 @@ VALID = {name: [(CORPUS / f"walks.{name}").read_bytes()] for name in TEXT}
 VALID["parquet"] = [
     (CORPUS / f"{name}.parquet").read_bytes() for name in ("text", "number")
 ]
-ALL = [data for some in VALID.values() for data in some]
+ALL = [data for files in VALID.values() for data in files]
 TEXTS = st.text(max_size=100).map(str.encode)
 FPS = st.sampled_from([None, 25.0, 1e-3, 1e6, 0.0, -1.0, float("nan"), float("inf")])
-# The examples are the same in every run; one that takes over 5 s is a hang.
+# The examples are the same in every run; over 5 s an example counts as a hang.
 steady = settings(derandomize=True, print_blob=True, deadline=timedelta(seconds=5))
 
 
@@ -40,7 +40,7 @@ def check(data, format_name, fps):
     try:
         tracks, repairs = read_walk(data, format_name, fps)
     except IsacTrackError as error:
-        assert_told(str(error))
+        assert_message(str(error))
     else:
         assert (np.diff(tracks.offsets) > 1).all()
         assert all(repair.count > 0 for repair in repairs)
@@ -81,7 +81,7 @@ NUMBERS = [
 
 @st.composite
 def edited(draw, valid):
-    """Give a valid file with up to six edits: some bytes give way to none, others or more."""
+    """Give a valid file with up to six edits that remove, replace or insert bytes."""
     data = draw(st.sampled_from(valid))
     for _ in range(draw(st.integers(1, 6))):
         first, last = sorted(draw(st.tuples(*[st.integers(0, len(data))] * 2)))
@@ -96,7 +96,7 @@ def edited(draw, valid):
 
 @st.composite
 def rewritten(draw, valid):
-    """Give a valid text file with lines out of order or fields replaced, ended in some way."""
+    """Give a valid text file with other fields, order of lines, or line ends."""
     lines = draw(st.sampled_from(valid)).splitlines()
     separator = b"," if b"," in lines[0] else b" "
     lines = [
@@ -184,7 +184,7 @@ class TestMemory:
 
 
 def recording(format_name):
-    """People who walk 80 m in 200 samples 0.4 s apart, one after the other, as a file of MB."""
+    """A file of MB: people walk 80 m each in 200 samples, one after the other."""
     people = ((person, person % 90 / 7) for person in range(1, 100))
     steps = [round(0.4 * n, 4) for n in range(200)]
     rows = [(t, str(person), t, round(y, 4)) for person, y in people for t in steps]
@@ -192,10 +192,9 @@ def recording(format_name):
 
 
 def peak_bytes(data, format_name, fps=25.0):
-    """What Python and arrow held at most, beside the file itself."""
-    check(
-        VALID[format_name][0], format_name, None if format_name == "csv" else 25.0
-    )  # imports
+    """Peak memory of Python and arrow, without the file itself."""
+    # A first read does the imports.
+    check(VALID[format_name][0], format_name, None if format_name == "csv" else 25.0)
     tracemalloc.start()
     try:
         with arrow_pool() as pool:
@@ -210,7 +209,7 @@ POOLS = []  # must outlive what was allocated from them
 
 @contextmanager
 def arrow_pool():
-    """Give a pool of its own to what arrow allocates meanwhile: it counts from nothing."""
+    """Let arrow allocate from a new pool, which counts from zero."""
     previous = pa.default_memory_pool()
     POOLS.append(pa.proxy_memory_pool(pa.system_memory_pool()))
     pa.set_memory_pool(POOLS[-1])

@@ -144,7 +144,7 @@ def by_the_clock(track):
 
 
 @fails("frame_and_clock_do_not_matter", "as oracle (granted REPEATS)", requires=REPEATS)
-def one_frame_for_all(context):
+def common_frame(context):
     """Averages repeats as if their frames were one, without asking for SCENE."""
     return lambda release: Reconstruction(
         np.mean([release.xy, *(repeat.xy for repeat in context.repeats)], axis=0)
@@ -156,8 +156,8 @@ def first_by_name(release):
     first = min(release.pseudonym)
     return np.concatenate(
         [
-            one.xy if one.pseudonym[0] == first else halfway_back(one.xy)
-            for one in release
+            item.xy if item.pseudonym[0] == first else halfway_back(item.xy)
+            for item in release
         ]
     )
 
@@ -200,7 +200,7 @@ def keeps_by_name(_context):
 
 
 def truth_called(name, check="null_stays_at_chance"):
-    """Yield what the case of a check holds under that name, if it is that which called."""
+    """Yield the part of a check's case under that name, if that check called."""
     frame = sys._getframe(1)
     while frame is not None:
         if frame.f_code.co_name == check:
@@ -219,7 +219,7 @@ def peeks(release):
 
 @fails("nothing_beats_the_optimum", "where the exact posterior comes to")
 def peeks_where_it_is_near(release):
-    """Nine tenths of what it is off by it mends, where walks of a model are asked for."""
+    """Mends nine tenths of its own error, if walks of a model are asked for."""
     xy = release.xy.copy()
     for truth in truth_called("truth", "nothing_beats_the_optimum"):
         xy += 0.9 * (truth - xy)

@@ -35,7 +35,7 @@ class Base:
         return -np.abs(self.traits(probe)[:, None] - self.traits(gallery))
 
     def traits(self, release):
-        """One number for each track by itself, unless a broken linker says otherwise."""
+        """One number for each track by itself, unless a broken linker overrides it."""
         return np.array([self.trait(track) for track in release])
 
     def trait(self, track):
@@ -43,7 +43,7 @@ class Base:
 
 
 def mean_speed(t, xy):
-    """Length of the way through the means of every second, over its duration; 0 for one."""
+    """Path length through the means of every second, over its duration; 0 for one."""
     _, place = np.unique(np.floor((t - t[0]) / BIN_S), return_inverse=True)
     if place[-1] == 0:
         return 0.0
@@ -141,7 +141,7 @@ def same_frame_for_both(probe, gallery):
 def same_name(probe, gallery):
     """Trusts that nobody changes their pseudonym."""
     same = np.array(
-        [[one == other for other in gallery.pseudonym] for one in probe.pseudonym]
+        [[item == other for other in gallery.pseudonym] for item in probe.pseudonym]
     )
     return BASE.link(probe, gallery) + 0.1 * same
 

@@ -33,12 +33,12 @@ def plr(leaks="strictly", share=np.mean):
 def duration(
     combine, *, leaks="strictly", change=np.asarray, lasting=oracles.own_s, nothing=0.0
 ):
-    """Return AEL if `combine` is the mean, MEL if it is max; it is given s per segment."""
+    """Return AEL if `combine` is the mean, MEL if it is max, of s per segment."""
 
     def descriptor(shared_xy, true_xy, t, epsilon_m):
         leaked = change(LEAKS[leaks](shared_xy - true_xy, epsilon_m))
-        found = oracles.segments_s(leaked, lasting(t))
-        return combine(found) if found else nothing
+        result = oracles.segments_s(leaked, lasting(t))
+        return combine(result) if result else nothing
 
     return descriptor
 
@@ -84,17 +84,17 @@ def mel_changes_its_input(shared_xy, true_xy, t, epsilon_m):
 
 def exposure(shared_xy, true_xy, t, offsets, epsilon_m):
     leaked = LEAKS["strictly"](shared_xy - true_xy, epsilon_m)
-    found = oracles.exposure_of_all(leaked=leaked, t=t, offsets=offsets)[:3]
-    return tuple(np.array(values, dtype=float) for values in found)
+    result = oracles.total_exposure(leaked=leaked, t=t, offsets=offsets)[:3]
+    return tuple(np.array(values, dtype=float) for values in result)
 
 
 def exposure_across_tracks(shared_xy, true_xy, t, offsets, epsilon_m):
     """Takes the first sample of the next track along."""
-    found = []
+    result = []
     for lo, hi in pairwise(offsets):
         walk = [values[lo : hi + 1] for values in (shared_xy, true_xy, t)]
-        found.append(exposure(*walk, [0, len(walk[2])], epsilon_m))
-    return np.concatenate(found, axis=1)
+        result.append(exposure(*walk, [0, len(walk[2])], epsilon_m))
+    return np.concatenate(result, axis=1)
 
 
 def exposure_sorted_by_length(*walks):
@@ -132,7 +132,7 @@ def among(decisions, *, otherwise=nan):
 
 
 def fid(extra, *, acts=np.greater):
-    """Return a rule with `extra` in units of alpha, from rho and beta, where it acts."""
+    """Return a rule with `extra` in units of alpha, from rho and beta."""
     return lambda fid, eta, alpha, beta: np.where(
         acts(fid, eta), alpha * extra(fid / eta, beta), 0
     )

@@ -1,4 +1,4 @@
-"""Plausible mistakes in mechanisms and predictors, each of which exactly one check must catch."""
+"""Plausible mistakes in mechanisms and predictors: exactly one check catches each."""
 
 from dataclasses import dataclass, replace
 from itertools import count
@@ -35,7 +35,7 @@ NOISE, STAND, CALLS = Noise(), Stand(), count()
 
 
 def plugin(function):
-    """A mechanism if the function takes `sensed`, else a predictor, with this for its method."""
+    """A mechanism if the function takes `sensed`, else a predictor, of this method."""
     takes = function.__code__.co_varnames
     base, method = (Noise, "share") if "sensed" in takes else (Stand, "predict")
     if function.__code__.co_argcount == 1:
@@ -95,8 +95,8 @@ def own_dice(sensed, rng):
 def a_seed_for_a_place(sensed, rng):
     xy = []
     for track in sensed:
-        mine = np.random.default_rng(abs(int(1e6 * track.xy[0, 0])))
-        xy.append(NOISE.share(track, mine).xy)
+        own = np.random.default_rng(abs(int(1e6 * track.xy[0, 0])))
+        xy.append(NOISE.share(track, own).xy)
     return replace(NOISE.share(sensed, rng), xy=np.concatenate(xy))
 
 
@@ -135,10 +135,10 @@ def takes_sigma(release, t_future):
 
 @fails("release_is_not_mutated", "changed release.xy; ")
 def centres(release, t_future):
-    found = STAND.predict(release, t_future)
+    result = STAND.predict(release, t_future)
     release.xy.flags.writeable = True
     release.xy[:] -= release.xy.mean(axis=0)
-    return found
+    return result
 
 
 @fails("same_release_same_prediction", "two runs with one seed differ in")

@@ -1,4 +1,4 @@
-"""Cells of made-up people, from the parts that a run computes them of, and attacks that watch."""
+"""Cells of made-up people, computed as a run does, and attacks that watch."""
 
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -14,7 +14,7 @@ from evaluation.compute.link_setup import sensed_sessions
 from evaluation.compute.linkage import link, linked_level
 from evaluation.compute.reconstruction import attacked_block, folds
 from evaluation.compute.sharing import share
-from evaluation.compute.work import Block, cells
+from evaluation.compute.work import Block, compute_cells
 from evaluation.plan.axes import Axes, Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
@@ -28,22 +28,26 @@ EPSILON_M = STAGES.privacy.epsilon_m
 
 
 def plugin(instance, name="spy"):
-    """A plug-in of one's own."""
+    """A user's plug-in."""
     return Plugin(
         name=name, level=None, spec=name, origin=f"here:{name}", instance=instance
     )
 
 
-def parsed(kind, one, name="mine"):
-    """A plug-in from its SPEC, from an instance of one's own, or as it is."""
-    if isinstance(one, str):
-        return plugins.parse(kind, one)[0]
-    return one if isinstance(one, Plugin) else plugin(one, name)
+def parsed(kind, plugin_or_spec, name="mine"):
+    """A plug-in from its SPEC, from a user's instance, or as it is."""
+    if isinstance(plugin_or_spec, str):
+        return plugins.parse(kind, plugin_or_spec)[0]
+    return (
+        plugin_or_spec
+        if isinstance(plugin_or_spec, Plugin)
+        else plugin(plugin_or_spec, name)
+    )
 
 
 @dataclass(frozen=True)
 class Spy:
-    """An attack that keeps what it was shown, and moves positions as it is told."""
+    """An attack that records what it sees, and moves positions by a function."""
 
     requires: frozenset = frozenset()
     uses: frozenset = frozenset()
@@ -77,7 +81,7 @@ class Blur:
 
 
 class World:
-    """Some scenes of four agents, and what is computed of them in blocks."""
+    """Some scenes of four agents, and their cells, block by block."""
 
     def __init__(self, tracks, *, n_scenes, mechanism="raw", stages=STAGES, seed=0):
         self.stages, self.seed = stages, seed
@@ -93,7 +97,7 @@ class World:
         self.half = folds(self.tracks.group, seed=seed)
 
     def share(self, by):
-        """What a mechanism shares of all scenes, as of the first block."""
+        """The release of all scenes, as of the first block."""
         return share(parsed("mechanisms", by), self.sensed, "block", 0, seed=self.seed)
 
     def rows(self, fold):
@@ -108,7 +112,7 @@ class World:
         )
 
     def attacked(self, *, repeats=False):
-        """What all attacks on it share."""
+        """The scenes, prepared for all attacks."""
         return attacked_block(
             scenes=self.scenes,
             sensed=self.sensed,
@@ -121,21 +125,22 @@ class World:
     def cells(self, mechanisms, consumers, *, size=None):
         """Yield mechanism, consumer and rows of every cell, block by block."""
         levels = tuple(
-            (parsed("mechanisms", one), tuple(consumers)) for one in mechanisms
+            (parsed("mechanisms", mechanism), tuple(consumers))
+            for mechanism in mechanisms
         )
         size = size or len(self.order)
         for number, first in enumerate(range(0, len(self.order), size)):
             block = Block(number, first, self.order[first : first + size], levels)
             own = {"tracks": self.tracks, "stages": self.stages, "seed": self.seed}
-            for _, by, one, tables in cells(block, **own):
-                yield by, one, arrays(tables, tracks=self.tracks)
+            for _, level, consumer, tables in compute_cells(block, **own):
+                yield level, consumer, arrays(tables, tracks=self.tracks)
 
 
 @lru_cache(maxsize=8)
-def sessions_of(task, *, tracks=None, seed=0):
+def make_sessions(task, *, tracks=None, seed=0):
     """The sessions of a task of walkers."""
     crowd = tracks or walkers()
-    return build.sessions_of(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
+    return build.make_sessions(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
 
 
 @lru_cache(maxsize=8)
@@ -144,34 +149,37 @@ def _sensed(sessions, seed, stages):
     return sensed_sessions(sessions, groups=groups, stages=stages, seed=seed)
 
 
-def numbers_of(cell):
-    """All that a cell of linkage says, in one row: equal where two cells are alike to the bit."""
-    scores = (one.scores.ravel() for one in cell.searches)
-    estimates = cell.scored.estimates.values()
-    said = ([one.value, one.ci_low, one.ci_high, *one.replicates] for one in estimates)
-    return np.concatenate([*scores, *said, [cell.scored.p_value]])
+def result_numbers(cell):
+    """All numbers of a linkage cell, in one row: equal for equal cells, bit by bit."""
+    scores = (search.scores.ravel() for search in cell.searches)
+    estimates = cell.scorecard.estimates.values()
+    numbers = (
+        [estimate.value, estimate.ci_low, estimate.ci_high, *estimate.replicates]
+        for estimate in estimates
+    )
+    return np.concatenate([*scores, *numbers, [cell.scorecard.p_value]])
 
 
 def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
-    """What all achieve who link in a task: by consumer and adversary.
+    """Results of all linkers of a task by consumer and adversary, and the level.
 
-    Also the level. A link is one, or what `parsed` takes.
+    Each of `links` is a consumer, or an argument of `parsed`.
     """
     task = sessions.task
     level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed, stages))
-    links = [
+    linkers = [
         (
-            one
-            if isinstance(one, Consumer)
-            else Consumer("linkage", parsed("attacks", one, "spy"))
+            linker
+            if isinstance(linker, Consumer)
+            else Consumer("linkage", parsed("attacks", linker, "spy"))
         )
-        for one in links
+        for linker in links
     ]
-    crossed = Axes((), (), (), links=tuple((task, one) for one in links))
+    crossed = Axes((), (), (), links=tuple((task, linker) for linker in linkers))
     wanted = ("linkage", "control") if controls else ("linkage",)
-    found = {
-        (one.spec, one.knowledge): link(one, level)
-        for one in crossed.readers(task)
-        if one.kind in wanted
+    results = {
+        (reader.spec, reader.knowledge): link(reader, level)
+        for reader in crossed.readers(task)
+        if reader.kind in wanted
     }
-    return found, level
+    return results, level

@@ -1,4 +1,4 @@
-"""Commands as users give them: a process of its own each, in a session that is ended with it."""
+"""Commands as users give them: each in a process and session of its own."""
 
 import contextlib
 import json
@@ -39,7 +39,7 @@ class Ended(NamedTuple):
 
 
 def start(folder, *words, changed=(), **process):
-    """Start this Python in a folder; what is `changed` in its environment to None is taken out."""
+    """Start this Python in a folder; `changed` sets its environment, None removes."""
     environment = os.environ | {"PYTHONPATH": f"{ROOT}:{TESTS}"} | dict(changed)
     pipes = {
         "stdin": subprocess.DEVNULL,
@@ -61,7 +61,7 @@ def run(folder, *words, timeout_s=180, **how):
     """Run this Python to its end; nobody ever sees a traceback."""
     process = start(folder, *words, **how)
     try:
-        shown = [one or "" for one in process.communicate(timeout=timeout_s)]
+        shown = [item or "" for item in process.communicate(timeout=timeout_s)]
     finally:
         end(process)
     assert "Traceback" not in "".join(shown), shown
@@ -82,11 +82,11 @@ def assert_refused(ended, *says):
     assert ended.err.splitlines()[-1] == line
     assert line.isprintable()
     assert len(line) < 1000
-    assert [one for one in says if one not in line] == [], line
+    assert [say for say in says if say not in line] == [], line
 
 
 def content(out):
-    """Everything that a run computed, by file; the manifest tells times and the page shows them."""
+    """All files that a run computed, without the times in the manifest and the page."""
     kinds = (
         "cells/*",
         "*.csv",
@@ -101,10 +101,10 @@ def content(out):
 
 
 def assert_same(out, expected):
-    """The run in a folder is finished, whole, and what it is elsewhere, byte by byte."""
-    found = content(out)
-    assert found.keys() ^ expected.keys() == set(), found.keys() ^ expected.keys()
-    assert [name for name, held in expected.items() if found[name] != held] == []
+    """The run in a folder is finished, whole, and byte by byte as elsewhere."""
+    result = content(out)
+    assert result.keys() ^ expected.keys() == set(), result.keys() ^ expected.keys()
+    assert [name for name, held in expected.items() if result[name] != held] == []
     assert json.loads((out / "manifest.json").read_text())["state"] == "finished"
     left = [
         path.name for path in out.rglob("*") if path.name.endswith((".tmp", ".lock"))
@@ -114,10 +114,10 @@ def assert_same(out, expected):
 
 def in_session(number):
     """Processes of a session that still run."""
-    found = []
+    result = []
     for path in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError):
             state, _, _, session, *_ = path.read_text().rpartition(")")[2].split()
             if int(session) == number and state not in "ZX":
-                found.append(int(path.parent.name))
-    return found
+                result.append(int(path.parent.name))
+    return result

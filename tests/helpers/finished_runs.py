@@ -27,10 +27,10 @@ from evaluation.estimates.metrics import (
     FUTURE_EQUAL_ALARMS,
     METRICS,
     MISSED_FUTURE,
-    OF_ROBOT,
+    ROBOT_PLR,
     UTILITY,
 )
-from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.reporting.rows import Results
 from evaluation.store.files import FRAMES
 from evaluation.store.manifest import FAILED_COLUMNS
@@ -51,7 +51,7 @@ NO_RULE = ("raw", "clean", "offset", "thin", "ou")
 CONTROLS = [("offset", 0.4), ("correlated", 0.5), (f"correlated{INDEPENDENT}", 0.5)]
 CONTROLS += [("thin:d_sigma=0.75", 4.0)]
 COSTS = tuple(
-    name for name in UTILITY if name != OF_ROBOT
+    name for name in UTILITY if name != ROBOT_PLR
 )  # made-up robots have no `track`
 UNITS = {name: METRICS[name].summary_unit for name in (*COSTS, *DESCRIPTORS, "rmse")}
 REBUILT = (*DESCRIPTORS, "rmse")
@@ -95,8 +95,8 @@ def described(mechanism):
     return {"family": family, "adding": "" if bare or family in NO_RULE[:3] else rule}
 
 
-def value_of(place, metric):
-    """The value of a metric at the so many-th level, each another; misses rise, the others fall."""
+def metric_value(place, metric):
+    """The value of a metric at a level's place: misses rise, all others fall."""
     if metric in ("missed_conflict_rate", "false_alarm_rate"):
         return 0.1 + 0.02 * place
     if metric == MISSED_FUTURE:
@@ -120,7 +120,7 @@ def make_summary(
             cells += [(name, knowledge, metric, lift) for metric in REBUILT]
             cells += [(name, knowledge, metric, 0.0) for metric in RATIOS]
         for consumer, knowledge, metric, lift in cells:
-            value = lift * value_of(place, metric) if lift else 1.0
+            value = lift * metric_value(place, metric) if lift else 1.0
             ends = {"value": value, "ci_low": 0.9 * value, "ci_high": 1.1 * value}
             ends |= {"consumer": consumer, "knowledge": knowledge, "metric": metric}
             rows.append(where | ends | {"unit": (UNITS | RATIOS)[metric]})
@@ -128,12 +128,12 @@ def make_summary(
 
 
 def make_linkability(at=None, *, tasks=LINKERS, dataset="students03", cohorts=COHORTS):
-    """As `linkability.csv`: three adversaries of each linker of a task, controls, and cohorts."""
+    """As `linkability.csv`: three adversaries of each linker, controls, and cohorts."""
     rows = []
     for task, strengths in tasks.items():
         for place, (mechanism, level) in enumerate(levels() if at is None else at):
             where = {
-                "dataset": linkability.dataset_of(f"{task}/x", dataset=dataset),
+                "dataset": linkability.row_dataset(f"{task}/x", dataset=dataset),
                 "mechanism": mechanism, "level": level, "invalid": "", "outcome": "links",
                 "chance": CHANCE, "cohort": "all", "n_probes": 276, "n_mated": 276,
                 "n_clusters": 175, "gallery_min": 138, "gallery_mean": 138.0, "gallery_max": 138,
@@ -266,7 +266,7 @@ def make_flags(**changes):
 
 
 def make_levels(summary, linkability, *, dataset="students03"):
-    """As `levels.csv` of a summary: its numbers, under names and for adversaries of that table."""
+    """As `levels.csv` of a summary: its numbers, with names of that table."""
     rows = summary[(summary["dataset"] == dataset) & (summary["family"] != "clean")]
     missed = rows[rows["metric"] == "missed_conflict_rate"]
     ahead = missed.assign(
@@ -278,12 +278,14 @@ def make_levels(summary, linkability, *, dataset="students03"):
     )
     shared = rows[(rows["consumer"] == "shared") & rows["metric"].isin(DESCRIPTORS)]
     attacked = rows[rows["knowledge"].isin(["informed", "repeats", "anchor"])]
-    best = {one.knowledge: one.consumer for one in attacked.itertuples()}
+    best = {
+        itertuple.knowledge: itertuple.consumer for itertuple in attacked.itertuples()
+    }
     attacked = attacked[attacked["consumer"] == attacked["knowledge"].map(best)]
     attacked = attacked[attacked["metric"].isin(DESCRIPTORS)]
     beyond = attacked["knowledge"] != "informed"
     attacked = attacked.assign(
-        adversary=attacked["knowledge"].where(beyond, ONE_RELEASE)
+        adversary=attacked["knowledge"].where(beyond, SINGLE_RELEASE)
     )
     plr = attacked[attacked["metric"] == "plr"]
     linked = linkability[
@@ -291,7 +293,7 @@ def make_levels(summary, linkability, *, dataset="students03"):
     ]
     linked = linked[linked["knowledge"] == "informed"]
     linked = linked.assign(
-        metric="rank1", value=linked["rank1"], adversary=ONE_RELEASE, n=55
+        metric="rank1", value=linked["rank1"], adversary=SINGLE_RELEASE, n=55
     )
     linked = linked.merge(rows[["mechanism", "family", "adding"]].drop_duplicates())
     parts = [
@@ -303,7 +305,7 @@ def make_levels(summary, linkability, *, dataset="students03"):
         plr.assign(metric="plr_wide"),
         linked,
     ]
-    whole = pd.concat([one for one in parts if len(one)] or [missed])
+    whole = pd.concat([part for part in parts if len(part)] or [missed])
     protects = ~whole["family"].isin(["raw", "offset", "correlated", "thin"])
     return whole.assign(protects=protects).reindex(columns=levels_table.COLUMNS)
 
@@ -337,12 +339,12 @@ def make_run(out=Path(), dataset="students03", *, at=None, **changes):
 
 def with_links(run):
     """A run whose summary holds what its linkers achieve."""
-    of = run.linkability[
+    result = run.linkability[
         (run.linkability["cohort"] == "all") & (run.linkability["knowledge"] != "")
     ]
-    of = of.assign(n=55, unit="fraction", family="", adding="")
-    chance = of.assign(metric="chance", value=of["chance"])
-    rows = [run.summary, of.assign(metric="rank1", value=of["rank1"]), chance]
+    result = result.assign(n=55, unit="fraction", family="", adding="")
+    chance = result.assign(metric="chance", value=result["chance"])
+    rows = [run.summary, result.assign(metric="rank1", value=result["rank1"]), chance]
     joined = pd.concat(rows)[run.summary.columns]
     about = run.summary.drop_duplicates("mechanism").set_index("mechanism")[
         ["family", "adding"]
@@ -353,10 +355,10 @@ def with_links(run):
 
 def rows_where(frame, **values):
     """Which rows of a frame hold these values."""
-    of = pd.Series(True, index=frame.index)
+    result = pd.Series(True, index=frame.index)
     for name, value in values.items():
-        of &= frame[name] == value
-    return of
+        result &= frame[name] == value
+    return result
 
 
 def emptied(run):
@@ -365,7 +367,7 @@ def emptied(run):
 
 
 def everything():
-    """A run with all that a table may say: marks, leaks, strangers, flags, several predictors."""
+    """A run with all that a table may show: marks, leaks, strangers, flags."""
     at = levels(
         swept=(("fid", (1.0, 1000.0)), ("fixed", (0.7,))), others=[("offset", 0.4)]
     )

@@ -1,4 +1,4 @@
-"""Ragged batches for the filters, ways to take them apart, and what holds of every result."""
+"""Ragged batches for the filters, ways to take them apart, and checks of results."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def prefixes(case):
     )
 
 
-def one_by_one(case, **model):
+def track_by_track(case, **model):
     """Yield the samples of each track and its arguments for the oracles."""
     rest = np.zeros((2, len(case.prior_std) - 1))
     for lo, hi in pairwise(case.offsets):
@@ -76,7 +76,7 @@ def close(value, expected, tolerance=1e-9):
 
 
 def sound(mean, cov, tolerance=1e-12):
-    """Finite, symmetric, positive; rounding errors of singular correlations are tolerated."""
+    """Finite, symmetric, positive; rounding errors of singular ones are tolerated."""
     assert np.isfinite(mean).all()
     assert np.isfinite(cov).all()
     np.testing.assert_array_equal(cov, cov.swapaxes(-1, -2))

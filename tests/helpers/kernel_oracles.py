@@ -1,4 +1,4 @@
-"""Slow solutions that share nothing with the kernels: dense matrices, no recursion, no closed form.
+"""Slow solutions that share nothing with the kernels: dense matrices, no recursion.
 
 A track is (t, xy, variance) of one person; states are per axis, or (x, vx, y, vy) for
 the IMM.
@@ -26,7 +26,7 @@ def transition(step_s, d):
 
 @cache
 def process_noise(step_s, q, d):
-    """Van Loan: the integral of exp(A s) g q g' exp(A s)' over the step, from one exponential."""
+    """Van Loan: the integral of exp(A s) g q g' exp(A s)' over the step."""
     driven = np.zeros((d, d))
     driven[-1, -1] = q
     a = np.eye(d, k=1)
@@ -35,7 +35,7 @@ def process_noise(step_s, q, d):
 
 
 def joint_posterior(*, t, xy, variance, q, mean, cov, used=None):
-    """Condition all states on all (used) samples: means (n, 2, d), covariances (n, d, d), density.
+    """Condition states on samples: means (n, 2, d), covariances (n, d, d), density.
 
     The last is the log density of the samples used; `q` is of all steps or of each.
     """
@@ -62,7 +62,7 @@ def joint_posterior(*, t, xy, variance, q, mean, cov, used=None):
 
 
 def precise_filter(*, t, xy, variance, q, mean, cov, used=None, number=np.longdouble):
-    """Joseph's form in numbers with more digits, for where double precision would have to give up.
+    """Joseph's form with more digits, where double precision would fail.
 
     Of every sample the motion, state and covariance before it, state and covariance
     after it; and the log density of the samples used.
@@ -108,15 +108,17 @@ def exact_smoother(**track):
     """Rauch, Tung and Striebel's for constant velocity, in fractions."""
     rows, _ = precise_filter(**track, number=Fraction)
     x, p = rows[-1][3:]
-    found = [(x, p)]
+    result = [(x, p)]
     for (*_, now, now_p), (f, ahead, ahead_p, *_) in zip(
         rows[-2::-1], rows[:0:-1], strict=True
     ):
         (a, b), (_, c) = ahead_p
         gain = now_p @ f.T @ np.array([[c, -b], [-b, a]]) / (a * c - b * b)
         x, p = now + (x - ahead) @ gain.T, now_p + gain @ (p - ahead_p) @ gain.T
-        found.append((x, p))
-    return tuple(np.array(each, dtype=float) for each in zip(*found[::-1], strict=True))
+        result.append((x, p))
+    return tuple(
+        np.array(each, dtype=float) for each in zip(*result[::-1], strict=True)
+    )
 
 
 def collapse(weight, mean, cov):
@@ -139,7 +141,7 @@ def motion(step_s, q):
 def imm_track(
     *, t, xy, variance, q, rates, mean, cov, probability, gate=np.inf, patience=3
 ):
-    """Textbook IMM filter of one track: mean (n, J, 4), cov (n, J, 4, 4), probability (n, J)."""
+    """Textbook IMM filter: mean (n, J, 4), cov (n, J, 4, 4), probability (n, J)."""
     modes = range(len(q))
     x = np.tile(np.ravel(mean), (len(q), 1))
     p = np.tile(np.kron(np.eye(2), cov), (len(q), 1, 1))
@@ -185,7 +187,7 @@ def imm_track(
 
 
 def imm_smooth(*, t, q, rates, mean, cov, probability):
-    """Expectation correction (Barber 2006), one Gaussian per mode, from `imm_track`'s results."""
+    """Expectation correction (Barber 2006), one Gaussian per mode, of `imm_track`."""
     modes = range(len(q))
     x, p, mu = mean.copy(), cov.copy(), probability.copy()
     for k in reversed(range(len(t) - 1)):

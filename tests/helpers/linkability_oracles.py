@@ -1,4 +1,4 @@
-"""What the linkage metrics are, written for the eye: loops, enumeration, literal duplication."""
+"""The linkage metrics in plain form: loops, enumeration, literal duplication."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ METRICS += (
 
 
 def ranks(row, column):
-    """The ranks that a column may have, all equally likely, when ties fall at random."""
+    """The possible ranks of a column, all equally likely, when ties fall at random."""
     above = sum(score > row[column] for score in row)
     tied = sum(score == row[column] for score in row)
     return range(above + 1, above + tied + 1)
@@ -38,7 +38,7 @@ def over_mates(scores, mate, value):
 
 
 def best_assignment(scores, no_match_score=None):
-    """The best sum of all ways to assign, and the columns; no-match columns are -1, one a probe."""
+    """The best sum of all assignments, and the columns; -1 for a no-match column."""
     n_probes, n_gallery = scores.shape
     if no_match_score is not None:
         scores = np.hstack([scores, np.full((n_probes, n_probes), no_match_score)])
@@ -84,7 +84,7 @@ def cllr(llr_mated, llr_non_mated):
 
 
 def cllr_min(mated, non_mated):
-    """Cllr of the posterior that isotonic regression finds, both classes weighing the same."""
+    """Cllr of the posterior of isotonic regression, both classes weighing the same."""
     # Ranks, since scikit-learn takes scores that differ by rounding for ties.
     scores = np.unique(np.append(mated, non_mated), return_inverse=True)[1]
     label = np.repeat([1.0, 0.0], [len(mated), len(non_mated)])
@@ -130,7 +130,7 @@ def d_sys(mated, non_mated, edges):
 
 
 def d_sys_published(mated, non_mated, edges):
-    """As the authors' program has it: densities, their ratio, trapezia between bin centres."""
+    """As in the authors' program: densities, their ratio, trapezia between centres."""
     centres = (edges[1:] + edges[:-1]) / 2
     with np.errstate(divide="ignore", invalid="ignore"):  # of scores that are all equal
         own, other = (
@@ -145,7 +145,7 @@ def d_sys_published(mated, non_mated, edges):
 
 
 def possible_mates(search):
-    """All mates that the null allows: of all permutations those that keep clusters together."""
+    """All mates that the null allows: permutations that keep clusters together."""
     probes = np.flatnonzero(search.mate >= 0)
     cluster = search.probe_cluster[probes]
     together = cluster[:, None] == cluster
@@ -185,7 +185,7 @@ def pooled(searches, weight):
 
 
 def score_metrics(searches, weight, calibration):
-    """Every score metric of one replicate: per scale from the duplicated scores, then averaged."""
+    """Every score metric of one replicate: per scale from duplicates, averaged."""
     everyone = np.ones_like(weight)
     n_non_mated = np.mean([s.scores.size - (s.mate >= 0).sum() for s in searches])
     values, masses = [], []

@@ -12,7 +12,7 @@ WITHOUT_RULE = ("raw", "clean", "offset", "thin", "mine:Ou")
 """What declares no adding rule; `mine:Ou` is somebody else's."""
 
 
-def family_of(mechanism):
+def find_family(mechanism):
     """Return the family that a mechanism of this name has."""
     own = mechanism.startswith("mine:Ou")
     family = "mine:Ou" if own else mechanism.partition(":")[0]
@@ -20,15 +20,15 @@ def family_of(mechanism):
     return Family(mechanism, family, "independent" if RULE[1:] in mechanism else linear)
 
 
-def families_of(found):
+def make_families(families):
     """Return the mechanisms of estimates or of names, by name."""
-    names = dict.fromkeys(getattr(key, "mechanism", key) for key in found)
-    return {name: family_of(name) for name in names}
+    names = dict.fromkeys(getattr(key, "mechanism", key) for key in families)
+    return {name: find_family(name) for name in names}
 
 
-def sweeps_of(found):
+def make_sweeps(estimates):
     """Return the sweeps of estimates by key."""
-    return Sweeps(found, families_of(found))
+    return Sweeps(estimates, make_families(estimates))
 
 
 @dataclass(frozen=True)

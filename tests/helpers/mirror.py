@@ -41,7 +41,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
 @contextlib.contextmanager
 def serving():
-    """A server; fill its `files`, by path; `address` is to be told, `over` is set when it ends."""
+    """A server of `files` by path; `address` is its own, `over` is set when it ends."""
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), _Handler)
     server.files, server.asked, server.over = {}, [], threading.Event()
     server.address = f"http://127.0.0.1:{server.server_port}/base/"

@@ -27,27 +27,27 @@ def mean_s(t):
 
 
 def own_s(t):
-    """Half the interval before a sample and half the one after; at an end the only one."""
-    found = []
+    """Half the interval before a sample and half the next; at an end, the other."""
+    result = []
     for k in range(len(t)):
         beside = [
             abs(t[k] - t[other]) for other in (k - 1, k + 1) if 0 <= other < len(t)
         ]
-        found.append(sum(beside) / len(beside) if beside else nan)
-    return found
+        result.append(sum(beside) / len(beside) if beside else nan)
+    return result
 
 
 def segments_s(leaked, samples_s):
     """Duration of every unbroken run of leaked samples."""
-    found = []
+    result = []
     inside = False
     for sample, seconds in zip(leaked, samples_s, strict=True):
         if sample and inside:
-            found[-1] += seconds
+            result[-1] += seconds
         elif sample:
-            found.append(seconds)
+            result.append(seconds)
         inside = sample
-    return found
+    return result
 
 
 def exposure(*, leaked, t, intervals="segment"):
@@ -58,11 +58,11 @@ def exposure(*, leaked, t, intervals="segment"):
             count += 1
     if not count:
         return 0.0, 0.0, 0.0, 0
-    found = segments_s(leaked, own_s(t) if intervals == "segment" else mean_s(t))
-    return count / len(leaked), sum(found) / len(found), max(found), len(found)
+    result = segments_s(leaked, own_s(t) if intervals == "segment" else mean_s(t))
+    return count / len(leaked), sum(result) / len(result), max(result), len(result)
 
 
-def exposure_of_all(*, leaked, t, offsets, intervals="segment"):
+def total_exposure(*, leaked, t, offsets, intervals="segment"):
     """Each trajectory cut out and treated alone; four lists."""
     rows = [
         exposure(leaked=list(leaked[lo:hi]), t=list(t[lo:hi]), intervals=intervals)
@@ -87,7 +87,7 @@ def fid_d_sigma(*, fid, eta, alpha_m, beta):
 
 
 def aligned(xy, truth):
-    """RMS distance that is left after the best shift, then the best turn, by its angle."""
+    """RMS distance after the best shift and then the best turn, by its angle."""
     a, b = (
         [
             (

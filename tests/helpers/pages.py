@@ -9,23 +9,23 @@ class Tags(HTMLParser):
 
     def __init__(self, text):
         super().__init__()
-        self.found = []
+        self.opened = []
         self.text = []
         self.feed(text)
         self.close()
 
     def handle_starttag(self, tag, attrs):
-        self.found.append((tag, dict(attrs)))
+        self.opened.append((tag, dict(attrs)))
 
     def handle_data(self, data):
         self.text.append(data)
 
-    def of(self, name):
-        return [attributes for tag, attributes in self.found if tag == name]
+    def attributes(self, name):
+        return [values for tag, values in self.opened if tag == name]
 
 
 def assert_as_approved(text, path):
-    """A text is that of a file; with APPROVE=1 the file is written anew, and is to be read."""
+    """A text equals a file; with APPROVE=1 the file is written anew, to be read."""
     if os.environ.get("APPROVE"):
         path.write_text(text, encoding="utf-8")
     assert text == path.read_text(encoding="utf-8")

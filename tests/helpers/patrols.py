@@ -19,7 +19,7 @@ ROUND = StageSettings().changed(
 
 
 def straight_walks(*walks, step_s=0.5):
-    """Tracks of people who walk straight: (start_s, end_s, place at start, velocity) each."""
+    """Tracks of straight walks: (start_s, end_s, place at start, velocity) each."""
     times, places = [], []
     for start_s, end_s, place, velocity in walks:
         t = np.arange(start_s, end_s + 1e-9, step_s)
@@ -37,7 +37,7 @@ def patrol_past(tracks, *robots, settings=ROUND):
     return replace(patrol, robot_xy=np.repeat(still, patrol.scan_s.size, axis=1))
 
 
-def network_of(patrol, mechanism=None, *, settings=SETTINGS, forecaster=None, seed=0):
+def make_network(patrol, mechanism=None, *, settings=SETTINGS, forecaster=None, seed=0):
     """A network that shares raw samples and forecasts by a Kalman filter."""
     return share_patrol(
         patrol,
@@ -51,10 +51,10 @@ def network_of(patrol, mechanism=None, *, settings=SETTINGS, forecaster=None, se
 def clean_network(patrol, *, settings=ROUND, forecaster=None):
     """A network that senses and shares the truth."""
     silent = settings.changed({"sensing.sigma_cap_m": 1e-6})
-    return network_of(patrol, Clean(), settings=silent, forecaster=forecaster)
+    return make_network(patrol, Clean(), settings=silent, forecaster=forecaster)
 
 
-def answers_of(network, policy):
+def sent_answers(network, policy):
     """All samples sent, by (robot, presence): a plain loop over runs."""
     disclosure, sent = disclose(network, policy), {}
     for robot, presence, first, end in zip(

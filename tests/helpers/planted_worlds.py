@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from helpers.estimates import ratio_estimate
-from helpers.mechanisms import RULE, sweeps_of
+from helpers.mechanisms import RULE, make_sweeps
 from scipy.stats import norm
 
 from evaluation.estimates.keys import Key, Source
@@ -19,7 +19,7 @@ from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import EQUAL_ALARMS
 from evaluation.estimates.strongest import strongest
 from evaluation.plan.presets import SHARED
-from evaluation.verdict.sections import of_people, verdict
+from evaluation.verdict.sections import validity_sections, verdict
 
 KINDS = ("valid", "fooled", "flat", "empty")
 RULES = ("", RULE)
@@ -37,7 +37,7 @@ class World:
     n_people: int = 240
     n_replicates: int = 200
     stranger: bool = False
-    """Whether there is a mechanism of somebody else's, without an adding rule: fixed noise."""
+    """Whether to add a user's mechanism, without an adding rule: fixed noise."""
 
     def levels(self):
         """Family, level and mechanism, in the order of a run."""
@@ -83,23 +83,23 @@ class World:
 
 def run(world, *, seed):
     """Return the verdict of a world."""
-    found, levels = simulated(
+    estimates, levels = simulated(
         world, rng=np.random.default_rng([seed, KINDS.index(world.kind)])
     )
-    return said_of(found, {TASK: levels})
+    return planted_verdict(estimates, {TASK: levels})
 
 
-def said_of(found, levels):
+def planted_verdict(estimates, levels):
     """Return the verdict of estimates and of the tracks of each task's levels."""
     manifest = {
         "dataset": {"name": "planted", "simulated": True},
         "identity": {"seed": 0},
         "settings": {"preset": "paper", "scenes": 500, "predictors": [PREDICTOR]},
     }
-    sweeps = sweeps_of(found)
-    best = strongest(found, sweeps.known)
+    sweeps = make_sweeps(estimates)
+    best = strongest(estimates, sweeps.families)
     about = {"strongest": best, "manifest": manifest}
-    return verdict(sweeps, of_people(levels, sweeps, **about), **about)
+    return verdict(sweeps, validity_sections(levels, sweeps, **about), **about)
 
 
 def simulated(world, *, rng):
@@ -114,14 +114,14 @@ def simulated(world, *, rng):
     own, habit = rng.normal(size=n), rng.normal(size=n)
     habit = 0.7 * habit + 0.7 * np.repeat(rng.normal(size=n // 2), 2)
     nuisance = rng.normal(size=(n, 2))
-    found, levels = {}, []
+    estimates, levels = {}, []
 
     def put(key, values, *, share=True):
         sums = {
             "numerator": values.reshape(-1, 2).sum(axis=1),
             "denominator": np.full(n_pairs, 2.0),
         }
-        found[key] = ratio_estimate(**sums, weights=weights, is_share=share)
+        estimates[key] = ratio_estimate(**sums, weights=weights, is_share=share)
 
     for family, level, mechanism in world.levels():
         mean, linked = world.shows(family, level), world.links(family, level)
@@ -164,4 +164,4 @@ def simulated(world, *, rng):
                 strangers=np.ones((3, n), dtype=int),
             )
         )
-    return found, levels
+    return estimates, levels

@@ -1,4 +1,4 @@
-"""Recordings to read: walks as tracks, or as the bytes of a file in any format; and refusals."""
+"""Recordings to read: walks as tracks, or as a file in any format; and refusals."""
 
 import io
 from pathlib import Path
@@ -41,7 +41,7 @@ _HEADER = {
 }
 
 
-def tracks_of(*walks, frame_s=0.4):
+def build_tracks(*walks, frame_s=0.4):
     """Return tracks of the given positions [(x, y), ...], sampled every `frame_s`."""
     names = tuple(f"w{row}" for row in range(len(walks)))
     return Tracks(
@@ -91,14 +91,14 @@ def written(rows, format_name, *, frame_s=0.04):
     return (_HEADER.get(format_name, "") + "\n".join(lines) + "\n").encode()
 
 
-def fps_of(format_name):
+def stated_fps(format_name):
     """Return the frame rate that `written` needs to be told: pedpy declares it."""
     return None if format_name in {"csv", "parquet", "pedpy"} else 25.0
 
 
 def read_walk(data, format_name, fps="usual"):
     """Return tracks and repairs of a file called ``f``."""
-    rate = fps_of(format_name) if fps == "usual" else fps
+    rate = stated_fps(format_name) if fps == "usual" else fps
     return read(data=data, path="f", format=format_name, fps=rate)
 
 
@@ -107,12 +107,12 @@ def refusal(data, format_name, fps="usual"):
     with pytest.raises(IsacTrackError) as caught:
         read_walk(data, format_name, fps)
     message = str(caught.value)
-    assert_told(message)
+    assert_message(message)
     return message
 
 
-def assert_told(message):
-    """What every message must be: of the file, on one line, short and printable anywhere."""
+def assert_message(message):
+    """Properties of every message: about the file, one line, short and printable."""
     assert message.startswith(("f:", "f,", "--fps")), message
     assert len(message.splitlines()) == 1, message
     assert len(message) < 1000
@@ -124,12 +124,12 @@ def kinds(repairs):
     return {repair.kind: repair.count for repair in repairs}
 
 
-def same(one, other):
+def same(first, other):
     """Whether two recordings are the same bit for bit, names included."""
     return (
-        np.array_equal(one.xy, other.xy)
-        and np.array_equal(one.t, other.t)
-        and (one.source, one.group) == (other.source, other.group)
+        np.array_equal(first.xy, other.xy)
+        and np.array_equal(first.t, other.t)
+        and (first.source, first.group) == (other.source, other.group)
     )
 
 

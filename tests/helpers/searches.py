@@ -12,7 +12,7 @@ CALIBRATION = {0: Calibration(1.0, -0.3), 1: Calibration(0.5, 0.1)}
 
 
 def search(scores, mate=None, cluster=None, scale=0):
-    """A search whose probe i has the mate i, each of them a cluster, unless told otherwise."""
+    """A search where probe i has mate i, each a cluster, unless given otherwise."""
     scores = np.asarray(scores, dtype=np.float64)
     n_probes, n_gallery = scores.shape
     mate = np.arange(n_probes) if mate is None else np.asarray(mate)
@@ -42,7 +42,7 @@ def card(searches, *, n_clusters, n_replicates=20, seed=0, **options):
 
 
 def random_searches(rng, decimals):
-    """Three small searches of two scales: open sets, ties, walking groups, any shape."""
+    """Three small searches of two scales: open sets, ties, groups, any shape."""
     searches = []
     for scale in (0, 1, 0):
         n_probes, n_gallery = rng.integers(3, 14, 2)

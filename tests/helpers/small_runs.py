@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from helpers.recordings import tracks_of, write_csv
+from helpers.recordings import build_tracks, write_csv
 
 from evaluation.plan.settings import Settings
 from evaluation.pool.workers import spread
@@ -15,7 +15,7 @@ from isac_track.scenes import cut
 
 
 def smoke(dataset, out=None, *, scenes=12, **changes):
-    """Settings of a run of one process, with one predictor and horizon; nobody attacks."""
+    """Settings of a run of one process, one predictor and horizon, without attacks."""
     usual = {
         "mechanisms": ("raw", "fixed:0.7"),
         "predictors": ("least_squares",),
@@ -23,8 +23,8 @@ def smoke(dataset, out=None, *, scenes=12, **changes):
     }
     usual |= {"attacks": (), "tasks": ()}
     if not isinstance(changes.get("stages"), StageSettings):
-        one_horizon = {"conflict.horizons_s": ()}
-        changes["stages"] = one_horizon | changes.get("stages", {})
+        own_horizon = {"conflict.horizons_s": ()}
+        changes["stages"] = own_horizon | changes.get("stages", {})
     usual |= changes
     return Settings(
         preset="smoke", dataset=str(dataset), scenes=scenes, out=out, **usual
@@ -32,14 +32,14 @@ def smoke(dataset, out=None, *, scenes=12, **changes):
 
 
 @contextmanager
-def one_process():
-    """All is computed here, strangers' plug-ins too: to start a worker takes seconds."""
+def single_process():
+    """All is computed here, users' plug-ins too: a worker takes seconds to start."""
 
     def here(function, works, **_):
         return spread(function, works, jobs=1, limit_s=None)
 
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("execute", "trials"):
+        for name in ("execute", "plugin_calls"):
             patch.setattr(f"evaluation.pool.{name}.spread", here)
         patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
         yield
@@ -55,7 +55,7 @@ def without_pictures():
 
 @contextmanager
 def cut_once():
-    """Plans of one recording, settings and seed share its tracks as cut: plaza takes a second."""
+    """Plans of one recording, settings and seed share its cut tracks: a second each."""
     known = {}
 
     def cut_or_recalled(tracks, *, settings, seed):
@@ -81,4 +81,4 @@ def write_walks(path, *, n_people=30, seed=0):
             0.4 * rng.uniform(0.4, 1.4) * np.column_stack([np.cos(turn), np.sin(turn)])
         )
         walks.append(rng.uniform(-3, 3, 2) + steps.cumsum(axis=0))
-    return write_csv(path, tracks_of(*walks))
+    return write_csv(path, build_tracks(*walks))

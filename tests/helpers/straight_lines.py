@@ -15,33 +15,33 @@ PREDICTORS = ("least_squares", "kalman_cv")
 
 
 def estimate(value, spread, *, n=30):
-    """Replicates are the estimate times one common draw, so that everything is paired."""
+    """Replicates are the estimate times a common draw, so that all are paired."""
     return Estimate(value, value, value, n, value * (1.0 + spread))
 
 
 def run(*, advantage=0.0, stranger=0.0):
-    """A run; FID shows less by `advantage`, somebody else's mechanism `mine:Ou` by `stranger`."""
+    """A run: FID leaks less by `advantage`, a user's `mine:Ou` by `stranger`."""
     spread = 0.02 * np.random.default_rng(0).standard_normal(200)
-    found = {}
+    result = {}
 
     def level(mechanism, at, noise, gain):
         for predictor, more in zip(PREDICTORS, (0.0, 0.05), strict=True):
-            found[Key(mechanism, at, predictor, "missed_conflict_rate")] = estimate(
+            result[Key(mechanism, at, predictor, "missed_conflict_rate")] = estimate(
                 0.1 + more + 0.2 * noise, spread
             )
-            found[Key(mechanism, at, predictor, EQUAL_ALARMS)] = estimate(
+            result[Key(mechanism, at, predictor, EQUAL_ALARMS)] = estimate(
                 0.1 + more + 0.3 * noise, spread
             )
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 5.0)):
             value = scale * np.exp(-0.5 - noise - gain)
-            found[Key(mechanism, at, SHARED, metric)] = estimate(value, spread)
-            found[Key(mechanism, at, "kalman_rts", metric, "blind")] = estimate(
+            result[Key(mechanism, at, SHARED, metric)] = estimate(value, spread)
+            result[Key(mechanism, at, "kalman_rts", metric, "blind")] = estimate(
                 2 * value, spread
             )
         link = estimate(0.7 - 0.3 * noise, spread[:100])
-        found[Key(mechanism, at, "rerelease/shape", "rank1", "blind")] = link
-        found[Key(mechanism, at, "rerelease/control-random", "rank1", "")] = link
-        found[Key(mechanism, at, "new_traversal/shape", "auc", "blind")] = link
+        result[Key(mechanism, at, "rerelease/shape", "rank1", "blind")] = link
+        result[Key(mechanism, at, "rerelease/control-random", "rank1", "")] = link
+        result[Key(mechanism, at, "new_traversal/shape", "auc", "blind")] = link
 
     level("raw", None, 0.0, 0.0)
     for rule in ("", RULE):
@@ -53,4 +53,4 @@ def run(*, advantage=0.0, stranger=0.0):
         # Its level counts the other way than that of fixed noise.
         for at, noise in FIXED.items():
             level("mine:Ou", 2.0 - at, noise, stranger)
-    return found
+    return result

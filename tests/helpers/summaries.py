@@ -1,4 +1,4 @@
-"""Run folders that hold `levels.csv` alone, with numbers that a question about them is easy to
+"""Run folders that hold `levels.csv` alone, with numbers that a question is easy to
 answer.
 """
 
@@ -9,7 +9,7 @@ import pandas as pd
 
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.levels import COLUMNS
-from evaluation.estimates.strongest_table import ONE_RELEASE
+from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.plan.fingerprint import code_hash
 from evaluation.plan.presets import PRESETS
 from evaluation.store.files import from_csv, to_csv
@@ -28,7 +28,7 @@ HANDOVER = "handover-1s"
 
 @dataclass(frozen=True)
 class Level:
-    """What a level is planted with; as it is it holds everything that is usually asked."""
+    """Planted numbers of a level; the defaults keep within all usual limits."""
 
     mechanism: str
     level: float | None = None
@@ -77,7 +77,7 @@ class Level:
                 )
         for metric, value in (("plr", 0.2), ("plr_wide", 0.25), ("median_error", 0.8)):
             yield self._row(WALKS, "", "shared", "", metric, value)
-        sides = [(ONE_RELEASE, "informed", self.plr, self.wide)] * self.is_attacked
+        sides = [(SINGLE_RELEASE, "informed", self.plr, self.wide)] * self.is_attacked
         sides += [(name, name, plr, plr + 0.05) for name, plr in self.beyond.items()]
         for adversary, knowledge, plr, wide in sides:
             numbers = {
@@ -91,8 +91,8 @@ class Level:
         linker = f"{self.task}/kinematic"
         numbers = {"rank1": self.rank1, "chance": 0.025, "linkage_share": self.share}
         for metric, value in numbers.items() if self.task else ():
-            yield self._row(WALKS, ONE_RELEASE, linker, "blind", metric, value)
-        simulated = "plaza-two-sessions", ONE_RELEASE, "new_traversal/shape", "blind"
+            yield self._row(WALKS, SINGLE_RELEASE, linker, "blind", metric, value)
+        simulated = "plaza-two-sessions", SINGLE_RELEASE, "new_traversal/shape", "blind"
         yield self._row(*simulated, "rank1", 0.99)
 
     def _row(self, dataset, adversary, consumer, knowledge, metric, value):
@@ -126,8 +126,8 @@ def table(levels=USUAL):
 
 def asked(levels=USUAL, *, scenes=(500, 2000), **question):
     """What is recommended of some levels."""
-    of = Question(**{"adding": ("independent",)} | question)
-    return recommend(table(levels), of, dataset=WALKS, scenes=scenes)
+    result = Question(**{"adding": ("independent",)} | question)
+    return recommend(table(levels), result, dataset=WALKS, scenes=scenes)
 
 
 def names(offers):

@@ -39,22 +39,24 @@ def write_walkers(path):
 
 @cache
 def runs(n=10):
-    """People in two sessions, each round a circle at a speed of their own, and as many in one."""
+    """People in two sessions, each round a circle at an own speed; others in one."""
     t, walks, people = np.arange(0.0, 40.0, 0.4), [], []
     for day in range(2):
         for row in range(2 * n):
-            who = row if row < n else (day + 1) * n + row
-            rng = stream(0, "test", "runs", day, who)
-            turning = (0.5 + 0.1 * who) * t / 4.0 + rng.uniform(0, 6)
+            result = row if row < n else (day + 1) * n + row
+            rng = stream(0, "test", "runs", day, result)
+            turning = (0.5 + 0.1 * result) * t / 4.0 + rng.uniform(0, 6)
             xy = 4.0 * np.column_stack([np.cos(turning), np.sin(turning)])
             walks.append(xy + 0.005 * rng.standard_normal((t.size, 2)))
-            people.append(f"p{who:02d}")
+            people.append(f"p{result:02d}")
     session = tuple(np.repeat(["first", "second"], 2 * n).tolist())
     return Tracks(
         t=np.concatenate([t + 500.0 * (day == "second") for day in session]),
         xy=np.concatenate(walks),
         offsets=np.arange(4 * n + 1) * t.size,
-        source=tuple(f"{day}:{who}" for day, who in zip(session, people, strict=True)),
+        source=tuple(
+            f"{day}:{result}" for day, result in zip(session, people, strict=True)
+        ),
         group=tuple(people),
         person=tuple(people),
         session=session,

@@ -14,7 +14,7 @@ STEP_S = 0.02
 """Of the fine clock on which a walk is made up before it is sampled."""
 
 
-def release_of(walks, *, sigma=None):
+def walk_release(walks, *, sigma=None):
     """A release of (t, xy) pairs."""
     sizes = [len(t) for t, _ in walks]
     return Release(
@@ -33,7 +33,7 @@ def flat_release(t, xy, offsets, *, sigma=None):
 
 
 def context(train=None, *, granted=None, epsilon_m=0.3, **held):
-    """An attack's context; what is granted is TRAIN where there is a training set, or as said."""
+    """An attack's context; granted is TRAIN if there is a training set, or as given."""
     if granted is None:
         granted = () if train is None else (Knowledge.TRAIN,)
     return AttackContext(
@@ -46,7 +46,7 @@ def context(train=None, *, granted=None, epsilon_m=0.3, **held):
 
 
 def smooth_walks(*sizes, noise_m=0.4, turn=0.4, seed=0):
-    """A release of walks that swing from side to side, at irregular steps, and the truth."""
+    """A release of walks that swing to and fro at irregular steps, and the truth."""
     rng = stream(seed, "test", "smooth", *sizes)
     walks = []
     for size in sizes:
@@ -54,7 +54,7 @@ def smooth_walks(*sizes, noise_m=0.4, turn=0.4, seed=0):
         along = t - t[0]
         swing = np.stack([1.2 * along, np.sin(turn * along) / turn], axis=1)
         walks.append((t, rng.normal(0, 5, 2) + swing))
-    truth = release_of(walks)
+    truth = walk_release(walks)
     xy = truth.xy + noise_m * rng.standard_normal(truth.xy.shape)
     return replace(truth, xy=xy), truth.xy
 
@@ -76,7 +76,7 @@ def cv_walks(*sizes, q=0.04, seed=0, from_s=0.0):
 
 
 class Person:
-    """Somebody who walks: speed and turning rate vary smoothly, and by how much is a habit."""
+    """A walking person: speed and turning rate vary smoothly, by a habit."""
 
     def __init__(
         self, rng, *, duration_s=24.0, speed_m_s=None, turn_rad_s=0.3, sway=0.25
@@ -125,7 +125,7 @@ def two_releases(n=12, *, seed=0, length_s=10.0, shift_s=2.0, noise_m=0.0, **hab
         people[k].seen(rng, start_s=shifts[1, k], length_s=length_s, noise_m=noise_m)
         for k in order
     ]
-    return release_of(probe), release_of(gallery), np.argsort(order)
+    return walk_release(probe), walk_release(gallery), np.argsort(order)
 
 
 def moved(release, *, seed=0, mirrored=False):
@@ -147,7 +147,7 @@ def moved(release, *, seed=0, mirrored=False):
 
 
 def odd_release(seed=0, *, n=14):
-    """Tracks of 1, 2, 3 and more samples, with steps from 1 ms to 30 s, some of them standing."""
+    """Tracks of 1, 2, 3 and more samples, steps from 1 ms to 30 s, some standing."""
     rng = stream(seed, "test", "odd")
     sizes = [1, 2, 3, *rng.integers(1, 60, n - 3)]
     walks = []
@@ -157,7 +157,7 @@ def odd_release(seed=0, *, n=14):
         )
         xy = np.cumsum(rng.normal(0, 0.3, (size, 2)), axis=0)
         walks.append((rng.uniform(0, 1e5) + np.cumsum(steps), xy * (row % 5 > 0)))
-    return release_of(walks)
+    return walk_release(walks)
 
 
 def hits(scores, mate):

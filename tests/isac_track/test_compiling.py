@@ -24,7 +24,7 @@ RIGHT = "[0.0, 2.0, 4.0]\n"
 
 
 def flipped(content):
-    """A byte in fifty is another: what is left may still be read, and compute something else."""
+    """Change a byte in fifty: the result may still load, and compute something else."""
     return bytes(
         byte ^ 0xA5 if place % 50 == 7 else byte for place, byte in enumerate(content)
     )
@@ -57,17 +57,17 @@ def compiled_once(tmp_path_factory):
     loops = (LOOP.format(name=name) for name in ("double", *CASES))
     (folder / "small_loop.py").write_text(HEAD + "".join(loops))
     assert called(folder, "double", *CASES).err.count("compiling filters, once") == 1
-    # From the cache, and nothing is said.
+    # From the cache, without a message.
     assert called(folder, "double", *CASES) == (0, RIGHT * (1 + len(CASES)), "")
-    shutil.copytree(folder / "cache", folder / "whole")
+    shutil.copytree(folder / "cache", folder / "undamaged")
     return folder
 
 
 @pytest.fixture
 def filled(compiled_once):
-    """A folder whose cache is whole: it is called by the path of the source, and stays there."""
+    """The folder with an undamaged cache, which depends on the path of the source."""
     shutil.rmtree(compiled_once / "cache")
-    shutil.copytree(compiled_once / "whole", compiled_once / "cache")
+    shutil.copytree(compiled_once / "undamaged", compiled_once / "cache")
     return compiled_once
 
 
@@ -80,16 +80,16 @@ def called(folder, *names):
 
 
 def cached(folder, kind, *, name="double"):
-    """The file that the cache holds of a loop."""
+    """The file of a loop in the cache."""
     (path,) = (folder / "cache").rglob(f"*.{name}-*{kind}")
     return path
 
 
 @pytest.fixture(scope="module")
 def damaged(compiled_once):
-    """Where each loop's cache lies, and what a process says that calls all once it is damaged."""
+    """The cache folder, and two runs of all loops after all caches were damaged."""
     shutil.rmtree(compiled_once / "cache")
-    shutil.copytree(compiled_once / "whole", compiled_once / "cache")
+    shutil.copytree(compiled_once / "undamaged", compiled_once / "cache")
     for name, (damage, kind) in CASES.items():
         path = cached(compiled_once, kind, name=name)
         path.write_bytes(DAMAGES[damage](path.read_bytes()))
@@ -113,7 +113,7 @@ def test_a_damaged_cache_is_compiled_again(name, damaged):
     assert line.endswith("; it is compiled again")
 
 
-def test_only_the_files_of_the_damaged_loop_go(filled):
+def test_only_the_files_of_the_damaged_loop_are_removed(filled):
     index = cached(filled, ".nbi")
     others = [index.with_name(name) for name in ("other.loop-2.py311.nbi", "notes.txt")]
     for path in others:

@@ -1,4 +1,4 @@
-"""Settings: every parameter of the paper's table exists, is checked, and changes results."""
+"""Settings: every parameter of the paper's table exists and is checked."""
 
 import re
 from dataclasses import fields
@@ -18,7 +18,8 @@ from isac_track.errors import SettingsError
 PAPER = """
 conflict: robot_speed_mps 1.4, horizon_steps 12, window 16, safety_radius_m 0.9
 scenes: agents 4, history_ratio 0.7
-sensing: bs_x_m 5, bs_y_m 30, carrier_ghz 3.5, bandwidth_mhz 100, n_paths 4, delay_spread_s 2e-7
+sensing: bs_x_m 5, bs_y_m 30, carrier_ghz 3.5, bandwidth_mhz 100
+sensing: n_paths 4, delay_spread_s 2e-7
 sensing: power_dbm 30, noise_dbm -91, path_loss_exponent 2.7, beam_fluctuation_db 2
 resample: rate_min_hz 8, rate_max_hz 16
 privacy: epsilon_m 0.3
@@ -51,9 +52,9 @@ RANGES = {
     ],
 )
 def test_text_is_read_as_the_type_of_the_field(name, value, expected):
-    found = StageSettings().changed({name: value}).flat()[name]
-    assert found == expected
-    assert type(found) is type(expected)
+    result = StageSettings().changed({name: value}).flat()[name]
+    assert result == expected
+    assert type(result) is type(expected)
 
 
 @pytest.mark.parametrize(
@@ -104,12 +105,12 @@ INFINITE = ("sensing.decorrelation_m", "patrol.segment_s")
 ABSURD = [1e9, -1e300, 10**400, -(10**9999), "1e400", "inf", "nan"]
 
 
-def test_every_number_has_a_range_and_absurd_values_end_in_one_line_that_names_the_setting():
+def test_every_number_has_a_range_and_absurd_values_are_errors_in_one_line():
     settings = StageSettings()
     numbers = {
         name for name, value in settings.flat().items() if type(value) is not str
     }
-    numbers |= {"conflict.horizons_s"}  # several, typed in a row
+    numbers |= {"conflict.horizons_s"}  # several, given as text
     assert RANGES.keys() == numbers
     for name, value in product(RANGES, ABSURD):
         if name in INFINITE and value in ("inf", "1e400"):
@@ -122,14 +123,14 @@ def test_every_number_has_a_range_and_absurd_values_end_in_one_line_that_names_t
         assert "\n" not in message
 
 
-def test_infinity_is_taken_where_it_has_a_meaning_and_as_text_too():
+def test_infinity_is_allowed_where_it_has_a_meaning_also_as_text():
     for name, value in product(INFINITE, (np.inf, "inf")):
         assert StageSettings().changed({name: value}).flat()[name] == np.inf
         with pytest.raises(SettingsError, match="1e\\+06, or be inf, got -inf"):
             StageSettings().changed({name: "-inf"})
 
 
-def test_both_ends_of_a_range_may_be_taken():
+def test_both_ends_of_a_range_are_allowed():
     for name in (
         "scenes.agents",
         "privacy.epsilon_m",

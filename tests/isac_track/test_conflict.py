@@ -1,4 +1,4 @@
-"""What the metric suite does not see of the robot's task: refusals, batches, probabilities."""
+"""The robot's task beyond the metric suite: refusals, batches, probabilities."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ class TestPredictionGrid:
         ("window", "steps", "grid"),
         [
             (3, 3, [[10.0, 11.5, 13.0], [3.0, 5.0, 7.0]]),
-            (2, 1, [[10.0], [3.0]]),  # the smallest of either
+            (2, 1, [[10.0], [3.0]]),  # smallest window and horizon
         ],
     )
     def test_by_hand(self, window, steps, grid):
         t = np.array([0.0, 7.0, 8.0, 10.0, 1.0, 3.0])
-        found = prediction_grid(
+        result = prediction_grid(
             t=t, offsets=np.array([0, 4, 6]), window=window, horizon_steps=steps
         )
-        assert found.tolist() == grid
+        assert result.tolist() == grid
 
     @pytest.mark.parametrize(("window", "steps"), [(1, 12), (16, 0), (0, 0), (-1, 3)])
     def test_window_and_horizon(self, window, steps):
@@ -100,9 +100,11 @@ def test_rates_and_the_distance_error_are_plain_numbers_of_scenes_that_match():
         )
         with raises("conflict and predicted must have one shape"):
             rate(conflict=np.ones(3, bool), predicted=np.ones(1, bool))
-    one, other = np.array([2.0]), np.array([1.25])
-    found = distance_mae_m(true_separation_m=one, predicted_separation_m=other)
-    assert (found, type(found)) == (0.75, float)
+    true_m, predicted_m = np.array([2.0]), np.array([1.25])
+    error_m = distance_mae_m(
+        true_separation_m=true_m, predicted_separation_m=predicted_m
+    )
+    assert (error_m, type(error_m)) == (0.75, float)
     with raises("true and predicted separations must have one shape"):
         distance_mae_m(true_separation_m=np.ones(3), predicted_separation_m=np.ones(1))
 
@@ -113,14 +115,14 @@ class TestProbabilityOfAConflict:
         mean = rng.uniform(-3, 3, (4000, 2))
         std = 10 ** rng.uniform(-1.5, 1, 4000)
         cov = np.eye(2) * std[:, None, None] ** 2
-        found = disc_probability(mean=mean, cov=cov, radius_m=0.9)
+        probability = disc_probability(mean=mean, cov=cov, radius_m=0.9)
         expected = ncx2.cdf(0.81 / std**2, 2, (mean**2).sum(axis=1) / std**2)
-        # The nodes miss most where a Gaussian of a few centimetres straddles the edge.
-        assert np.abs(found - expected).max() < 0.03
-        assert np.abs(found - expected)[std > 0.1].max() < 1e-3
+        # The error is largest for a narrow Gaussian on the edge of the disc.
+        assert np.abs(probability - expected).max() < 0.03
+        assert np.abs(probability - expected)[std > 0.1].max() < 1e-3
 
     @pytest.mark.parametrize("angle", [0.0, 0.4, 2.1])
-    def test_an_oblong_one_is_monte_carlo(self, angle):
+    def test_an_oblong_gaussian_is_monte_carlo(self, angle):
         turn = np.array(
             [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
         )
@@ -128,17 +130,17 @@ class TestProbabilityOfAConflict:
         mean = np.array([0.7, -0.4])
         draws = stream(0, "test", "oblong").multivariate_normal(mean, cov, 400_000)
         share = (np.hypot(*draws.T) < 0.9).mean()
-        found = disc_probability(mean=mean, cov=cov, radius_m=0.9)
-        assert found == pytest.approx(share, abs=4 * 0.5 / np.sqrt(400_000))
+        probability = disc_probability(mean=mean, cov=cov, radius_m=0.9)
+        assert probability == pytest.approx(share, abs=4 * 0.5 / np.sqrt(400_000))
 
     @pytest.mark.parametrize(
         ("mean", "variance", "expected"),
         [([0.5, 0.0], 0.0, 1.0), ([1.5, 0.0], 0.0, 0.0), ([0.0, 0.0], 1e6, 0.0)],
     )
-    def test_certainty_and_its_opposite(self, mean, variance, expected):
+    def test_certain_and_impossible(self, mean, variance, expected):
         cov = variance * np.eye(2)
-        found = disc_probability(mean=np.array(mean), cov=cov, radius_m=0.9)
-        assert found == pytest.approx(expected, abs=1e-6)
+        probability = disc_probability(mean=np.array(mean), cov=cov, radius_m=0.9)
+        assert probability == pytest.approx(expected, abs=1e-6)
 
     def test_a_scene_takes_its_likeliest_step_and_its_agents_together(self):
         rng = stream(0, "test", "scene")
@@ -151,10 +153,12 @@ class TestProbabilityOfAConflict:
         )
         std = 0.2 + 0.05 * np.arange(12)
         cov = np.broadcast_to(np.eye(2) * std[:, None, None] ** 2, (*shape, 2, 2))
-        found = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=0.9)
+        probability = conflict_probability(
+            robot=robot, mean=mean, cov=cov, radius_m=0.9
+        )
         every_step = disc_probability(mean=mean - robot, cov=cov, radius_m=0.9)
         expected = 1 - np.prod(1 - every_step.max(axis=2), axis=1)
-        assert np.allclose(found, expected, atol=1e-8)
+        assert np.allclose(probability, expected, atol=1e-8)
 
     @pytest.mark.parametrize("spread", [0.03, 0.3, 3.0])
     def test_the_likeliest_step_is_not_missed(self, spread):
@@ -167,24 +171,26 @@ class TestProbabilityOfAConflict:
             * rng.uniform(0, 1, (*shape, 1, 2))
         )
         cov = factor @ np.swapaxes(factor, -1, -2)
-        # Within six standard deviations of the disc, or nearly: the others count as 0.
+        # Most lie within six standard deviations of the disc; others count as 0.
         mean = rng.normal(0, 0.7 + spread, (*shape, 2))
-        found = conflict_probability(robot=robot, mean=mean, cov=cov, radius_m=0.9)
+        probability = conflict_probability(
+            robot=robot, mean=mean, cov=cov, radius_m=0.9
+        )
         every_step = disc_probability(mean=mean, cov=cov, radius_m=0.9)
         widest = np.sqrt(np.maximum(np.trace(cov, axis1=-2, axis2=-1), 1e-6))
         every_step[np.hypot(*np.moveaxis(mean, -1, 0)) >= 0.9 + 6 * widest] = 0.0
-        assert np.allclose(found, every_step.max(axis=(1, 2)), rtol=0, atol=1e-15)
+        assert np.allclose(probability, every_step.max(axis=(1, 2)), rtol=0, atol=1e-15)
 
     def test_five_standard_deviations_away_are_not_nothing(self):
-        """North of the robot, where the position is known but for how far north."""
+        """The agent is north of the robot, and only its distance is uncertain."""
         mean, cov = np.array([0.0, 0.9 + 4.8 * 2.0]), np.diag([0.0, 4.0])
-        found = conflict_probability(
+        probability = conflict_probability(
             robot=np.zeros((1, 1, 1, 2)),
             mean=mean[None, None, None],
             cov=cov[None, None, None],
             radius_m=0.9,
         )
-        assert found == pytest.approx(
+        assert probability == pytest.approx(
             disc_probability(mean=mean, cov=cov, radius_m=0.9), rel=1e-6
         )
-        assert found > 1e-7
+        assert probability > 1e-7

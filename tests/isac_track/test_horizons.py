@@ -1,4 +1,4 @@
-"""Conflicts that are still to come, and scenes of a further horizon: by hand and brute force."""
+"""Future conflicts, and scenes with a further horizon: by hand and by brute force."""
 
 import re
 
@@ -7,12 +7,12 @@ import pytest
 
 from isac_track.config import StageSettings
 from isac_track.conflict import (
+    count_steps,
     is_conflict,
     minimum_separation,
     missed_future_rate,
     robot_path,
     seconds_grid,
-    steps_of,
     time_to_conflict_s,
 )
 from isac_track.errors import SettingsError
@@ -41,18 +41,18 @@ def known(tracks):
     )
 
 
-def scenes_of(known, *, n_scenes=N_SCENES, seed=0):
+def build_scenes(known, *, n_scenes=N_SCENES, seed=0):
     order = track_order(n_tracks=len(known), n_scenes=n_scenes, agents=4, seed=seed)
     return make_scenes(known, order=order, first=0, settings=SETTINGS, seed=seed)
 
 
 @pytest.fixture(scope="module")
 def later(known):
-    return scenes_of(known.further[HORIZON_S])
+    return build_scenes(known.further[HORIZON_S])
 
 
 def distances(scenes):
-    """Distances of every agent at every step, (S, A, H): the robot goes straight on."""
+    """Distances of every agent at every step, (S, A, H); the robot walks straight."""
     way = scenes.robot_destination - scenes.robot_start
     heading = way / np.linalg.norm(way, axis=1, keepdims=True)
     apart = []
@@ -74,7 +74,7 @@ class TestGrid:
             t=t, offsets=np.array([0, 3, 6]), window=16, horizon_s=3.0
         )
         assert n_steps.tolist() == [7, 5]
-        assert steps_of(grid).tolist() == [7, 5]
+        assert count_steps(grid).tolist() == [7, 5]
         np.testing.assert_allclose(grid[0], 1.0 + 0.5 * np.arange(7))
         np.testing.assert_allclose(grid[1], 8.6 + 0.8 * np.array([0, 1, 2, 3, 4, 4, 4]))
 
@@ -93,12 +93,14 @@ class TestGrid:
         robot = robot_positions(later, settings=SETTINGS.conflict)
         agents = later.xy_future.reshape(robot.shape)
         elapsed = (later.t_future - later.t_future[:, :1]).reshape(robot.shape[:3])
-        more = [np.concatenate([values, values[:, :, -1:].repeat(9, axis=2)], axis=2)
-                for values in (robot, agents, elapsed)]  # fmt: skip
-        apart = minimum_separation(robot=more[0], agents=more[1])
+        robot, agents, elapsed = (
+            np.concatenate([values, values[:, :, -1:].repeat(9, axis=2)], axis=2)
+            for values in (robot, agents, elapsed)
+        )
+        apart = minimum_separation(robot=robot, agents=agents)
         assert np.array_equal(apart, later.separation)
         first = time_to_conflict_s(
-            robot=more[0], agents=more[1], elapsed_s=more[2], safety_radius_m=0.9
+            robot=robot, agents=agents, elapsed_s=elapsed, safety_radius_m=0.9
         )
         assert np.array_equal(first, later.time_to_conflict_s, equal_nan=True)
 
@@ -164,7 +166,7 @@ class TestTimeToConflict:
                 safety_radius_m=1.0,
             )
 
-    def test_missed_future_leaves_out_who_is_inside_already(self):
+    def test_missed_future_leaves_out_scenes_with_somebody_inside(self):
         conflict = np.array([True, True, True, True, False])
         inside = np.array([True, False, False, False, False])
         predicted = np.array([False, False, True, True, True])
@@ -194,13 +196,12 @@ class TestScenesOfAFurtherHorizon:
             )
             np.testing.assert_allclose(longer.t_future[row], grid)
             np.testing.assert_allclose(longer.xy_future[row], walk(track)(grid))
-        assert np.unique(steps_of(longer.t_future)).size > 1  # grids differ in length
+        # Grids differ in length.
+        assert np.unique(count_steps(longer.t_future)).size > 1
 
     def test_the_scenes_of_the_papers_horizon_do_not_change(self, tracks, known):
-        alone, beside = (
-            scenes_of(cut(tracks, settings=SETTINGS, seed=0)),
-            scenes_of(known),
-        )
+        plain = build_scenes(cut(tracks, settings=SETTINGS, seed=0))
+        with_further = build_scenes(known)
         for name in (
             "xy",
             "xy_future",
@@ -209,12 +210,12 @@ class TestScenesOfAFurtherHorizon:
             "separation",
             "conflict",
         ):
-            assert np.array_equal(getattr(alone, name), getattr(beside, name))
+            assert np.array_equal(getattr(plain, name), getattr(with_further, name))
 
     def test_the_robot_starts_and_heads_the_same_way_with_the_same_people(
         self, known, later
     ):
-        own = scenes_of(known)
+        own = build_scenes(known)
         assert np.array_equal(own.robot_start, later.robot_start)
         ways = [
             scenes.robot_destination - scenes.robot_start for scenes in (own, later)
@@ -241,12 +242,11 @@ class TestScenesOfAFurtherHorizon:
         assert np.array_equal(expected, later.conflict)
 
     def test_the_conflict_step_is_drawn_over_the_whole_horizon(self, known):
-        scenes = scenes_of(known.further[HORIZON_S], n_scenes=400)
+        scenes = build_scenes(known.further[HORIZON_S], n_scenes=400)
         apart = distances(scenes)[::2, 0]
         assert (apart.min(axis=1) < 1e-9).all()
-        n_steps = steps_of(scenes.t_future)[
-            ::8
-        ]  # of the first agent of every other scene
+        # Of the first agent of every other scene.
+        n_steps = count_steps(scenes.t_future)[::8]
         step = apart.argmin(axis=1)
         assert (step >= 1).all()
         assert (step < n_steps).all()
@@ -265,17 +265,15 @@ class TestScenesOfAFurtherHorizon:
         assert (apart[placed, 1:].min(axis=(1, 2)) >= 1.5).all()
 
     def test_tracks_that_do_not_cover_it_are_left_out_and_counted(self, tracks):
-        ratio = SETTINGS.changed(
-            {"scenes.history_ratio": 0.95}
-        )  # 1.5 s of 30 s are left
+        # 1.5 s of 30 s are left.
+        ratio = SETTINGS.changed({"scenes.history_ratio": 0.95})
         long, short = tracks, tracks[0]
         known = with_horizons(cut(long, settings=ratio, seed=0), long, settings=ratio)
         assert not known.further  # nobody's recording covers 3 s
         later = ratio.changed({"conflict.horizons_s": "1.2,3"})
         known = with_horizons(cut(long, settings=later, seed=0), long, settings=later)
         assert list(known.further) == [1.2]
-        # Of one person the recording ends earlier: 26 s of 30 s, of which 0.7 s are
-        # left.
+        # The recording of one person ends earlier, after 26 s of 30 s: 0.7 s are left.
         stop = np.searchsorted(short.t, 26.0)
         parts = [
             (short.t[:stop], short.xy[:stop]),
@@ -307,7 +305,7 @@ class TestScenesOfAFurtherHorizon:
             ours = longer.xy[longer.offsets[row] : longer.offsets[row + 1]]
             theirs = known.xy[known.offsets[place] : known.offsets[place + 1]]
             assert np.array_equal(ours, theirs)
-        scenes_of(longer, n_scenes=4)
+        build_scenes(longer, n_scenes=4)
 
 
 @pytest.mark.parametrize(
@@ -324,7 +322,7 @@ class TestScenesOfAFurtherHorizon:
 def test_horizons_are_typed_as_a_list(typed, horizons_s):
     settings = SETTINGS.changed({"conflict.horizons_s": typed})
     assert settings.conflict.horizons_s == horizons_s
-    assert SETTINGS.changed(settings.flat()) == settings  # as the manifest has it
+    assert SETTINGS.changed(settings.flat()) == settings  # as in the manifest
 
 
 @pytest.mark.parametrize("typed", ["three", "1,", "0", "-3", [True], None, "nan", 1e3])
@@ -341,7 +339,8 @@ def test_in_two_of_three_conflicts_of_the_paper_somebody_is_inside_already(stude
     known = cut(students03.tracks, settings=SETTINGS, seed=0)
     known = with_horizons(known, students03.tracks, settings=SETTINGS)
     own, later = (
-        scenes_of(cut_at, n_scenes=1000) for cut_at in (known, known.further[HORIZON_S])
+        build_scenes(cut_at, n_scenes=1000)
+        for cut_at in (known, known.further[HORIZON_S])
     )
     share = own.inside_now[own.conflict].mean()
     assert share == pytest.approx(2 / 3, abs=4 * np.sqrt(2 / 9 / own.conflict.sum()))

@@ -15,7 +15,7 @@ from isac_track.intervals import (
     cluster_weights,
     difference,
     effective_clusters,
-    estimate_of,
+    estimate_from_replicates,
     exact_binomial,
     jackknife_interval,
     percentile_interval,
@@ -90,19 +90,19 @@ def test_a_share_of_zero_takes_wilson_over_clusters_and_not_a_point():
 
 def test_too_few_clusters_have_no_interval():
     weights = cluster_weights(n_clusters=2, n_replicates=10, seed=0)
-    one = ratio_estimate(
+    estimate = ratio_estimate(
         numerator=np.array([1.0, 0.0]),
         denominator=np.array([4.0, 0.0]),
         weights=weights,
     )
-    assert one.value == 0.25
-    assert one.n == 1
-    assert np.isnan([one.ci_low, one.ci_high]).all()
-    none = ratio_estimate(
+    assert estimate.value == 0.25
+    assert estimate.n == 1
+    assert np.isnan([estimate.ci_low, estimate.ci_high]).all()
+    empty = ratio_estimate(
         numerator=np.zeros(2), denominator=np.zeros(2), weights=weights
     )
-    assert np.isnan([none.value, none.ci_low, none.ci_high]).all()
-    assert none.n == 0
+    assert np.isnan([empty.value, empty.ci_low, empty.ci_high]).all()
+    assert empty.n == 0
 
 
 ENDS = [(1.0 - CONFIDENCE) / 2.0, 1.0 - (1.0 - CONFIDENCE) / 2.0]
@@ -118,45 +118,45 @@ def test_percentiles_of_many_rows_are_numpys_to_the_last_bit(n_replicates):
     rows[rng.random(rows.shape) < np.linspace(-0.2, 0.9, 400)[:, None]] = np.nan
     rows[-1] = np.nan
     rows[-2] = np.r_[1.0, rows[-1, 1:]]
-    found = percentile_intervals(rows)
-    for row, ends in zip(rows, found.T, strict=True):
-        there = row[~np.isnan(row)]
-        expected = np.quantile(there, ENDS) if there.size else [np.nan, np.nan]
+    intervals = percentile_intervals(rows)
+    for row, ends in zip(rows, intervals.T, strict=True):
+        known = row[~np.isnan(row)]
+        expected = np.quantile(known, ENDS) if known.size else [np.nan, np.nan]
         np.testing.assert_array_equal(ends, expected)
         np.testing.assert_array_equal(percentile_interval(row), expected)
     assert percentile_intervals(rows[:0]).shape == (2, 0)
     assert np.isnan(percentile_intervals(rows[:3, :0])).all()
 
 
-def test_many_ratios_are_each_by_itself():
+def test_many_ratios_equal_single_ratios():
     weights = cluster_weights(n_clusters=6, n_replicates=30, seed=0)
-    some, first = stream(2, "test", "ratios").random(6), np.eye(6)[0]
+    values, first = stream(2, "test", "ratios").random(6), np.eye(6)[0]
     rows = [
-        (some, np.ones(6), False),
-        (some, np.ones(6), True),
-        (np.ones(6), np.ones(6), True),  # all, and nobody
+        (values, np.ones(6), False),
+        (values, np.ones(6), True),
+        (np.ones(6), np.ones(6), True),  # shares of 1 and 0
         (np.zeros(6), np.ones(6), True),
         (np.ones(6), np.ones(6), False),
-        (some * first, first, True),  # one cluster alone, and none
+        (values * first, first, True),  # a single cluster, and none
         (np.zeros(6), np.zeros(6), True),
     ]
     top, bottom, is_share = zip(*rows, strict=True)
     sums = {"numerator": np.array(top), "denominator": np.array(bottom)}
-    found = ratio_estimates(**sums, weights=weights, is_share=is_share)
-    for one, (over, under, share) in zip(found, rows, strict=True):
-        alone = ratio_estimate(
+    estimates = ratio_estimates(**sums, weights=weights, is_share=is_share)
+    for estimate, (over, under, share) in zip(estimates, rows, strict=True):
+        single = ratio_estimate(
             numerator=over, denominator=under, weights=weights, is_share=share
         )
         for name in ("value", "ci_low", "ci_high", "n", "replicates"):
-            expected = getattr(alone, name)
+            expected = getattr(single, name)
             np.testing.assert_allclose(
-                getattr(one, name), expected, rtol=1e-12, err_msg=name
+                getattr(estimate, name), expected, rtol=1e-12, err_msg=name
             )
 
 
 def test_the_clustered_interval_covers_and_the_naive_one_does_not():
-    # 60 clusters of 10 trials that share a random rate: trials within a cluster are
-    # alike.
+    # 60 clusters of 10 trials that share a random rate: trials within a cluster
+    # correlate.
     rng = stream(0, "test", "coverage")
     weights = cluster_weights(n_clusters=60, n_replicates=400, seed=0)
     clustered = naive = 0
@@ -177,26 +177,26 @@ def test_the_clustered_interval_covers_and_the_naive_one_does_not():
 
 def test_an_estimate_has_the_spread_and_the_interval_of_its_replicates():
     values = np.concatenate([[1.0], np.arange(101.0), [np.nan, np.inf]])
-    one = estimate_of(values, n=12)
-    assert (one.value, one.n) == (1.0, 12)
-    assert one.standard_error == pytest.approx(np.arange(101.0).std(ddof=1))
-    assert (one.ci_low, one.ci_high) == pytest.approx((2.5, 97.5))
-    assert replace(one, closed_error=0.5).standard_error == 0.5
+    estimate = estimate_from_replicates(values, n=12)
+    assert (estimate.value, estimate.n) == (1.0, 12)
+    assert estimate.standard_error == pytest.approx(np.arange(101.0).std(ddof=1))
+    assert (estimate.ci_low, estimate.ci_high) == pytest.approx((2.5, 97.5))
+    assert replace(estimate, closed_error=0.5).standard_error == 0.5
     assert np.isnan(Estimate(1.0).standard_error)
 
 
 def test_a_difference_is_paired_in_the_replicates_that_both_have():
     rng = np.random.default_rng(0)
     drawn = rng.normal(size=200)
-    a = estimate_of(np.concatenate([[2.0], 2.0 + drawn]), n=30)
-    b = estimate_of(np.concatenate([[0.5], 0.5 + drawn[:100]]), n=20)
-    found = difference(a, b)
-    assert (found.value, found.n) == (1.5, 20)
-    assert found.replicates == pytest.approx(np.full(100, 1.5))
-    assert (found.ci_low, found.ci_high) == pytest.approx((1.5, 1.5))
+    a = estimate_from_replicates(np.concatenate([[2.0], 2.0 + drawn]), n=30)
+    b = estimate_from_replicates(np.concatenate([[0.5], 0.5 + drawn[:100]]), n=20)
+    result = difference(a, b)
+    assert (result.value, result.n) == (1.5, 20)
+    assert result.replicates == pytest.approx(np.full(100, 1.5))
+    assert (result.ci_low, result.ci_high) == pytest.approx((1.5, 1.5))
 
 
-def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
+def test_effective_clusters_are_the_clusters_if_all_are_equal():
     for sizes, expected in (
         ([3.0, 3.0, 3.0, 0.0], 3),
         ([6.0, 1.0, 1.0], 64 / 38),
@@ -206,19 +206,19 @@ def test_effective_clusters_are_as_many_as_there_are_if_all_are_alike():
 
 
 def without_each(values):
-    """The sum of values, (C,), and that without each in turn."""
+    """The sum of values, (C,), then the sum without each in turn."""
     return values.sum() - np.append(0.0, values)
 
 
 def test_the_jackknife_of_a_mean_is_students_interval():
     values = stream(3, "test", "mean").random(30)
-    found = jackknife_interval(
+    interval = jackknife_interval(
         without_each(values) / without_each(np.ones(30)), effective=30.0
     )
     mean, error = values.mean(), values.std(ddof=1) / np.sqrt(30)
     # On the scale of the logit, whose slope is 1 / p (1 - p).
     half = t(29).ppf(0.975) * error / (mean * (1 - mean))
-    assert found == pytest.approx(
+    assert interval == pytest.approx(
         tuple(1 / (1 + (1 / mean - 1) * np.exp([half, -half])))
     )
 
@@ -228,28 +228,23 @@ def test_the_jackknife_of_a_mean_is_students_interval():
     [
         (np.arange(14) % 2, np.ones(14), exact_binomial(hits=7, n=14)),
         (2.0 * (np.arange(7) < 7), np.full(7, 2.0), exact_binomial(hits=7, n=7)),
-        (
-            np.arange(14) % 3,
-            np.full(14, 2.0),
-            (np.nan, np.nan),
-        ),  # not one outcome a person
+        # The trials of a person differ in outcome.
+        (np.arange(14) % 3, np.full(14, 2.0), (np.nan, np.nan)),
         (np.arange(14) % 2, 1.0 + np.arange(14) % 2, (np.nan, np.nan)),
         (np.zeros(20), np.ones(20), wilson(hits=0, n=20)),
         (np.zeros(0), np.zeros(0), (np.nan, np.nan)),
     ],
 )
 def test_very_few_people_have_the_interval_of_their_count_or_none(hits, trials, ends):
-    weights = cluster_weights(n_clusters=max(trials.size, 1), n_replicates=9, seed=0)[
-        :, : trials.size
-    ]
-    sums = {
-        "numerator": hits[None] * 1.0,
-        "denominator": trials[None],
-        "is_share": [True],
-    }
-    (one,) = ratio_estimates(**sums, weights=weights)
-    assert (one.ci_low, one.ci_high) == pytest.approx(ends, nan_ok=True)
-    assert one.replicates.size == 9
+    weights = cluster_weights(n_clusters=max(trials.size, 1), n_replicates=9, seed=0)
+    (estimate,) = ratio_estimates(
+        numerator=hits[None] * 1.0,
+        denominator=trials[None],
+        weights=weights[:, : trials.size],
+        is_share=[True],
+    )
+    assert (estimate.ci_low, estimate.ci_high) == pytest.approx(ends, nan_ok=True)
+    assert estimate.replicates.size == 9
 
 
 def test_what_is_no_share_has_students_interval_of_few_and_the_percentiles_of_many():
@@ -264,14 +259,15 @@ def test_what_is_no_share_has_students_interval_of_few_and_the_percentiles_of_ma
     own = times[1, :20]
     expected = own.mean() + own.std(ddof=1) / np.sqrt(20) * t(19).ppf([0.025, 0.975])
     assert (few.ci_low, few.ci_high) == pytest.approx(expected)
-    assert np.isnan(estimate_of(np.arange(9.0), n=9, effective=14.0).ci_low)
+    assert np.isnan(
+        estimate_from_replicates(np.arange(9.0), n=9, effective=14.0).ci_low
+    )
 
 
 def beta_binomial(rng, chances, sizes, within=0.4):
-    """Hits of each person, whose own chance varies around those of all."""
-    own = rng.beta(
-        *(one * (1 / within - 1) for one in (chances, 1 - chances)), sizes.shape
-    )
+    """Hits of each person, whose own chance varies around the common one."""
+    scale = 1 / within - 1
+    own = rng.beta(chances * scale, (1 - chances) * scale, sizes.shape)
     return rng.binomial(sizes.astype(int), own) * 1.0
 
 
@@ -279,7 +275,7 @@ def beta_binomial(rng, chances, sizes, within=0.4):
 @pytest.mark.parametrize("chance", [0.2, 0.5, 0.85])
 def test_intervals_of_fifteen_to_twenty_clusters_cover(n_clusters, chance):
     rng = stream(5, "test", "coverage", n_clusters, str(chance))
-    held = []
+    covers = []
     for _ in range(1000):
         sizes = 2.0 * np.ones(n_clusters)
         sizes[: n_clusters - 15] += 2.0  # at least 15 in effect
@@ -288,7 +284,7 @@ def test_intervals_of_fifteen_to_twenty_clusters_cover(n_clusters, chance):
         low, high = jackknife_interval(
             without_each(hits) / without_each(sizes), effective=effective
         )
-        held.append(low <= chance <= high)
+        covers.append(low <= chance <= high)
     assert effective >= LEAST_CLUSTERS
-    # Hits are counts: it holds the share rather too often, never much less.
-    assert 0.93 <= np.mean(held) <= 0.99
+    # Hits are counts: the interval covers rather too often than too seldom.
+    assert 0.93 <= np.mean(covers) <= 0.99

@@ -28,11 +28,11 @@ def ragged(*sizes, noise_m=0.4, seed=0):
 
 
 def scaled_squares(t, p):
-    """Squared error of the line's forecast of each sample from the third on, per axis, scaled."""
+    """Scaled squared errors of the line through two samples at the third, per axis."""
     scaled = []
     for k in range(2, len(t)):
-        # The forecast is w1 p1 + w0 p0; independent errors of variance r leave r (1 +
-        # w1^2 + w0^2).
+        # The forecast is w1 p1 + w0 p0. With independent errors of variance r its error
+        # has the variance r (1 + w1^2 + w0^2).
         w0 = -(t[k] - t[k - 1]) / (t[k - 1] - t[k - 2])
         w1 = 1.0 - w0
         errors = p[k] - (w1 * p[k - 1] + w0 * p[k - 2])
@@ -50,21 +50,20 @@ def by_loop(t, p):
 
 def test_it_is_the_plain_loop():
     case = ragged(40, 1, 3, 2, 150, 4, 1)
-    found = innovation_variance_m2(**case)
+    level = innovation_variance_m2(**case)
     expected = [
         by_loop(case["t"][lo:hi], case["xy"][lo:hi])
         for lo, hi in pairwise(case["offsets"])
     ]
-    assert found == pytest.approx(expected, rel=1e-10)
-    assert found[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
+    assert level == pytest.approx(expected, rel=1e-10)
+    assert level[[1, 3, 6]].tolist() == [UNKNOWN_VARIANCE_M2] * 3
 
 
 def test_by_interval_they_are_those_of_the_middle_samples():
     case = ragged(40, 1, 3, 2, 150, 4, 1)
     interval_s = np.diff(case["t"])
-    edges = np.sort(
-        [interval_s[10], interval_s[100], interval_s[20]]
-    )  # of equals to the right
+    # An interval equal to an edge belongs to the cell at its right.
+    edges = np.sort([interval_s[10], interval_s[100], interval_s[20]])
     expected = np.zeros((2, 7, 4))
     for row, (lo, hi) in enumerate(pairwise(case["offsets"])):
         t = case["t"][lo:hi]
@@ -92,29 +91,31 @@ def test_a_straight_walk_without_error_has_the_least_level():
 
 def test_neighbours_frame_and_clock_change_nothing():
     case = ragged(30, 3, 60)
-    whole = innovation_variance_m2(**case)
+    expected_level = innovation_variance_m2(**case)
     for row, (lo, hi) in enumerate(pairwise(case["offsets"])):
-        alone = innovation_variance_m2(
+        single_level = innovation_variance_m2(
             t=case["t"][lo:hi], xy=case["xy"][lo:hi], offsets=np.array([0, hi - lo])
         )
-        assert alone.tolist() == [whole[row]]
+        assert single_level.tolist() == [expected_level[row]]
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
     moved = innovation_variance_m2(
         t=case["t"] + 3600.0,
         xy=case["xy"] @ turn.T + [500.0, -9.0],
         offsets=case["offsets"],
     )
-    assert moved == pytest.approx(whole, rel=1e-6)
+    assert moved == pytest.approx(expected_level, rel=1e-6)
 
 
-def test_what_is_known_by_a_sample_is_that_of_the_samples_up_to_it():
+def test_the_running_level_is_that_of_the_samples_so_far():
     case = ragged(30, 1, 2, 3, 60)
-    found = innovation_variance_m2(**case, running=True)
+    level = innovation_variance_m2(**case, running=True)
     for lo, hi in pairwise(case["offsets"]):
         for end in range(lo + 1, hi + 1):
             start = {name: case[name][lo:end] for name in ("t", "xy")}
-            alone = innovation_variance_m2(**start, offsets=np.array([0, end - lo]))
-            assert found[end - 1] == pytest.approx(alone[0], rel=1e-9)
+            single_level = innovation_variance_m2(
+                **start, offsets=np.array([0, end - lo])
+            )
+            assert level[end - 1] == pytest.approx(single_level[0], rel=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -129,6 +130,6 @@ def test_what_is_known_by_a_sample_is_that_of_the_samples_up_to_it():
         ({"offsets": np.array([0.0, 7.0])}, "integers"),
     ],
 )
-def test_what_makes_no_sense_is_refused(change, message):
+def test_wrong_arrays_are_refused(change, message):
     with pytest.raises(ValueError, match=message):
         innovation_variance_m2(**ragged(4, 3) | change)

@@ -1,4 +1,4 @@
-"""SPECs: what they name, what they cost to get wrong, and plug-ins from elsewhere."""
+"""SPECs: the plug-ins that they name, the messages of mistakes, and third parties."""
 
 import re
 import sys
@@ -29,7 +29,7 @@ class Odd(Shares):
 
 @dataclass(frozen=True)
 class Heir(Fixed):
-    """Its inherited parameters name types that this module does not know."""
+    """Inherited parameters whose types this module does not import."""
 
     extra: float = 1.0
 
@@ -46,9 +46,9 @@ class Unread(Shares):
 
 @dataclass(frozen=True)
 class Picky(Shares):
-    """Raises what it is told to, in its own initialisation."""
+    """Raises an error of this kind in its own initialisation."""
 
-    what: str
+    kind: str
 
     def __post_init__(self):
         raise {
@@ -57,7 +57,7 @@ class Picky(Shares):
             "value": ValueError("half a pair \udcff,\nand more"),
             "exit": SystemExit(0),
             "settings": SettingsError("ask for less"),
-        }[self.what]
+        }[self.kind]
 
 
 @dataclass
@@ -71,12 +71,12 @@ class Mute:
 
 
 @dataclass(frozen=True)
-class Untold:
+class NoRequires:
     def predict(self, release, t_future): ...
 
 
 @dataclass(frozen=True)
-class Secretive(Untold):
+class Secretive(NoRequires):
     @property
     def requires(self):
         raise KeyError("a secret")
@@ -89,12 +89,12 @@ class UnsayableError(Exception):
 
 @pytest.fixture
 def here(monkeypatch):
-    """The name under which this very module can be imported."""
+    """The name under which this module can be imported."""
     monkeypatch.setitem(sys.modules, "my.module", sys.modules[__name__])
     return "my.module"
 
 
-def one(kind, spec):
+def parse_single(kind, spec):
     (plugin,) = plugins.parse(kind, spec)
     return plugin
 
@@ -133,9 +133,9 @@ def one(kind, spec):
 def test_the_level_of_a_mechanism_leaves_the_name_others_stay(
     kind, spec, name, level, instance
 ):
-    plugin = one(kind, spec)
+    plugin = parse_single(kind, spec)
     assert (plugin.name, plugin.level, plugin.instance) == (name, level, instance)
-    assert one(kind, plugin.spec) == plugin
+    assert parse_single(kind, plugin.spec) == plugin
 
 
 def test_spellings_of_one_thing_are_one_thing():
@@ -152,9 +152,9 @@ def test_spellings_of_one_thing_are_one_thing():
     )
     for specs in (hundred, thinned):
         (plugin,) = plugins.parse_all("mechanisms", specs)
-        assert one("mechanisms", plugin.spec) == plugin
-    found = plugins.parse_all("mechanisms", ("fid:1", "fid:1..100/3", "raw", "raw"))
-    assert [plugin.spec for plugin in found] == ["fid:1", "fid:10", "fid:100", "raw"]
+        assert parse_single("mechanisms", plugin.spec) == plugin
+    parsed = plugins.parse_all("mechanisms", ("fid:1", "fid:1..100/3", "raw", "raw"))
+    assert [plugin.spec for plugin in parsed] == ["fid:1", "fid:10", "fid:100", "raw"]
 
 
 @pytest.mark.parametrize(
@@ -171,12 +171,12 @@ def test_a_logarithmic_and_a_linear_sweep(spec, levels):
 
 
 def test_a_class_by_its_path(here):
-    plugin = one("mechanisms", f"{here}:Odd:hard,count=5,loud=true,limit=2.5")
+    plugin = parse_single("mechanisms", f"{here}:Odd:hard,count=5,loud=true,limit=2.5")
     assert plugin.instance == Odd(word="hard", count=5, loud=True, limit=2.5)
     assert plugin.level is None
     assert plugin.name == f"{here}:Odd:word=hard,count=5,loud=true,limit=2.5"
-    assert one("mechanisms", f"{here}:Odd:limit=none").instance == Odd()
-    assert one("mechanisms", plugin.spec).instance == plugin.instance
+    assert parse_single("mechanisms", f"{here}:Odd:limit=none").instance == Odd()
+    assert parse_single("mechanisms", plugin.spec).instance == plugin.instance
 
 
 @pytest.mark.parametrize(
@@ -216,13 +216,13 @@ def test_a_class_by_its_path(here):
     ],
 )
 def test_a_wrong_spec_says_what_is_wrong_and_repeats_it_in_short(spec, message):
-    with pytest.raises(SettingsError, match=re.escape(message)) as told:
+    with pytest.raises(SettingsError, match=re.escape(message)) as caught:
         plugins.parse("mechanisms", spec)
-    assert len(str(told.value)) < 400
+    assert len(str(caught.value)) < 400
 
 
 @pytest.mark.parametrize(
-    ("what", "error", "message"),
+    ("kind", "error", "message"),
     [
         (
             "key",
@@ -247,23 +247,23 @@ def test_a_wrong_spec_says_what_is_wrong_and_repeats_it_in_short(spec, message):
         ("settings", SettingsError, "'my.module:Picky:settings': ask for less"),
     ],
 )
-def test_a_plugin_that_cannot_be_made_says_why(here, what, error, message):
+def test_a_plugin_that_cannot_be_made_says_why(here, kind, error, message):
     with pytest.raises(error, match=re.escape(message)):
-        plugins.parse("mechanisms", f"{here}:Picky:{what}")
+        plugins.parse("mechanisms", f"{here}:Picky:{kind}")
     with pytest.raises(
-        SettingsError, match=r"Picky needs a value for what, as in .*Picky:VALUE"
+        SettingsError, match=r"Picky needs a value for kind, as in .*Picky:VALUE"
     ):
         plugins.parse("mechanisms", f"{here}:Picky")
 
 
 def test_inherited_parameters_are_read_where_they_are_declared(here):
-    plugin = one(
+    plugin = parse_single(
         "mechanisms", f"{here}:Heir:0.5,adding=independent,law=isotropic,extra=3"
     )
     assert plugin.instance == Heir(
         0.5, adding="independent", law="isotropic", extra=3.0
     )
-    assert one("mechanisms", plugin.spec) == plugin
+    assert parse_single("mechanisms", plugin.spec) == plugin
 
 
 @pytest.mark.parametrize(
@@ -281,8 +281,8 @@ def test_inherited_parameters_are_read_where_they_are_declared(here):
         (ValueError("a" * 1_000_000), "ValueError: " + "a" * 288 + "..."),
     ],
 )
-def test_a_strangers_error_is_told_on_one_line(error, message):
-    assert errors.told(error) == message
+def test_a_foreign_error_is_reported_on_one_line(error, message):
+    assert errors.error_text(error) == message
 
 
 @pytest.mark.parametrize(
@@ -300,7 +300,7 @@ def test_a_strangers_error_is_told_on_one_line(error, message):
             "my.module:Thawed must be a frozen dataclass",
         ),
         ("mechanisms", "my.module:Mute", "has no method share()"),
-        ("predictors", "my.module:Untold", "requires must be a frozenset"),
+        ("predictors", "my.module:NoRequires", "requires must be a frozenset"),
         (
             "predictors",
             "my.module:Secretive",
@@ -316,7 +316,7 @@ def test_a_broken_plugin_is_named(kind, name, message):
         plugins.parse(kind, name)
 
 
-def test_an_installed_third_party_plugin_is_found_by_name(tmp_path, monkeypatch):
+def test_an_installed_third_party_plugin_is_known_by_name(tmp_path, monkeypatch):
     """A package with real entry points, one of them broken, in a folder of its own."""
     info = tmp_path / "blur-1.0.dist-info"
     info.mkdir()
@@ -328,7 +328,7 @@ def test_an_installed_third_party_plugin_is_found_by_name(tmp_path, monkeypatch)
     monkeypatch.syspath_prepend(tmp_path)
     plugins._entry_points.cache_clear()
     try:
-        assert one("mechanisms", "blur:0.2").instance == Fixed(0.2)
+        assert parse_single("mechanisms", "blur:0.2").instance == Fixed(0.2)
         wrong = plugins.broken("mechanisms")
     finally:
         plugins._entry_points.cache_clear()
@@ -367,14 +367,14 @@ class MyNoise:
         ("my_noise.py", "{}/my_noise.py:MyNoise:0.5", "my_noise:MyNoise"),
     ],
 )
-def test_a_path_names_a_file_of_ones_own(tmp_path, monkeypatch, file, spec, origin):
+def test_a_path_names_a_file_of_the_user(tmp_path, monkeypatch, file, spec, origin):
     path = tmp_path / file
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(MECHANISM, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    (found,) = plugins.parse("mechanisms", spec.format(tmp_path))
-    assert (found.origin, found.level) == (origin, 0.5)
+    (plugin,) = plugins.parse("mechanisms", spec.format(tmp_path))
+    assert (plugin.origin, plugin.level) == (origin, 0.5)
     for name in [
         name for name in sys.modules if name.partition(".")[0] in ("my_noise", "some")
     ]:
@@ -429,7 +429,7 @@ def test_a_path_that_is_not_below_is_a_path_still(kind, spec, way):
     assert len(str(caught.value).splitlines()) == 1
 
 
-def test_a_switch_is_named_as_it_is_asked_for():
+def test_a_switch_is_named_as_in_its_spec():
     (aware,) = plugins.parse("predictors", "kalman_cv:aware=true")
     assert aware.instance.aware is True
     assert aware.name == aware.spec == "kalman_cv:aware=true"

@@ -1,8 +1,8 @@
-"""Policies: which samples an answer holds, against plain loops; names and bad values."""
+"""Policies: the samples of an answer against plain loops, names, and bad values."""
 
 import numpy as np
 import pytest
-from helpers.patrols import SETTINGS, answers_of, network_of
+from helpers.patrols import SETTINGS, make_network, sent_answers
 
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
@@ -29,7 +29,7 @@ ROUTE = np.stack([AHEAD_S, np.zeros(3)], axis=1)
 
 
 def forecast(xy, *, std=None):
-    """Nobody moves; a standard deviation per axis that grows by itself every second."""
+    """Forecast that nobody moves; its standard deviation grows by `std` a second."""
     mean = np.repeat(xy[OFFSETS[1:] - 1][:, None], 3, axis=1)
     cov = None
     if std is not None:
@@ -120,11 +120,11 @@ class TestSelection:
 def crowd(request):
     tracks = request.getfixturevalue("tracks")
     settings = SETTINGS.changed({"patrol.segment_s": 8.0})
-    return network_of(make_patrol(tracks, settings=settings, seed=0), Fid(1.0))
+    return make_network(make_patrol(tracks, settings=settings, seed=0), Fid(1.0))
 
 
 def slow_selection(network, robot, presence, *, metres, forecasts, select_on):
-    """Whether near or ahead send anything of a person: a plain loop over instants."""
+    """Whether near or ahead send samples of a person: a plain loop over instants."""
     patrol = network.patrol
     now = patrol.query_scan[patrol.presences.query[presence]]
     xy = (network.sensed if select_on == "raw" else network.release).xy
@@ -145,10 +145,8 @@ def slow_selection(network, robot, presence, *, metres, forecasts, select_on):
 def test_a_patrol_discloses_what_a_plain_loop_selects(
     crowd, policy_class, metres, select_on
 ):
-    patrol, sent = (
-        crowd.patrol,
-        answers_of(crowd, policy_class(metres, select_on=select_on)),
-    )
+    patrol = crowd.patrol
+    sent = sent_answers(crowd, policy_class(metres, select_on=select_on))
     assert sent
     for robot in range(patrol.n_robots):
         for presence, sample in enumerate(patrol.presences.sample):
@@ -168,7 +166,7 @@ def test_a_patrol_discloses_what_a_plain_loop_selects(
 
 
 def test_everything_discloses_all_history_of_those_present(crowd):
-    patrol, sent = crowd.patrol, answers_of(crowd, Everything())
+    patrol, sent = crowd.patrol, sent_answers(crowd, Everything())
     assert len(sent) == patrol.n_robots * len(patrol.presences)
     for (_, presence), samples in sent.items():
         first = patrol.people.offsets[patrol.presences.person[presence]]
@@ -180,9 +178,9 @@ def test_draws_depend_on_robot_and_query_alone(tracks):
     answers = []
     for fleets in (1, 3):
         changed = settings.changed({"patrol.fleets": fleets})
-        network = network_of(make_patrol(tracks, settings=changed, seed=0))
+        network = make_network(make_patrol(tracks, settings=changed, seed=0))
         disclose(network, RandomPeople(0.9))
-        answers.append(answers_of(network, RandomPeople(0.3)))
+        answers.append(sent_answers(network, RandomPeople(0.3)))
     few, many = answers
     assert few == {key: sent for key, sent in many.items() if key[0] == 0}
     ours, theirs = ({key[1] for key in many if key[0] == robot} for robot in (0, 1))
@@ -207,7 +205,7 @@ class TestPlugins:
             (plugin,) = parse("policies", spec)
             assert (plugin.instance, plugin.spec) == (policy, spec)
             assert isinstance(policy, Policy)
-            assert plugins.plugins_of("policies", policy)[0].spec == spec
+            assert plugins.resolve_plugins("policies", policy)[0].spec == spec
 
     def test_parameters_stay_in_the_name(self):
         (plugin,) = parse("policies", "near:4.5,window_s=none,select_on=shared")
@@ -236,11 +234,11 @@ class TestPlugins:
             ("nearr:1", "unknown policy 'nearr'; did you mean 'near'"),
         ],
     )
-    def test_a_value_that_cannot_be_meant_is_one_clear_error(self, spec, message):
+    def test_a_wrong_value_is_one_clear_error(self, spec, message):
         with pytest.raises(SettingsError, match=message):
             parse("policies", spec)
 
-    def test_a_policy_says_what_form_its_answers_have(self):
+    def test_a_policy_declares_the_form_of_its_answers(self):
         with pytest.raises(
             PluginError, match="form must be one of samples, state, flag"
         ):

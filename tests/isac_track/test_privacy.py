@@ -1,4 +1,4 @@
-"""What the metric suite does not see of the descriptors: refusals, segments and intervals."""
+"""Descriptors beyond the metric suite: refusals, segments and intervals."""
 
 from __future__ import annotations
 
@@ -54,14 +54,14 @@ def test_epsilon_is_positive(epsilon_m):
 
 def test_segments_end_with_their_track():
     leaked = np.array([sample == "1" for sample in "001111001110011"])
-    found = exposure(
+    result = exposure(
         leaked=leaked,
         t=np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 11, 12, 13, 14, 15], dtype=float),
         offsets=np.array([0, 4, 8, 9, 15]),
     )
-    assert found.segments.tolist() == [1, 1, 1, 2]
+    assert result.segments.tolist() == [1, 1, 1, 2]
     # The samples at 9 and 11 s last 2 and 1.5 s, those at 14 and 15 s one each.
-    assert found.mel_s.tolist() == pytest.approx([2.0, 2.0, np.nan, 3.5], nan_ok=True)
+    assert result.mel_s.tolist() == pytest.approx([2.0, 2.0, np.nan, 3.5], nan_ok=True)
     nothing = exposure(leaked=~leaked[2:4], t=np.arange(2.0), offsets=np.array([0, 2]))
     assert nothing.segments.tolist() == [0]
 
@@ -85,43 +85,45 @@ def test_offsets(offsets):
 
 @pytest.mark.parametrize("intervals", ["segment", "trajectory"])
 @pytest.mark.parametrize("is_moved", [False, True])
-def test_in_one_pass_they_are_those_of_the_definitions(is_moved, intervals):
+def test_descriptors_in_one_pass_follow_their_definitions(is_moved, intervals):
     rng = stream(0, "test", "described")
     sizes = np.array([1, 1, 1, 1, 1, 1, 2, 3, 7, 40, 300])
     offsets = np.concatenate([[0], np.cumsum(sizes)])
-    t, truth = (
-        np.cumsum(rng.uniform(0.05, 0.5, offsets[-1])),
-        rng.normal(size=(offsets[-1], 2)),
-    )
+    t = np.cumsum(rng.uniform(0.05, 0.5, offsets[-1]))
+    truth = rng.normal(size=(offsets[-1], 2))
     xy = truth + rng.normal(scale=0.6 if is_moved else 0.3, size=truth.shape)
-    here, there = xy, (xy, xy)
+    moved_xy, moves = xy, (xy, xy)
     if is_moved:  # halfway to the truth, in a frame turned by 2 and shifted
         turned = np.array([[np.cos(2.0), np.sin(2.0)], [-np.sin(2.0), np.cos(2.0)]])
-        here = (xy + truth) / 2.0
-        there = (here @ turned + 5.0, xy @ turned + 5.0)
-    moved = {"moved": there, "turn": np.exp(2j)} if is_moved else {}
+        moved_xy = (xy + truth) / 2.0
+        moves = (moved_xy @ turned + 5.0, xy @ turned + 5.0)
+    moved = {"moved": moves, "turn": np.exp(2j)} if is_moved else {}
     settings = PrivacySettings(intervals=intervals)
-    found = described(
+    descriptors = described(
         xy=xy, truth=truth, t=t, offsets=offsets, settings=settings, **moved
     )
-    leaked = leakage_indicator(shared_xy=here, true_xy=truth, epsilon_m=0.3)
+    leaked = leakage_indicator(shared_xy=moved_xy, true_xy=truth, epsilon_m=0.3)
     assert set(leaked[:6]) == {False, True}  # also of a single sample
     expected = exposure(leaked=leaked, t=t, offsets=offsets, intervals=intervals)
-    by_eye = oracles.exposure_of_all(
+    by_oracle = oracles.total_exposure(
         leaked=leaked, t=t, offsets=offsets, intervals=intervals
     )
     np.testing.assert_allclose(
-        [expected.plr, expected.ael_s, expected.mel_s], by_eye[:3]
+        [expected.plr, expected.ael_s, expected.mel_s], by_oracle[:3]
     )
-    parts = np.split(((here - truth) ** 2).sum(axis=1), offsets[1:-1])
+    parts = np.split(((moved_xy - truth) ** 2).sum(axis=1), offsets[1:-1])
     rows = (expected.plr, expected.ael_s, expected.mel_s, expected.segments)
-    np.testing.assert_allclose(found[:4], rows, rtol=1e-12)
-    np.testing.assert_allclose(found[4], [one.mean() for one in parts], rtol=1e-11)
-    away_m = [np.sqrt(one) for one in parts]
+    np.testing.assert_allclose(descriptors[:4], rows, rtol=1e-12)
     np.testing.assert_allclose(
-        found[5], [(one < 0.4).mean() for one in away_m], rtol=1e-12
+        descriptors[4], [part.mean() for part in parts], rtol=1e-11
     )
-    np.testing.assert_allclose(found[6], [np.median(one) for one in away_m], rtol=1e-9)
+    away_m = [np.sqrt(part) for part in parts]
+    np.testing.assert_allclose(
+        descriptors[5], [(part < 0.4).mean() for part in away_m], rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        descriptors[6], [np.median(part) for part in away_m], rtol=1e-9
+    )
 
 
 def test_mean_interval():
@@ -132,7 +134,7 @@ def test_mean_interval():
     )
 
 
-def test_the_alignment_error_is_what_no_turn_and_no_shift_undoes():
+def test_the_alignment_error_remains_after_any_turn_and_shift():
     rng = np.random.default_rng(8)
     sizes = (1, 2, 3, 40)
     offsets = np.append(0, np.cumsum(sizes))
@@ -140,10 +142,10 @@ def test_the_alignment_error_is_what_no_turn_and_no_shift_undoes():
     noisy, mirrored = truth + rng.normal(size=truth.shape), truth * [1.0, -1.0]
     turned = truth @ [[0.6, 0.8], [-0.8, 0.6]] + [500.0, -900.0]
     for xy in (noisy, mirrored, turned):
-        found = alignment_error(xy=xy, truth=truth, offsets=offsets)
+        error_m = alignment_error(xy=xy, truth=truth, offsets=offsets)
         rows = [slice(*ends) for ends in pairwise(offsets)][1:]
-        assert found[1:] == pytest.approx(
-            [oracles.aligned(xy[one], truth[one]) for one in rows], abs=1e-6
+        assert error_m[1:] == pytest.approx(
+            [oracles.aligned(xy[own], truth[own]) for own in rows], abs=1e-6
         )
-        assert np.isnan(found[0])
-    assert found[1:] == pytest.approx(0.0, abs=1e-6)
+        assert np.isnan(error_m[0])
+    assert error_m[1:] == pytest.approx(0.0, abs=1e-6)

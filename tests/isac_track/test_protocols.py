@@ -1,4 +1,4 @@
-"""The threat model: who is granted what, and that nothing else can be had."""
+"""The threat model: the knowledge of each adversary, and that no other is available."""
 
 from dataclasses import dataclass
 
@@ -20,7 +20,7 @@ from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
 
 MECHANISM, SIGMA, TRAIN, SCENE, REPEATS, *_ = Knowledge
-HELD = {one: one.value for one in Knowledge if one not in (SIGMA, SCENE)}
+HELD = {kind: kind.value for kind in Knowledge if kind not in (SIGMA, SCENE)}
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Attack:
     uses: frozenset = frozenset()
 
     def fit(self, context):
-        """Nobody prepares: what is granted is all that is asked here."""
+        """Not called: the tests only read the declarations."""
 
 
 def release():
@@ -55,12 +55,12 @@ def context(*granted, **changes):
 
 
 class TestContext:
-    @pytest.mark.parametrize("what", HELD)
-    def test_what_was_granted_comes_back_itself_and_the_rest_is_denied(self, what):
-        given = context(what)
-        assert given.granted == {what}
+    @pytest.mark.parametrize("granted", HELD)
+    def test_granted_knowledge_is_returned_and_the_rest_is_denied(self, granted):
+        given = context(granted)
+        assert given.granted == {granted}
         for kind, name in HELD.items():
-            if kind is what:
+            if kind is granted:
                 assert getattr(given, name) is OFFERED[name]
             else:
                 # No AttributeError: hasattr() of an attack must not hide it.
@@ -69,28 +69,26 @@ class TestContext:
                 ):
                     hasattr(given, name)
 
-    @pytest.mark.parametrize("what", [None, *HELD])
-    def test_what_was_offered_but_not_granted_is_nowhere_in_it(self, what):
-        given = context(*filter(None, [what]))
+    @pytest.mark.parametrize("granted", [None, *HELD])
+    def test_knowledge_that_was_not_granted_is_nowhere_in_it(self, granted):
+        given = context(*filter(None, [granted]))
         assert not hasattr(given, "__dict__")
         slots = [getattr(given, slot) for slot in type(given).__slots__]
-        reachable = [
-            *slots,
-            *(one for slot in slots if isinstance(slot, dict) for one in slot),
-        ]
-        reachable += [
-            one for slot in slots if isinstance(slot, dict) for one in slot.values()
-        ]
+        reachable = list(slots)
+        for slot in slots:
+            if isinstance(slot, dict):
+                reachable += [*slot, *slot.values()]
         for kind, name in HELD.items():
-            assert any(one is OFFERED[name] for one in reachable) == (kind is what)
+            is_reachable = any(value is OFFERED[name] for value in reachable)
+            assert is_reachable == (kind is granted)
 
     @pytest.mark.parametrize(
         "missing", [[MECHANISM], [TRAIN], [REPEATS], [MECHANISM, TRAIN]]
     )
-    def test_a_grant_of_what_is_not_there_is_an_error_of_the_caller(self, missing):
-        said = ", ".join(sorted(what.name for what in missing))
-        with pytest.raises(ValueError, match=f"granted, but not given: {said}$"):
-            context(*Knowledge, **{HELD[what]: None for what in missing})
+    def test_a_grant_of_missing_knowledge_is_an_error_of_the_caller(self, missing):
+        names = ", ".join(sorted(kind.name for kind in missing))
+        with pytest.raises(ValueError, match=f"granted, but not given: {names}$"):
+            context(*Knowledge, **{HELD[kind]: None for kind in missing})
 
     def test_sigma_and_scene_need_nothing_from_the_context_and_give_nothing_of_it(self):
         bare = context(SIGMA, SCENE, **dict.fromkeys(OFFERED))
@@ -117,7 +115,7 @@ def test_the_truth_of_a_training_set_is_one_position_a_sample():
         ([1, 1], "two probes have one mate"),
     ],
 )
-def test_who_is_who_in_a_training_set_is_somebody_once(mate, says):
+def test_a_track_of_a_training_set_has_at_most_one_mate(mate, says):
     both = flat_release(np.array([0.0, 0.0]), np.zeros((2, 2)), np.array([0, 1, 2]))
     assert LinkageTrainingSet(both, both, np.array([1, -1])).mate.tolist() == [1, -1]
     with pytest.raises(ValueError, match=says):
@@ -138,7 +136,7 @@ def test_each_adversary_knows_more_than_the_weaker_one():
     assert USUAL == ("blind", "informed", "oracle")
 
 
-def test_an_adversary_beyond_the_usual_is_there_if_asked_for():
+def test_an_adversary_beyond_the_usual_runs_on_request():
     attack = Attack(
         requires=frozenset(), uses=frozenset({MECHANISM, Knowledge.ANCHOR, SCENE})
     )

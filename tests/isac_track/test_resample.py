@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.recordings import tracks_of
+from helpers.recordings import build_tracks
 from scipy.interpolate import BSpline, CubicSpline, make_interp_spline
 
 from isac_track.config import ResampleSettings
@@ -14,7 +14,7 @@ from isac_track.types import Tracks
 def some_tracks(*durations_s):
     rng = stream(0, "test", "resample")
     sizes = [int(duration_s / 0.4 + 1e-9) + 1 for duration_s in durations_s]
-    return tracks_of(
+    return build_tracks(
         *(0.1 * rng.standard_normal((size, 2)).cumsum(axis=0) for size in sizes)
     )
 
@@ -34,8 +34,8 @@ def test_no_piece_leaves_the_chord_or_runs_and_the_others_are_the_spline(
     rng = stream(0, "test", "overshoot")
     t = np.cumsum(rng.choice([1e-6, 0.4, 1.3], size=200))
     xy = np.cumsum(rng.normal(0.0, 0.2, (200, 2)), axis=0)
-    whole = Tracks(t=t, xy=xy, offsets=np.array([0, 200]), source=("a",), group=("a",))
-    curve, spline = walk(whole, max_overshoot_m=max_overshoot_m), CubicSpline(t, xy)
+    track = Tracks(t=t, xy=xy, offsets=np.array([0, 200]), source=("a",), group=("a",))
+    curve, spline = walk(track, max_overshoot_m=max_overshoot_m), CubicSpline(t, xy)
     n_replaced = 0
     for row in range(199):
         share = np.arange(1, 16) / 16
@@ -79,14 +79,14 @@ def test_a_steady_walk_is_the_spline_to_the_bit():
 @pytest.mark.parametrize("n", [2, 3])
 def test_two_or_three_samples_are_joined_by_a_line_or_a_parabola(n):
     t = np.arange(n) * 0.5
-    track = tracks_of(np.stack([t ** (n - 1), 3 - t], axis=1), frame_s=0.5)
+    track = build_tracks(np.stack([t ** (n - 1), 3 - t], axis=1), frame_s=0.5)
     at = np.linspace(0, t[-1], 7)
     assert np.allclose(walk(track)(at), np.stack([at ** (n - 1), 3 - at], axis=1))
 
 
 def test_one_sample_is_no_walk():
     with pytest.raises(ValueError, match="at least two samples"):
-        walk(tracks_of([(0, 0)]))
+        walk(build_tracks([(0, 0)]))
 
 
 def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
@@ -101,24 +101,26 @@ def test_the_rate_is_held_for_a_second_and_lies_in_its_range():
     assert (interval >= 1 / 16 - 1e-9).all()
     assert (interval <= 1 / 8 + 1e-9).all()
     second = (t[:-1] - 3.0).astype(int)
-    spread = [np.ptp(interval[second == one]) for one in range(60)]
+    spread = [np.ptp(interval[second == number]) for number in range(60)]
     assert max(spread) < 1e-9
     assert np.unique(interval.round(9)).size == 60
-    one_rate = ResampleSettings(rate_min_hz=10.0, rate_max_hz=10.0)
-    t = sampling_times(start_s=0.0, end_s=5.0, settings=one_rate, rng=stream(1, "test"))
+    constant_rate = ResampleSettings(rate_min_hz=10.0, rate_max_hz=10.0)
+    t = sampling_times(
+        start_s=0.0, end_s=5.0, settings=constant_rate, rng=stream(1, "test")
+    )
     assert np.allclose(t, np.arange(t.size) / 10)
     assert t.size in (50, 51)  # 50 additions of 0.1 s may end a hair above 5 s
 
 
-def test_only_tracks_of_the_minimum_duration_are_kept():
+def test_only_tracks_of_the_minimum_duration_are_sampled():
     tracks = some_tracks(21.2, 21.6, 40.0)
-    kept = resample(tracks, settings=ResampleSettings(), seed=0)
-    assert kept.source == ("w1", "w2")
+    sampled = resample(tracks, settings=ResampleSettings(), seed=0)
+    assert sampled.source == ("w1", "w2")
     with pytest.raises(ValueError, match=r"no track lasts 21\.6 s"):
         resample(some_tracks(5.0), settings=ResampleSettings(), seed=0)
 
 
-def test_a_track_is_sampled_alike_whoever_else_is_there():
+def test_a_track_is_sampled_the_same_beside_any_other():
     tracks = some_tracks(30.0, 25.0)
     both = resample(tracks, settings=ResampleSettings(), seed=0)
     alone = resample(tracks[1], settings=ResampleSettings(), seed=0)

@@ -14,8 +14,7 @@ def first(seed, *keys):
 
 
 def test_keying_is_pinned():
-    # Worked out apart, from the bytes: a change of the keying changes every result ever
-    # made.
+    # Computed separately from the bytes. A change of the keying changes all results.
     assert first(0, "a") == 7582406776310106918
     assert first(7, "sensing", "scene", 17) == 2578434188189093347
 
@@ -31,8 +30,8 @@ def test_a_stream_and_its_children_are_those_of_a_seed_sequence_with_a_spawn_key
         np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key))
     )
     ours = stream(seed, "name")
-    assert [one.random() for one in ours.spawn(2)] == [
-        one.random() for one in plain.spawn(2)
+    assert [child.random() for child in ours.spawn(2)] == [
+        child.random() for child in plain.spawn(2)
     ]
     assert ours.random() == plain.random()
 
@@ -44,7 +43,7 @@ def test_streams_do_not_depend_on_the_order_of_their_making():
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("names", "others"),
     [
         (("ab", "c"), ("a", "bc")),
         (("abc",), ("a", "b", "c")),
@@ -57,8 +56,8 @@ def test_streams_do_not_depend_on_the_order_of_their_making():
         (("i1",), (1,)),
     ],
 )
-def test_names_differ_by_boundary_type_and_order(one, other):
-    assert first(0, *one) != first(0, *other)
+def test_names_differ_by_boundary_type_and_order(names, others):
+    assert first(0, *names) != first(0, *others)
 
 
 def test_seeds_make_other_streams_and_the_type_of_an_integer_does_not():

@@ -1,4 +1,4 @@
-"""Scenes: the promises of the paper's section on them, checked scene by scene."""
+"""Scenes: the properties that the paper states, checked scene by scene."""
 
 import re
 
@@ -35,7 +35,7 @@ def scenes(known):
 
 
 def separations(scenes, scene, agent):
-    """Distances at every step by eye: the robot goes straight on, on the agent's clock."""
+    """Distances at every step of a robot that walks straight, on the agent's clock."""
     way = scenes.robot_destination[scene] - scenes.robot_start[scene]
     row = scene * 4 + agent
     elapsed = scenes.t_future[row] - scenes.t_future[row, 0]
@@ -76,7 +76,7 @@ def test_the_first_agent_stands_on_the_path_or_passes_just_outside_the_radius(sc
     assert (gaps[::2].min(axis=1) < 1e-9).all()
     steps = set(gaps[::2].argmin(axis=1))
     assert len(steps) > 6  # the step is drawn
-    assert 0 not in steps  # of the future
+    assert 0 not in steps  # step 0 is now
     missed = gaps[1::2].min(axis=1)
     assert (missed > 0.9).all()
     assert (missed < 1.4 + 1e-8).all()
@@ -94,7 +94,7 @@ def test_the_others_stand_in_the_ring_and_keep_clear(scenes):
     assert scenes.exhausted.sum() == 0
 
 
-def test_more_redraws_move_nobody_who_has_a_place(known):
+def test_more_redraws_move_nobody_with_a_place(known):
     order = track_order(n_tracks=len(known), n_scenes=30, agents=4, seed=0)
     few, many = (
         make_scenes(
@@ -124,7 +124,7 @@ def test_a_track_is_only_shifted(known, scenes):
         assert np.allclose(scenes.xy_future[row] - shift, known.xy_future[source])
 
 
-def test_now_is_the_last_history_sample_and_the_robot_does_not_arrive_within_the_horizon(
+def test_now_is_the_last_history_sample_and_the_robot_does_not_arrive(
     scenes,
 ):
     last = scenes.offsets[1:] - 1
@@ -149,10 +149,9 @@ def test_a_scene_is_the_same_in_any_block(known, scenes):
 
 def test_a_perfect_prediction_has_the_true_separation(scenes):
     robot = robot_positions(scenes, settings=SETTINGS.conflict)
-    found = minimum_separation(
-        robot=robot, agents=scenes.xy_future.reshape(robot.shape)
-    )
-    assert np.allclose(found, scenes.separation)
+    agents = scenes.xy_future.reshape(robot.shape)
+    separation = minimum_separation(robot=robot, agents=agents)
+    assert np.allclose(separation, scenes.separation)
 
 
 @pytest.mark.parametrize(
@@ -213,7 +212,7 @@ def test_students03_has_the_papers_history_and_the_error_of_the_sixteen_sample_l
     )
     assert len(known) == 106
     assert np.diff(known.offsets).mean() == pytest.approx(366, abs=4)
-    assert 0.083 <= np.mean([np.diff(one.t).mean() for one in release]) <= 0.084
+    assert 0.083 <= np.mean([np.diff(track.t).mean() for track in release]) <= 0.084
     mean = LeastSquares().predict(release, known.t_future).mean
     error = np.linalg.norm(mean[:, -1] - known.xy_future[:, -1], axis=1).mean()
     assert error == pytest.approx(0.22, rel=0.2)

@@ -1,4 +1,4 @@
-"""The link budget, the information and the raw error, against closed forms and plain loops."""
+"""Link budget, information and raw error against closed forms and plain loops."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -42,7 +42,7 @@ def draw(numbers=(1,), n_samples=(3, 4), seed=5, **changes):
 
 
 def gain_db(distance_m, *, power=(1.0,), delay=(0.0,), **changes):
-    """Without randomness: paths of this power and delay, by themselves one direct path."""
+    """Gain without randomness; by default a single direct path."""
     none = np.zeros(1)
     channel = Channel(
         none, np.array([power]), np.array([delay]), none, np.zeros((1, 2))
@@ -81,11 +81,11 @@ def test_path_loss_is_two_way_with_the_tables_exponent():
 
 
 def test_paths_are_averaged_and_a_late_one_has_a_longer_way():
-    found = 10 ** (gain_db(30.0, power=[1.0, 3.0], delay=[0.0, 0.5]) / 10)
+    gain = 10 ** (gain_db(30.0, power=[1.0, 3.0], delay=[0.0, 0.5]) / 10)
     # Half of 2e-7 s at light speed is 29.98 m more there and back, half of it each way.
     late_m = 30.0 + 0.5 * 0.5 * 2e-7 * 299_792_458.0
-    one = 10 ** (gain_db(1.0) / 10)
-    assert found == pytest.approx(one * 0.5 * (30.0**-5.4 + 3.0 * late_m**-5.4))
+    gain_at_1m = 10 ** (gain_db(1.0) / 10)
+    assert gain == pytest.approx(gain_at_1m * 0.5 * (30.0**-5.4 + 3.0 * late_m**-5.4))
 
 
 def test_information_follows_the_budget():
@@ -102,10 +102,10 @@ def test_information_follows_the_budget():
     assert info(processing_gain_db=more_db) / info() == pytest.approx(10**0.3)
 
 
-def test_sigma_is_the_bound_times_the_gap_up_to_the_cap_at_which_information_has_its_floor():
+def test_sigma_is_the_bound_times_the_gap_up_to_its_cap():
     settings = SensingSettings()
-    found = information(gain=np.array([1e-11, 1e-30]), settings=settings)
-    strong, weak = sigma_from_information(information=found, settings=settings)
+    info = information(gain=np.array([1e-11, 1e-30]), settings=settings)
+    strong, weak = sigma_from_information(information=info, settings=settings)
     assert strong < settings.sigma_cap_m
     assert weak == pytest.approx(settings.sigma_cap_m)
     settings = replace(settings, crb_gap_db=20 * np.log10(4.9))
@@ -120,9 +120,8 @@ def test_information_per_snr_is_the_curvature_of_the_likelihood():
     bandwidth_hz = 100e6
     f = np.linspace(-bandwidth_hz / 2, bandwidth_hz / 2, 20_001)
     mean_square_bandwidth = np.trapezoid(f**2, f) / bandwidth_hz
-    per_delay = (
-        2 * (2 * np.pi) ** 2 * mean_square_bandwidth
-    )  # 2 E/N0 (2 pi)^2 <f^2> at SNR 1
+    # 2 E/N0 (2 pi)^2 <f^2> at SNR 1.
+    per_delay = 2 * (2 * np.pi) ** 2 * mean_square_bandwidth
     per_range = per_delay * (2 / 299_792_458.0) ** 2
     assert range_information_per_snr(bandwidth_mhz=100.0) == pytest.approx(
         per_range, rel=1e-6
@@ -144,24 +143,24 @@ def test_channel_draws_have_their_laws():
     assert ((channel.path_delay >= 0) & (channel.path_delay < 1)).all()
 
 
-def test_a_scene_draws_alike_whichever_others_there_are_and_however_many_paths():
-    both, alone, two = draw((1, 2)), draw((2,)), draw((2,), n_paths=2)
+def test_a_scenes_draws_depend_on_no_other_scene_and_no_number_of_paths():
+    joint, alone, two = draw((1, 2)), draw((2,)), draw((2,), n_paths=2)
     assert two.path_power.shape != alone.path_power.shape
     for name, first in (("large_scale", 7), ("beam", 7), ("unit_error", 7)):
-        assert np.array_equal(getattr(both, name)[first:], getattr(alone, name))
+        assert np.array_equal(getattr(joint, name)[first:], getattr(alone, name))
         assert np.array_equal(getattr(two, name), getattr(alone, name))
-    assert not np.array_equal(both.unit_error[:7], both.unit_error[7:])
+    assert not np.array_equal(joint.unit_error[:7], joint.unit_error[7:])
 
 
 def covariances(draws, distances_m):
-    """Estimated and modelled covariances of K distances, and four standard errors, (K, K)."""
+    """Estimated and modelled covariances at K distances, 4 standard errors, (K, K)."""
     expected = np.exp(-np.abs(np.subtract.outer(distances_m, distances_m)) / 10.0)
     four = 4.0 * np.sqrt((1.0 + expected**2) / len(draws))
     return np.cov(draws, rowvar=False, bias=True), expected, four
 
 
 def test_the_gain_along_a_track_has_the_covariance_of_the_distance_walked():
-    # Who stands keeps the gain; two decorrelation distances later little of it is left.
+    # A standing person keeps the gain; after 20 m little of it is left.
     walked_m = np.array([0.0, 0.1, 0.1, 1.0, 3.0, 10.0, 30.0])
     n, size = 4000, walked_m.size
     draws = gain_along(
@@ -170,12 +169,12 @@ def test_the_gain_along_a_track_has_the_covariance_of_the_distance_walked():
         innovations=stream(0, "test", "gain along").standard_normal(n * size),
         decorrelation_m=10.0,
     ).reshape(n, size)
-    found, expected, four = covariances(draws, walked_m)
-    assert (np.abs(found - expected) < four).all()
+    covariance, expected, four = covariances(draws, walked_m)
+    assert (np.abs(covariance - expected) < four).all()
     assert np.array_equal(draws[:, 1], draws[:, 2])
 
 
-def test_the_gain_at_distances_of_a_walk_has_that_covariance_whichever_are_asked_for():
+def test_the_gain_at_any_distances_of_a_walk_has_that_covariance():
     walked_m = np.array([0.0, 0.013, 2.0, 2.04, 11.99, 12.0, 40.0])
 
     def drawn(number, distances_m):
@@ -183,8 +182,8 @@ def test_the_gain_at_distances_of_a_walk_has_that_covariance_whichever_are_asked
         return gain_at(walked_m=distances_m, decorrelation_m=10.0, rng=rng)
 
     draws = np.array([drawn(number, walked_m) for number in range(2000)])
-    found, expected, four = covariances(draws, walked_m)
-    assert (np.abs(found - expected) < four + 0.5 / KNOTS).all()
+    covariance, expected, four = covariances(draws, walked_m)
+    assert (np.abs(covariance - expected) < four + 0.5 / KNOTS).all()
     few = walked_m[[4, 1]]
     assert np.array_equal(drawn(7, few), draws[7, [4, 1]])
 
@@ -193,13 +192,13 @@ def test_the_gain_at_distances_of_a_walk_has_that_covariance_whichever_are_asked
 def test_interpolation_between_knots_is_off_the_covariance_by_less_than_its_bound(
     decorrelation_m,
 ):
-    """By the weights of the knots: exact, whatever is drawn."""
+    """Exact, by the weights of the knots."""
     knots = np.arange(2 * KNOTS + 2)
     at = stream(0, "test", "between knots").uniform(0, 2 * KNOTS, 150)
     at[:3] = 0.0, 0.5, 7.25
 
     class Unit:
-        """Hands out one innovation at a time: the gain is linear in them."""
+        """Returns a single unit innovation: the gain is linear in the innovations."""
 
         def __init__(self, place):
             self.place = place
@@ -215,25 +214,25 @@ def test_interpolation_between_knots_is_off_the_covariance_by_less_than_its_boun
         ]
     )
     apart = np.abs(np.subtract.outer(walked_m, walked_m)) / decorrelation_m
-    found = weights.T @ weights
-    assert np.diag(found) == pytest.approx(np.ones(walked_m.size))
-    assert np.abs(found - np.exp(-apart)).max() < 0.5 / KNOTS
+    covariance = weights.T @ weights
+    assert np.diag(covariance) == pytest.approx(np.ones(walked_m.size))
+    assert np.abs(covariance - np.exp(-apart)).max() < 0.5 / KNOTS
 
 
-def test_a_gain_that_never_forgets_is_constant_along_a_track_and_begins_as_any_other():
-    some, constant = draw((1, 2)), draw((1, 2), decorrelation_m=np.inf)
+def test_with_infinite_decorrelation_the_gain_is_constant_and_begins_the_same():
+    usual, constant = draw((1, 2)), draw((1, 2), decorrelation_m=np.inf)
     starts = np.array([0, 3, 7, 10])
-    assert np.array_equal(constant.large_scale[starts], some.large_scale[starts])
+    assert np.array_equal(constant.large_scale[starts], usual.large_scale[starts])
     assert np.array_equal(
-        constant.large_scale, np.repeat(some.large_scale[starts], [3, 4, 3, 4])
+        constant.large_scale, np.repeat(usual.large_scale[starts], [3, 4, 3, 4])
     )
     rngs = [stream(0, "test", "constant") for _ in range(2)]
     gain = gain_at(walked_m=np.linspace(0, 90, 5), decorrelation_m=np.inf, rng=rngs[0])
     assert np.array_equal(gain, np.full(5, rngs[1].standard_normal()))
 
 
-def windows_of(*spans, walk="w", **changes):
-    """The channel of windows of one walk, each by the distance at which it begins and ends."""
+def sense_windows(*spans, walk="w", **changes):
+    """The channel of windows of a walk, given by the distances of their ends."""
     walked_m = [np.arange(first, last, 0.1) for first, last in spans]
     offsets = np.cumsum([0, *map(len, walked_m)])
     channel = draw_walk_channel(
@@ -247,11 +246,9 @@ def windows_of(*spans, walk="w", **changes):
     return channel, offsets
 
 
-def test_windows_of_one_walk_share_what_lasts_and_fade_by_themselves():
-    (channel, offsets), (alone, _) = (
-        windows_of((0, 3), (1, 4), (9, 12)),
-        windows_of((0, 3)),
-    )
+def test_windows_of_a_walk_share_its_lasting_parts_and_no_others():
+    channel, offsets = sense_windows((0, 3), (1, 4), (9, 12))
+    alone, _ = sense_windows((0, 3))
     first, second, _ = (slice(*pair) for pair in pairwise(offsets))
     gain = channel.large_scale
     assert np.allclose(gain[first][10:], gain[second][:20], atol=1e-12)
@@ -259,19 +256,19 @@ def test_windows_of_one_walk_share_what_lasts_and_fade_by_themselves():
     assert (channel.path_delay == channel.path_delay[0]).all()
     assert not np.isclose(channel.beam[first], channel.beam[second]).any()
     assert not np.isclose(channel.unit_error[first], channel.unit_error[second]).any()
-    # Whatever else is cut from the walk.
+    # Other windows of the walk change nothing.
     assert np.array_equal(alone.large_scale, gain[first])
     assert not np.isclose(
-        windows_of((0, 3), walk="other")[0].large_scale, gain[first]
+        sense_windows((0, 3), walk="other")[0].large_scale, gain[first]
     ).any()
 
 
 def test_errors_of_a_fixed_direction_keep_it_over_a_gap():
-    channel, _ = windows_of((0, 2), (5, 7), law="fixed_direction")
-    radial, _ = windows_of((0, 2), (5, 7))
+    channel, _ = sense_windows((0, 2), (5, 7), law="fixed_direction")
+    radial, _ = sense_windows((0, 2), (5, 7))
     x, y = channel.unit_error.T
     assert np.allclose(x * y[0], y * x[0])
-    norms = (np.hypot(*one.unit_error.T) for one in (channel, radial))
+    norms = (np.hypot(*drawn.unit_error.T) for drawn in (channel, radial))
     assert np.allclose(*norms)
 
 
@@ -279,8 +276,8 @@ def test_walked_is_the_length_of_the_way_so_far():
     xy = np.array(
         [[0.0, 0.0], [3.0, 4.0], [3.0, 4.0], [9.0, 12.0], [50.0, 50.0], [50.0, 51.0]]
     )
-    found = walked_within(xy, np.array([0, 4, 6]))
-    assert found.tolist() == pytest.approx([0.0, 5.0, 5.0, 15.0, 0.0, 1.0])
+    walked_m = walked_within(xy, np.array([0, 4, 6]))
+    assert walked_m.tolist() == pytest.approx([0.0, 5.0, 5.0, 15.0, 0.0, 1.0])
 
 
 def test_sensing_adds_the_unit_error_scaled():

@@ -1,4 +1,4 @@
-"""The metric suite itself: it catches what it should, and serves others as documented."""
+"""The metric suite itself: it catches mistakes, and works for others as documented."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from isac_track.testing import (
 from isac_track.testing.__main__ import main
 from isac_track.testing._descriptor_checks import plain_track, random_tracks
 
-DOCS = ROOT / "docs" / "metrics.md"
+DOCS = ROOT / "docs" / "how-to" / "check-your-metrics.md"
 
 
-def outcome_of(metric, function, name):
+def run_check(metric, function, name):
     (outcome,) = run_checks(replace(OWN, **{metric: function}), names=[name])
     return outcome
 
@@ -44,7 +44,7 @@ class TestMistakesAreCaught:
         ],
     )
     def test_by_the_check_that_is_about_them(self, metric, broken, name):
-        outcome = outcome_of(metric, broken, name)
+        outcome = run_check(metric, broken, name)
         assert outcome.status == "failed"
         assert outcome.message
 
@@ -55,19 +55,19 @@ class TestMistakesAreCaught:
             for _, *names in mistakes
             for name in names
         }
-        assert {one.name for one in CHECKS} == caught
+        assert {check.name for check in CHECKS} == caught
 
-    def test_and_not_what_they_are_made_of(self):
-        made_of = {"plr": broken_metrics.plr(), "exposure": broken_metrics.exposure}
+    def test_the_metrics_without_a_mistake_pass(self):
+        metrics = {"plr": broken_metrics.plr(), "exposure": broken_metrics.exposure}
         durations = {"ael_s": broken_metrics.ael(), "mel_s": broken_metrics.mel()}
-        found = run_checks(Metrics(**made_of, **durations))
-        assert {one.status for one in found} == {"passed", "skipped"}
+        outcomes = run_checks(Metrics(**metrics, **durations))
+        assert {outcome.status for outcome in outcomes} == {"passed", "skipped"}
 
     @pytest.mark.parametrize(
         ("broken", "message"),
         [
             (
-                lambda *_: "one"[9],
+                lambda *_: "text"[9],
                 "mel_s raised IndexError: string index out of range; called as",
             ),
             (
@@ -89,7 +89,7 @@ class TestMistakesAreCaught:
         ],
     )
     def test_with_a_counterexample(self, broken, message):
-        assert message in outcome_of("mel_s", broken, "mel_hand_examples").message
+        assert message in run_check("mel_s", broken, "mel_hand_examples").message
 
 
 def test_random_tracks_cover_what_matters_and_are_what_the_coordinates_say():
@@ -107,12 +107,12 @@ def test_random_tracks_cover_what_matters_and_are_what_the_coordinates_say():
 
 class TestRunning:
     def test_every_check_states_what_it_shows_and_every_function_is_checked(self):
-        assert len({one.name for one in CHECKS}) == len(CHECKS)
-        assert all(one.statement.endswith(".") and one.needs for one in CHECKS)
-        needed = {need for one in CHECKS for need in one.needs}
+        assert len({check.name for check in CHECKS}) == len(CHECKS)
+        assert all(check.statement.endswith(".") and check.needs for check in CHECKS)
+        needed = {need for check in CHECKS for need in check.needs}
         assert needed == {item.name for item in fields(Metrics)}
 
-    def test_what_is_not_offered_is_skipped_with_the_reason(self):
+    def test_a_missing_function_is_skipped_with_the_reason(self):
         names = [
             "plr_hand_examples",
             "mel_is_at_least_ael",
@@ -120,14 +120,14 @@ class TestRunning:
         ]
         reasons = ["", "not offered: ael_s, mel_s", "not offered: mel_s"]
         assert [
-            one.message for one in run_checks(Metrics(plr=OWN.plr), names=names)
+            outcome.message for outcome in run_checks(Metrics(plr=OWN.plr), names=names)
         ] == reasons
 
     def test_checks_are_selected_by_name_and_once_and_a_wrong_one_gets_the_nearest(
         self,
     ):
         names = ["mel_single_sample", "plr_single_sample", "mel_single_sample"]
-        assert [one.name for one in select_checks(names)] == names[:2]
+        assert [check.name for check in select_checks(names)] == names[:2]
         for wrong, message in (
             ("mel_single_sampel", r"did you mean 'mel_single_sample'\?"),
             ("xyzzy", "`--list` names all checks"),
@@ -139,7 +139,7 @@ class TestRunning:
         mark = parametrize_metric_checks(Metrics(plr=lambda *_: nan)).mark
         assert mark.args[0] == "check"
         cases = {case.id: case.values[0] for case in mark.args[1]}
-        assert list(cases) == [one.name for one in CHECKS]
+        assert list(cases) == [check.name for check in CHECKS]
         with pytest.raises(SkipTest, match=r"^not offered: ael_s$"):
             cases["ael_single_sample"]()
         with pytest.raises(AssertionError, match=r"PLR is nan, expected 0\.25"):
@@ -212,7 +212,7 @@ class TestCommand:
         ],
     )
     def test_wrong_usage(self, arguments, message, capsys, module):
-        """Words of the command, or the text of a module that holds M."""
+        """`arguments` are those of the command, or the text of a module with M."""
         words = [f"{module(arguments)}:M"] if isinstance(arguments, str) else arguments
         assert main(words) == 2
         captured = capsys.readouterr()
@@ -221,7 +221,7 @@ class TestCommand:
 
 
 class TestDocumentation:
-    """docs/metrics.md, as its reader would use it: in a folder of their own."""
+    """docs/reference/metrics.md as a reader uses it, in a folder of their own."""
 
     TEXT = DOCS.read_text(encoding="utf-8")
     BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, re.DOTALL)
@@ -252,7 +252,7 @@ class TestDocumentation:
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """Write a module of somebody else's and return its name."""
+    """Return a function that writes a third-party module and returns its name."""
     name = f"somebody_elses_{tmp_path.name.replace('-', '_')}"
 
     def write(text):

@@ -15,7 +15,7 @@ from isac_track.types import (
     Tracks,
     derived,
     end_to_end,
-    runs_of,
+    sample_runs,
     within,
 )
 
@@ -25,7 +25,7 @@ OFFSETS = np.array([0, 3, 4, 6])
 
 
 def maker(kind, **usual):
-    """What makes a container of these fields, some of them changed."""
+    """Return a function that makes a container of these fields, some changed."""
 
     def make(**changes):
         return kind(**{"t": T, "xy": XY, "offsets": OFFSETS} | usual | changes)
@@ -63,14 +63,17 @@ MADE = (*RAGGED, scenes)
     [[0, 1, 2], [2, 0, 1], [1], [0, 2], [1, 1, 2], [2, 1, 0], np.empty(0, dtype=int)],
 )
 def test_some_tracks_are_their_samples_end_to_end(rows):
-    some = release(xy=XY + np.pi).tracks(rows)
-    whole = [release(xy=XY + np.pi)[row] for row in rows]
+    selected = release(xy=XY + np.pi).tracks(rows)
+    singles = [release(xy=XY + np.pi)[row] for row in rows]
     for name in ("t", "xy", "sigma"):
-        parts = [getattr(one, name) for one in whole] or [getattr(some, name)]
-        assert np.array_equal(getattr(some, name), np.concatenate(parts))
-    assert some.offsets.tolist() == [0, *np.cumsum([one.t.size for one in whole])]
-    assert some.pseudonym == tuple("pqr"[row] for row in rows)
-    Release(**{one.name: getattr(some, one.name) for one in fields(some)})
+        parts = [getattr(item, name) for item in singles] or [getattr(selected, name)]
+        assert np.array_equal(getattr(selected, name), np.concatenate(parts))
+    assert selected.offsets.tolist() == [
+        0,
+        *np.cumsum([item.t.size for item in singles]),
+    ]
+    assert selected.pseudonym == tuple("pqr"[row] for row in rows)
+    Release(**{item.name: getattr(selected, item.name) for item in fields(selected)})
 
 
 @pytest.mark.parametrize("row", [-1, 3])
@@ -80,7 +83,7 @@ def test_no_track_is_counted_from_the_end_or_beyond_it(row):
 
 
 def test_neighbours_are_one_stretch_and_one_stretch_is_a_view():
-    runs, offsets = runs_of(OFFSETS, np.array([1, 2]))
+    runs, offsets = sample_runs(OFFSETS, np.array([1, 2]))
     assert (runs, offsets.tolist()) == ([(3, 6)], [0, 1, 3])
     assert np.shares_memory(end_to_end(XY, runs), XY)
 
@@ -92,23 +95,23 @@ def test_length_indexing_and_iteration_agree_on_views_of_each_track(make):
         item.name for item in fields(batch) if item.metadata.get("per") == "sample"
     ]
     assert len(batch) == 3
-    assert [len(one) for one in batch] == [1, 1, 1]
-    assert [one.t.tolist() for one in batch] == [[0.0, 0.1, 0.3], [5.0], [0.0, 2.0]]
-    assert [one.offsets.tolist() for one in batch] == [[0, 3], [0, 1], [0, 2]]
+    assert [len(track) for track in batch] == [1, 1, 1]
+    assert [track.t.tolist() for track in batch] == [[0.0, 0.1, 0.3], [5.0], [0.0, 2.0]]
+    assert [track.offsets.tolist() for track in batch] == [[0, 3], [0, 1], [0, 2]]
     np.testing.assert_array_equal(batch[1].xy, XY[3:4])
-    for row, one in enumerate(batch):
+    for row, track in enumerate(batch):
         for name in names:
-            of_one = getattr(one, name)
-            np.testing.assert_array_equal(of_one, getattr(batch[row - 3], name))
-            assert np.shares_memory(of_one, getattr(batch, name)), name
-            assert not of_one.flags.writeable
+            values = getattr(track, name)
+            np.testing.assert_array_equal(values, getattr(batch[row - 3], name))
+            assert np.shares_memory(values, getattr(batch, name)), name
+            assert not values.flags.writeable
     for index in (3, -4):
         with pytest.raises(IndexError, match=f"track {index} of 3"):
             batch[index]
 
 
 def test_one_track_keeps_its_names_and_law():
-    assert [one.source + one.group for one in tracks()] == [
+    assert [track.source + track.group for track in tracks()] == [
         ("a", "g"),
         ("b", "g"),
         ("c", "h"),
@@ -129,10 +132,10 @@ def assert_read_only(container):
 
 @pytest.mark.parametrize("make", MADE)
 def test_arrays_are_read_only_no_copies_and_fields_frozen(make):
-    mine = T.copy()
-    batch = make(t=mine)
-    assert np.shares_memory(batch.t, mine)
-    assert mine.flags.writeable  # what the caller holds stays theirs to write
+    times = T.copy()
+    batch = make(t=times)
+    assert np.shares_memory(batch.t, times)
+    assert times.flags.writeable  # the caller may still write to it
     assert_read_only(batch)
     with pytest.raises(FrozenInstanceError):
         batch.t = T
@@ -142,7 +145,7 @@ def test_arrays_are_read_only_no_copies_and_fields_frozen(make):
 
 
 @pytest.mark.parametrize("make", MADE)
-def test_what_is_derived_is_read_only_and_else_the_same_objects(make):
+def test_derived_arrays_are_read_only_and_others_the_same_objects(make):
     batch, later = make(), T + 1.0
     new = derived(batch, t=later)
     assert type(new) is type(batch)
@@ -223,7 +226,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("kinds", "changes", "message"), REFUSED)
-def test_what_does_not_fit_is_refused(kinds, changes, message):
+def test_wrong_fields_are_refused(kinds, changes, message):
     for make in kinds:
         with pytest.raises(ValueError, match=message):
             make(**changes)
@@ -237,15 +240,15 @@ def test_a_density_may_be_unbounded_a_sigma_missing_and_scenes_count_their_agent
     assert (len(scenes()), scenes().n_agents) == (1, 3)
 
 
-def covariances(*one):
-    """Covariances of 2 tracks and 3 steps; one step of one track has this one."""
+def covariances(*values):
+    """Covariances of 2 tracks and 3 steps; the last has these values."""
     cov = np.tile(np.eye(2), (2, 3, 1, 1))
-    cov[1, 2] = np.reshape(one, (2, 2))
+    cov[1, 2] = np.reshape(values, (2, 2))
     return cov
 
 
 @pytest.mark.parametrize(
-    "one",
+    "values",
     [
         (0, 0, 0, 0),
         (1e24, 0, 0, 0),
@@ -256,13 +259,13 @@ def covariances(*one):
         (1e-20, 1e-20, 1e-20, 1e-20),
     ],
 )
-def test_what_rounding_does_to_a_covariance_is_let_pass(one):
-    found = Prediction(np.zeros((2, 3, 2)), covariances(*one))
-    assert found.cov[1, 2].ravel().tolist() == list(map(float, one))
+def test_a_covariance_may_be_off_by_rounding(values):
+    prediction = Prediction(np.zeros((2, 3, 2)), covariances(*values))
+    assert prediction.cov[1, 2].ravel().tolist() == list(map(float, values))
 
 
 def test_a_single_precision_covariance_is_one():
-    """Products of random matrices, rounded: symmetric and semidefinite no more to the last bit."""
+    """Rounded products of random matrices, not symmetric to the last bit."""
     rng = np.random.default_rng(5)
     root = rng.normal(size=(50, 20, 2, 2)) * 10.0 ** rng.uniform(-6, 6, (50, 20, 2, 1))
     cov = (root @ np.swapaxes(root, -2, -1)).astype(np.float32)
@@ -271,19 +274,20 @@ def test_a_single_precision_covariance_is_one():
 
 
 def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
-    xy, std = (
-        ESTIMATE_LIMIT_M * np.array([[-1.0, 1.0], [0.5, 0.0]]),
-        np.array([0.0, 1e12]),
-    )
-    found = Reconstruction(xy, std)
-    assert (found.xy.tolist(), found.std.tolist()) == (xy.tolist(), std.tolist())
+    xy = ESTIMATE_LIMIT_M * np.array([[-1.0, 1.0], [0.5, 0.0]])
+    std = np.array([0.0, 1e12])
+    estimate = Reconstruction(xy, std)
+    assert (estimate.xy.tolist(), estimate.std.tolist()) == (xy.tolist(), std.tolist())
     assert Prediction(xy[None]).mean.tolist() == [xy.tolist()]
-    for one in (found, Prediction(np.zeros((2, 3, 2)), np.zeros((2, 3, 2, 2)))):
-        assert_read_only(one)
+    for container in (
+        estimate,
+        Prediction(np.zeros((2, 3, 2)), np.zeros((2, 3, 2, 2))),
+    ):
+        assert_read_only(container)
     assert xy.flags.writeable
     assert Reconstruction([[1, 2]]).std is Prediction(np.zeros((2, 3, 2))).cov is None
     assert Reconstruction([[1, 2]]).xy.dtype == np.float64
-    # Nothing was shared, nothing is estimated.
+    # Without a shared sample the estimates are empty.
     assert Prediction(np.zeros((0, 3, 2)), np.zeros((0, 3, 2, 2))).mean.shape == (
         0,
         3,
@@ -330,8 +334,8 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 4, 2, 2)), r"\(2, 3, 2, 2\)"),
         (Prediction, np.zeros((2, 3, 2)), np.zeros((2, 3, 2)), "4 dimension"),
         *(
-            (Prediction, np.zeros((2, 3, 2)), covariances(*one), message)
-            for one, message in (
+            (Prediction, np.zeros((2, 3, 2)), covariances(*values), message)
+            for values, message in (
                 ((1, 0, 0, np.nan), "not finite"),
                 ((np.inf, 0, 0, 1), "not finite"),
                 ((1.01e24, 0, 0, 1), r"beyond 1e\+24 m\^2"),
@@ -341,10 +345,8 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
                 ((1, 0, 0, -1e-4), "not positive semidefinite"),
                 ((1, 1.1, 1.1, 1), "not positive semidefinite"),
                 ((0, 1, 1, 0), "not positive semidefinite"),
-                (
-                    (1e-8, 2e-8, 2e-8, 1e-8),
-                    "not positive semidefinite",
-                ),  # however small
+                # Also at a small scale.
+                ((1e-8, 2e-8, 2e-8, 1e-8), "not positive semidefinite"),
             )
         ),
         (
@@ -387,7 +389,7 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
         (Reconstruction, np.zeros((1, 2)), np.array([1.01e12]), r"at most 1e\+12 m"),
     ],
 )
-def test_another_estimate_is_refused(kind, estimate, spread, message):
+def test_a_wrong_estimate_is_refused(kind, estimate, spread, message):
     with pytest.raises(ValueError, match=message):
         kind(estimate, spread)
 

@@ -1,4 +1,4 @@
-"""The trackers: kernels against filterpy itself, noise, window, prior, gate and covariance."""
+"""The trackers: kernels against filterpy, noise, window, prior, gate, covariance."""
 
 from dataclasses import replace
 
@@ -18,12 +18,12 @@ from predictors.kalman import GATE, KalmanCA, KalmanCV, KalmanIMM
 TRACKERS = [KalmanCV(), KalmanCA(), KalmanIMM()]
 AWARE = KalmanCV(aware=True).knowing(Correlated(0.8, 3.0, "independent"))
 by_name = pytest.mark.parametrize(
-    "tracker", TRACKERS, ids=lambda one: type(one).__name__
+    "tracker", TRACKERS, ids=lambda tracker: type(tracker).__name__
 )
 
 
 def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
-    """A release of exact constant-velocity walks, and 12 instants of each from its last sample."""
+    """A release of constant-velocity walks, and 12 instants from each last sample."""
     t, path, offsets = cv_walks(*(size + 11 for size in sizes), q=q, from_s=from_s)
     ahead = offsets[1:, None] - 12 + np.arange(12)
     shared = np.delete(np.arange(t.size), ahead[:, 1:])
@@ -35,15 +35,14 @@ def walks(*sizes, noise_m=0.4, q=0.05, from_s=0.0):
 
 
 @pytest.mark.parametrize(
-    "tracker", [*TRACKERS, AWARE], ids=lambda one: type(one).__name__
+    "tracker", [*TRACKERS, AWARE], ids=lambda tracker: type(tracker).__name__
 )
 @pytest.mark.parametrize("noise", ["estimated", "declared"])
 def test_the_kernels_are_filterpy(tracker, noise):
     release, t_future, _ = walks(60, 1, 2, 3, 200, 17)
     xy = release.xy.copy()
-    xy[[20, 41, 42, 43, 44, 45, 150]] += (
-        9.0  # alone, and more in a row than are rejected
-    )
+    # Single outliers, and more in a row than the filter rejects.
+    xy[[20, 41, 42, 43, 44, 45, 150]] += 9.0
     release = replace(release, xy=xy)
     ours = replace(tracker, noise=noise).predict(release, t_future)
     theirs = replace(tracker, noise=noise, engine="filterpy").predict(release, t_future)
@@ -54,24 +53,24 @@ def test_the_kernels_are_filterpy(tracker, noise):
 @pytest.mark.parametrize("tracker", [KalmanCV(), AWARE], ids=["plain", "aware"])
 @pytest.mark.parametrize("noise", ["estimated", "declared"])
 def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):
-    """filterpy starts anew for every sample, and gets none that is later."""
+    """Run filterpy anew for every sample, without later ones."""
     release, _, _ = walks(30, 1, 2, 3)
     xy = release.xy.copy()
     xy[[12, 20, 21, 22, 23]] += 9.0
     release, tracker = replace(release, xy=xy), replace(tracker, noise=noise)
     batch = tracker.batch(release, is_causal=True)
-    how = {"q": tracker.q, "gate": tracker.gate, "error": tracker._slow_error}
-    mean, _ = filterpy_engine.last_states(prefixes(batch), **how)
+    options = {"q": tracker.q, "gate": tracker.gate, "error": tracker._slow_error}
+    mean, _ = filterpy_engine.last_states(prefixes(batch), **options)
     assert np.allclose(tracker.track(release), mean[:, :, 0], atol=1e-9, rtol=1e-9)
-    for k in range(30):  # what it knows of the noise is from these samples, too
-        alone = flat_release(
+    for k in range(30):  # the noise is estimated from these samples as well
+        prefix = flat_release(
             release.t[: k + 1],
             xy[: k + 1],
             np.array([0, k + 1]),
             sigma=release.sigma[: k + 1],
         )
         assert batch.variance[k] == pytest.approx(
-            tracker.batch(alone).variance[-1], rel=1e-9
+            tracker.batch(prefix).variance[-1], rel=1e-9
         )
 
 
@@ -111,11 +110,11 @@ def test_the_gate_is_the_documented_quantile():
 
 
 def nees(*, sigma_off):
-    """NEES of the forecasts where the model is exact, (400, 12), with sigma declared too large."""
+    """NEES of forecasts under the exact model, (400, 12); sigma is off by a factor."""
     release, t_future, future = walks(*[80] * 400, noise_m=0.4, q=0.05)
-    told = replace(release, sigma=release.sigma * sigma_off)
+    declared = replace(release, sigma=release.sigma * sigma_off)
     forecast = KalmanCV(q=0.05, noise="declared", gate=float("inf")).predict(
-        told, t_future
+        declared, t_future
     )
     gap = forecast.mean - future
     return np.einsum("nha,nhab,nhb->nh", gap, np.linalg.inv(forecast.cov), gap)
@@ -150,15 +149,15 @@ def test_only_declared_noise_asks_for_sigma():
 @pytest.mark.parametrize(
     ("law", "noise_m"), [("radial", 0.4), ("isotropic", 0.4 * np.sqrt(2.0))]
 )
-def test_the_declared_std_means_what_the_law_says(law, noise_m):
+def test_the_declared_std_is_read_by_the_law(law, noise_m):
     release, t_future, _ = walks(60, noise_m=0.4)
     # sigma is 0.4 sqrt(2): 0.4 per axis if radial, all of it if isotropic.
-    found = (
+    variance = (
         KalmanCV(noise="declared", law=law).predict(release, t_future).cov[0, 0, 0, 0]
     )
     same = replace(release, sigma=np.full(60, noise_m))
     expected = KalmanCV(noise="declared", law="isotropic").predict(same, t_future)
-    assert found == pytest.approx(expected.cov[0, 0, 0, 0])
+    assert variance == pytest.approx(expected.cov[0, 0, 0, 0])
 
 
 @pytest.mark.parametrize(
@@ -171,7 +170,7 @@ def test_impossible_parameters_are_refused(spec):
         plugins.parse("predictors", spec)
 
 
-def test_who_knows_of_a_slow_error_foresees_better_and_says_how_well():
+def test_knowing_a_slow_error_improves_forecasts_and_their_covariance():
     release, t_future, future = walks(*[150] * 200, noise_m=0.1, q=0.05)
     slow = correlated_errors(
         t=release.t,
@@ -181,24 +180,23 @@ def test_who_knows_of_a_slow_error_foresees_better_and_says_how_well():
         rng=stream(0, "test", "slow"),
     )
     release = replace(release, xy=release.xy + 0.8 * slow)
-    told = KalmanCV(q=0.05, added_std_m=0.8, tau_s=3.0, gate=float("inf"))
-    gap = told.predict(release, t_future).mean - future
-    inverse = np.linalg.inv(told.predict(release, t_future).cov)
+    informed = KalmanCV(q=0.05, added_std_m=0.8, tau_s=3.0, gate=float("inf"))
+    gap = informed.predict(release, t_future).mean - future
+    inverse = np.linalg.inv(informed.predict(release, t_future).cov)
     square = np.einsum("nha,nhab,nhb->nh", gap, inverse, gap)
     low, high = chi2.ppf([0.001, 0.999], 2 * 200) / 200
     assert low < square[:, -1].mean() < high
-    untold = KalmanCV(q=0.05).predict(release, t_future).mean - future
-    assert (gap**2).mean() < 0.85 * (untold**2).mean()
+    plain = KalmanCV(q=0.05).predict(release, t_future).mean - future
+    assert (gap**2).mean() < 0.85 * (plain**2).mean()
 
 
-def test_only_who_is_aware_takes_what_a_mechanism_says():
+def test_only_an_aware_robot_adapts_to_a_mechanism():
     assert KalmanCV().knowing(Offset(1.0)) == KalmanCV()
     knows = KalmanCV(aware=True).knowing(Offset(1.0))
     assert (knows.tau_s, knows.added_std_m) == pytest.approx((np.inf, np.sqrt(0.5)))
     release, t_future, _ = walks(60)
-    # A white error that is added is the least that it reckons with; a little one
-    # changes nothing.
-    robots = [KalmanCV(added_std_m=one) for one in (0.0, 0.01, 2.0)]
-    predicted = [one.predict(release, t_future).mean for one in robots]
+    # The added white error is a lower bound of the noise; a small one changes nothing.
+    robots = [KalmanCV(added_std_m=robot) for robot in (0.0, 0.01, 2.0)]
+    predicted = [robot.predict(release, t_future).mean for robot in robots]
     np.testing.assert_array_equal(predicted[0], predicted[1])
     assert not np.allclose(predicted[0], predicted[2])

@@ -1,4 +1,4 @@
-"""The numbers of the smoke preset on the bundled crowd, held against those that are published."""
+"""Numbers of the smoke preset on the bundled crowd against the published ones."""
 
 import os
 from pathlib import Path
@@ -18,8 +18,7 @@ KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 PART = {
     "mechanisms": ("raw", "fid:1"),
     "tasks": ("handover-2s", "new_traversal"),
-    # Those are for re-releases; with nothing that suits them, they would run in any
-    # task.
+    # Those two are for re-releases. Without a fitting task, they would run in any.
     "attacks": tuple(
         spec
         for spec in PRESETS["smoke"].attacks
@@ -30,7 +29,7 @@ PART = {
 
 
 def test_a_fresh_run_gives_the_published_numbers(tmp_path):
-    """A whole run that an installed wheel finished a moment ago, or here a part of one."""
+    """A whole run of an installed wheel if there is one, else a part of a run."""
     whole = os.environ.get("ISAC_TRACK_SMOKE_RUN")
     out = Path(whole or tmp_path / "run")
     if whole is None:
@@ -48,20 +47,22 @@ def test_a_fresh_run_gives_the_published_numbers(tmp_path):
             (published["mechanism"] == "fid") & (published["level"] == 1)
         )
         published = published[is_run & levels]
-    both = published.merge(
+    merged = published.merge(
         fresh, on=KEY, suffixes=("", "_fresh"), how="outer", indicator=True
     )
-    assert (both["_merge"] == "both").all()
-    assert len(both) > 1700
+    assert (merged["_merge"] == "both").all()
+    assert len(merged) > 1700
     for name in ("value", "ci_low", "ci_high", "n"):
-        found, known = both[f"{name}_fresh"].to_numpy(), both[name].to_numpy()
-        np.testing.assert_allclose(found, known, rtol=1e-9, atol=1e-9, err_msg=name)
+        actual, expected = merged[f"{name}_fresh"].to_numpy(), merged[name].to_numpy()
+        np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9, err_msg=name)
     for name in ("unit", "family", "adding"):
-        assert (both[f"{name}_fresh"] == both[name]).all()
+        assert (merged[f"{name}_fresh"] == merged[name]).all()
 
 
 @pytest.mark.parametrize(
-    "page", ["README.md", *(f"docs/{one.name}" for one in ROOT.glob("docs/*.md"))]
+    "page",
+    [path.relative_to(ROOT).as_posix() for path in ROOT.glob("docs/**/*.md")]
+    + ["README.md"],
 )
 def test_every_result_table_is_what_its_file_gives(page):
     text = (ROOT / page).read_text(encoding="utf-8")

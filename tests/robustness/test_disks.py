@@ -1,4 +1,4 @@
-"""No room, no folder, no lock: one line with the way out, and what is finished is kept."""
+"""No room, no folder, no lock: one line with the way out; finished cells stay."""
 
 import fcntl
 import os
@@ -13,7 +13,7 @@ from helpers.small_runs import write_walks
 pytestmark = pytest.mark.slow
 
 REPORT = ("-c", UNDRAWN[1].replace("matrix", "report"))
-KEPT = "finished cells are kept"
+CELLS_STAY = "finished cells are kept"
 OTHER = "choose another --out"
 
 
@@ -48,11 +48,11 @@ def limit(most_bytes):
 def test_without_room_for_a_file_of_some_size(most_bytes, place, tmp_path):
     out = tmp_path / "run"
     ended = matrix(place, out, preexec_fn=limit(most_bytes))
-    assert_refused(ended, f"cannot write {out}", "File too large", KEPT)
-    kept = {one: one.stat().st_mtime_ns for one in out.glob("cells/*.parquet")}
+    assert_refused(ended, f"cannot write {out}", "File too large", CELLS_STAY)
+    remaining = {item: item.stat().st_mtime_ns for item in out.glob("cells/*.parquet")}
     assert matrix(place, out).code == 0
     assert_same(out, content(place / "undisturbed"))
-    assert all(one.stat().st_mtime_ns == at for one, at in kept.items())
+    assert all(path.stat().st_mtime_ns == at for path, at in remaining.items())
 
 
 def a_file(path):
@@ -90,9 +90,9 @@ NO_FOLDER = {
 }
 
 
-@pytest.mark.parametrize("what", NO_FOLDER)
-def test_where_no_run_can_be(what, place, tmp_path):
-    name, inside, plant, says = NO_FOLDER[what]
+@pytest.mark.parametrize("case", NO_FOLDER)
+def test_where_no_run_can_be(case, place, tmp_path):
+    name, inside, plant, says = NO_FOLDER[case]
     out = tmp_path / name
     if inside not in ("", ".."):
         shutil.copytree(place / "undisturbed", out)
@@ -104,7 +104,8 @@ def test_where_no_run_can_be(what, place, tmp_path):
     ended = matrix(place, out)
     assert_refused(ended, says)
     assert any(
-        way in ended.err for way in (OTHER, KEPT, "--fresh", "elete it", "remove it")
+        way in ended.err
+        for way in (OTHER, CELLS_STAY, "--fresh", "elete it", "remove it")
     ), ended
     assert list((tmp_path / "precious").iterdir()) == []
 

@@ -1,4 +1,4 @@
-"""Downloads that go wrong, by real processes from a real server: whole and right, or not at all."""
+"""Downloads that go wrong, from a real server: whole and right, or not at all."""
 
 import hashlib
 import os
@@ -48,9 +48,9 @@ def files(folder):
     }
 
 
-@pytest.mark.parametrize("what", FAILS)
-def test_a_server_that(what, mirror, fetch, tmp_path):
-    answer, says = FAILS[what]
+@pytest.mark.parametrize("case", FAILS)
+def test_a_server_that(case, mirror, fetch, tmp_path):
+    answer, says = FAILS[case]
     mirror.files["/base/small/obsmat.txt"] = answer
     ended = fetch(timeout_s=MOST_S)
     place = "save in DIR/small and set ISAC_TRACK_DATA=DIR"

@@ -1,4 +1,4 @@
-"""Machines that are set up in other ways: the same bytes, or one line before anything is begun."""
+"""Machines with other settings: the same bytes, or one line before a run begins."""
 
 import os
 import resource
@@ -84,9 +84,9 @@ SAME = {
 }
 
 
-@pytest.mark.parametrize("what", SAME)
-def test_the_same_bytes_with(what, place, tmp_path):
-    ended = matrix(place, tmp_path / "run", changed=SAME[what])
+@pytest.mark.parametrize("case", SAME)
+def test_the_same_bytes_with(case, place, tmp_path):
+    ended = matrix(place, tmp_path / "run", changed=SAME[case])
     assert (ended.code, bool(ended.out)) == (0, True), ended
     assert_same(tmp_path / "run", content(place / "usual"))
 
@@ -113,10 +113,10 @@ PROCESSES = {
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-@pytest.mark.parametrize("what", PROCESSES)
-def test_the_same_bytes_in_a_process_with(what, jobs, place, tmp_path):
+@pytest.mark.parametrize("case", PROCESSES)
+def test_the_same_bytes_in_a_process_with(case, jobs, place, tmp_path):
     out, usual = tmp_path / "run", content(place / "usual")
-    ended = matrix(place, out, "--jobs", jobs, command=UNDRAWN, **PROCESSES[what])
+    ended = matrix(place, out, "--jobs", jobs, command=UNDRAWN, **PROCESSES[case])
     assert ended.code == 0, ended
     assert_same(
         out, {name: held for name, held in usual.items() if "figures/" not in name}

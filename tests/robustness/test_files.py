@@ -1,4 +1,4 @@
-"""Recordings that cannot be read, as the commands are given them: one line, and nothing written."""
+"""Recordings that cannot be read, by commands: one line, and no file written."""
 
 import os
 
@@ -12,7 +12,7 @@ SHOW = ("-m", "isac_track.datasets", "show")
 RUN = ("-m", "evaluation.matrix", "--out", "run", "--dataset")
 
 
-def is_told(folder, command, *words, says):
+def assert_refusal(folder, command, *words, says):
     before = sorted(folder.iterdir())
     assert_refused(run(folder, *command, *words, timeout_s=30), *says)
     assert sorted(folder.iterdir()) == before
@@ -23,7 +23,7 @@ def test_of_such_content(row, tmp_path):
     format_name, data, message, fps = row
     (tmp_path / "f").write_bytes(data)
     rate = () if fps is None else ("--fps", fps)
-    is_told(tmp_path, SHOW, "f", "--format", format_name, *rate, says=[message])
+    assert_refusal(tmp_path, SHOW, "f", "--format", format_name, *rate, says=[message])
 
 
 def a_loop(path):
@@ -65,11 +65,11 @@ PLACES = {
 
 
 @pytest.mark.parametrize("command", [SHOW, RUN], ids=["show", "matrix"])
-@pytest.mark.parametrize("what", PLACES)
-def test_at_such_a_place(what, command, tmp_path):
-    made, words, says = PLACES[what]
+@pytest.mark.parametrize("case", PLACES)
+def test_at_such_a_place(case, command, tmp_path):
+    made, words, says = PLACES[case]
     if isinstance(made, bytes):
         (tmp_path / words[0]).write_bytes(made)
     elif made:
         made(tmp_path / words[0])
-    is_told(tmp_path, command, *words, says=[says])
+    assert_refusal(tmp_path, command, *words, says=[says])

@@ -1,4 +1,4 @@
-"""Thirty ends, five at each moment of a run: the same command continues to the same bytes."""
+"""Thirty ends, five at each moment of a run: the same command gives the same bytes."""
 
 import os
 import signal
@@ -78,22 +78,26 @@ def test_five_ends_when_a_run_has_begun_with(moment, place, undisturbed):
     out = place / moment.replace(" ", "-")
     command, options = words(out, drawn=drawn)
     for kill, sign in KILLS:
-        before = {one: one.stat().st_mtime_ns for one in out.glob(pattern)}
+        before = {item: item.stat().st_mtime_ns for item in out.glob(pattern)}
         if pattern.startswith("cells/") and len(before) >= number:
-            for one in (*before, out / "SHA256SUMS"):  # begin with them once more
-                one.unlink()
+            for item in (*before, out / "SHA256SUMS"):  # begin with them once more
+                item.unlink()
             before = {}
 
         def has_begun(before=before):
-            found = {
-                one: one.stat().st_mtime_ns for one in out.glob(pattern) if one.exists()
+            result = {
+                item: item.stat().st_mtime_ns
+                for item in out.glob(pattern)
+                if item.exists()
             }
             assert process.poll() is None, process.communicate()  # noqa: B023 - of this turn
-            return len(found.items() - before.items()) >= number
+            return len(result.items() - before.items()) >= number
 
         process = start(place, *command, *options, "--jobs", 2)
         wait_for(has_begun, most_s=60)
-        finished = {one: one.stat().st_mtime_ns for one in out.glob("cells/*.parquet")}
+        finished = {
+            item: item.stat().st_mtime_ns for item in out.glob("cells/*.parquet")
+        }
         kill(process.pid, sign)
         began = time.monotonic()
         shown = process.communicate()
@@ -106,4 +110,4 @@ def test_five_ends_when_a_run_has_begun_with(moment, place, undisturbed):
     assert "damaged cell" not in ended.err
     assert_same(out, undisturbed[drawn])
     # What was there is not computed again.
-    assert all(one.stat().st_mtime_ns == at for one, at in finished.items())
+    assert all(path.stat().st_mtime_ns == at for path, at in finished.items())

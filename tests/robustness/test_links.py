@@ -1,4 +1,4 @@
-"""A run folder from a stranger, with links and pipes in it: nothing outside of it is touched.
+"""A run folder from a stranger, with links and pipes: no file outside is touched.
 
 What the links lead to are throw-away files.
 """
@@ -42,7 +42,7 @@ def victim(tmp_path):
     path.write_text("precious")
     yield path
     assert path.read_text() == "precious"
-    assert [one.name for one in path.parent.iterdir()] == [path.name]
+    assert [item.name for item in path.parent.iterdir()] == [path.name]
 
 
 @pytest.mark.parametrize("name", [*REPLACED, *GUESSED])
@@ -89,9 +89,9 @@ def test_what_a_killed_run_left_goes(run):
     left = [
         run / f".{name}.{16 * '0'}.tmp" for name in ("report.html", "manifest.json")
     ]
-    for one in (*left, run / "cells" / left[0].name, run / ".mine.tmp"):
-        one.write_text("half")
+    for item in (*left, run / "cells" / left[0].name, run / ".mine.tmp"):
+        item.write_text("half")
     with locked(run):
-        assert not any(one.exists() for one in left)
+        assert not any(item.exists() for item in left)
         assert not (run / "cells" / left[0].name).exists()
     assert (run / ".mine.tmp").exists()

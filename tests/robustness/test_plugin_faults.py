@@ -1,4 +1,4 @@
-"""Everything that a stranger's predictor can do to a run, in one run: each fails alone, by name."""
+"""All that a stranger's predictor can do to a run, in one run: each fails by name."""
 
 import pandas as pd
 import pytest
@@ -11,7 +11,7 @@ pytestmark = pytest.mark.slow
 LIMIT_S = 6
 DIED, SLOW = "its worker died", f"it ran for longer than {LIMIT_S} s"
 FAR, COVARIANCE = (
-    f"failed: ValueError: a predicted {what}" for what in ("position", "covariance")
+    f"failed: ValueError: a predicted {item}" for item in ("position", "covariance")
 )
 FAULTS = {
     # What it returns, given the mean (2D arrays by track) and the release: why it is
@@ -154,35 +154,31 @@ def matrix(place, *options, command=UNDRAWN, **how):
 
 @pytest.fixture(scope="module")
 def ended(place):
-    """One run with everything in it, and its folder, which is named from where it is started."""
+    """One run with everything in it, and its folder, named from its starting point."""
     named = [f"--predictor=odd:Odd:what={name}" for name in (*FAULTS, *HARMLESS)]
     limits = ("--cell-timeout", LIMIT_S, "--jobs", 2, "--out", "all")
-    found = matrix(place, *named, *limits, command=MATRIX, timeout_s=900)
+    result = matrix(place, *named, *limits, command=MATRIX, timeout_s=900)
     assert matrix(place, "--jobs", 1, "--out", "usual").code == 0
-    return found, place / "all"
+    return result, place / "all"
 
 
 def rows(out, consumer):
-    found = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
-    return (
-        found[found["consumer"] == consumer]
-        .drop(columns="consumer")
-        .to_csv(index=False)
-    )
+    csv = pd.read_csv(out / "summary.csv", dtype=str, keep_default_na=False)
+    return csv[csv["consumer"] == consumer].drop(columns="consumer").to_csv(index=False)
 
 
 def test_the_run_goes_on_and_says_so(ended):
-    found, out = ended
-    assert found.code == 3, found
+    summary, out = ended
+    assert summary.code == 3, summary
     assert (out / "report.html").exists()
-    assert {one.name for one in out.parent.iterdir()} >= {
+    assert {item.name for item in out.parent.iterdir()} >= {
         "all",
         "odd.py",
         "usual",
         "walks.csv",
     }
     failed = pd.read_csv(out / "failed.csv")
-    assert {one.partition("what=")[2] for one in failed["consumer"]} == set(FAULTS)
+    assert {item.partition("what=")[2] for item in failed["consumer"]} == set(FAULTS)
 
 
 @pytest.mark.parametrize("name", FAULTS)
@@ -228,8 +224,8 @@ def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
     usual = pd.read_csv(
         place / "linked" / "summary.csv", dtype=str, keep_default_na=False
     )
-    found = pd.read_csv(place / "odd" / "summary.csv", dtype=str, keep_default_na=False)
-    pd.testing.assert_frame_equal(found[usual.columns], usual)
+    csv = pd.read_csv(place / "odd" / "summary.csv", dtype=str, keep_default_na=False)
+    pd.testing.assert_frame_equal(csv[usual.columns], usual)
 
 
 NAMED_WRONGLY = {

@@ -1,4 +1,4 @@
-"""Plug-ins whose numbers or errors nobody can compute with: each fails alone and by name."""
+"""Plug-ins with unusable numbers or errors: each fails alone and by name."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.recordings import write_csv
-from helpers.small_runs import one_process
+from helpers.small_runs import single_process
 from helpers.walkers import walkers
 
 from evaluation import matrix
@@ -254,7 +254,7 @@ def recording(tmp_path_factory):
 
 @pytest.fixture
 def arguments(recording, tmp_path, monkeypatch):
-    """The words of a command; the module of the plug-ins is there, for workers as well."""
+    """The words of a command; workers have the plug-ins' module as well."""
     (tmp_path / "odd.py").write_text(PLUGINS, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -300,10 +300,10 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
         assert set(own["kind"]) >= {"shared", "predictor", "attack", "linkage"}, spec
         assert own["why"].str.startswith(f"mechanism 'odd:{spec}' {why}").all()
     at_fixed = table[table["spec"] == "fixed:0.7"]
-    told = dict(zip(at_fixed["consumer"], at_fixed["why"], strict=True))
-    assert len(told) == len(PREDICTORS) + len(ATTACKS)
+    message = dict(zip(at_fixed["consumer"], at_fixed["why"], strict=True))
+    assert len(message) == len(PREDICTORS) + len(ATTACKS)
     for spec, why in (PREDICTORS | ATTACKS).items():
-        line = told[f"odd:{spec}"]
+        line = message[f"odd:{spec}"]
         assert f"odd:{spec}" in line
         assert line.startswith(("predictor ", "attack "))
         assert f" {why}" in line
@@ -401,7 +401,7 @@ def test_without_a_command_nobody_knows_whose_ctrl_c_it_was():
         guarded("mine", interrupted)
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_where_nothing_is_left_the_reason_is_one_line(tmp_path, arguments, capsys):
     options = ("--out", tmp_path / "run", "--predictor", "none", *ALONE)
     assert (
@@ -424,8 +424,8 @@ def tried(arguments, name, out, *options):
     few = ["--mechanism", "raw", "--task", "none", "--jobs", 1, "--out", out, *options]
     others = [
         word
-        for one in {"predictor", "attack"} - {axis}
-        for word in (f"--{one}", "none")
+        for item in {"predictor", "attack"} - {axis}
+        for word in (f"--{item}", "none")
     ]
     bad = named(**{axis: [plugin]}) + (
         ["--cell-timeout", 3] if plugin == "Hangs" else []
@@ -438,34 +438,40 @@ def test_what_fails_with_anybody_fails_before_the_run(
     tmp_path, arguments, capsys, name
 ):
     plugin, (says, words), out = name.split()[1], AT_ONCE[name], tmp_path / "run"
-    with nullcontext() if plugin in {"Dies", "Hangs"} else one_process():
+    with nullcontext() if plugin in {"Dies", "Hangs"} else single_process():
         tried(arguments, name, out)
-    (line,) = [one for one in capsys.readouterr().err.splitlines() if "error: " in one]
+    (line,) = [
+        splitline
+        for splitline in capsys.readouterr().err.splitlines()
+        if "error: " in splitline
+    ]
     assert f"odd:{plugin}" in line
     assert says in line
     lines = PLUGINS.splitlines()
-    at = next(number for number, one in enumerate(lines, start=1) if words in one)
+    at = next(number for number, line in enumerate(lines, start=1) if words in line)
     assert f"(odd.py, line {at + words.startswith('class')})" in line
-    assert [one.name for one in out.iterdir()] == ["plugin-error.txt"]
+    assert [item.name for item in out.iterdir()] == ["plugin-error.txt"]
     trace = (out / "plugin-error.txt").read_text()
     assert ("Traceback" in trace) == (plugin not in {"Dies", "Hangs"})
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_it_is_in_nobodys_way(tmp_path, arguments):
     """Neither in that of another run in this folder, nor of one that is there."""
     out = tmp_path / "run"
     tried(arguments, "predictor AtOnce", out)
     good = ("--mechanism", "raw", "--predictor", "least_squares", *ALONE, "--out", out)
     assert matrix.main(arguments(*good)) == 0
-    before = {one: one.read_bytes() for one in out.rglob("*") if one.is_file()}
+    before = {item: item.read_bytes() for item in out.rglob("*") if item.is_file()}
     assert out / "plugin-error.txt" not in before
     tried(arguments, "predictor AtOnce", out, "--fresh")
     (out / "plugin-error.txt").unlink()
-    assert {one: one.read_bytes() for one in out.rglob("*") if one.is_file()} == before
+    assert {
+        item: item.read_bytes() for item in out.rglob("*") if item.is_file()
+    } == before
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_what_is_finished_is_not_tried_again(tmp_path, arguments):
     words = arguments("--out", tmp_path / "run", "--mechanism", "raw", *ALONE)
     words += [*named(predictor=["Counts"]), "--set", "conflict.horizons_s=none"]

@@ -1,4 +1,4 @@
-"""The calibration finds constants that it was not told."""
+"""The calibration recovers planted constants."""
 
 import re
 from dataclasses import asdict
@@ -24,7 +24,7 @@ def blocks(known):
     return links(known, stages=StageSettings(), n_scenes=N_SCENES, seed=0)
 
 
-def targets_of(blocks, settings):
+def make_targets(blocks, settings):
     raw_plr, raw_mel_s = descriptors(blocks, settings=settings, rule=PrivacySettings())
     fid_plr, _ = descriptors(
         blocks, settings=settings, rule=PrivacySettings(), eta=1000.0
@@ -32,15 +32,15 @@ def targets_of(blocks, settings):
     return raw_plr, raw_mel_s, fid_plr
 
 
-def test_planted_constants_are_found_again(blocks):
+def test_planted_constants_are_recovered(blocks):
     planted = SensingSettings(
         processing_gain_db=29.0, large_scale_db=9.0, crb_gap_db=11.0
     )
-    found = fit(blocks, stages=StageSettings(), targets=targets_of(blocks, planted))
+    fitted = fit(blocks, stages=StageSettings(), targets=make_targets(blocks, planted))
     # 250 scenes make the MEL a staircase of about 0.05 dB.
-    assert found.large_scale_db == pytest.approx(9.0, abs=0.1)
-    assert found.crb_gap_db == pytest.approx(11.0, abs=0.1)
-    assert found.processing_gain_db == pytest.approx(29.0, abs=0.15)
+    assert fitted.large_scale_db == pytest.approx(9.0, abs=0.1)
+    assert fitted.crb_gap_db == pytest.approx(11.0, abs=0.1)
+    assert fitted.processing_gain_db == pytest.approx(29.0, abs=0.15)
 
 
 def test_the_short_way_gives_the_numbers_of_the_pipeline(known, blocks):
@@ -75,5 +75,5 @@ def test_the_committed_constants_are_its_output(students03, capsys):
     shown = capsys.readouterr().out
     defaults = asdict(SensingSettings())
     for name in ("processing_gain_db", "large_scale_db", "crb_gap_db"):
-        found = re.search(rf"{name}\W+([0-9.]+)", shown)
-        assert float(found[1]) == pytest.approx(defaults[name], abs=0.011)
+        match = re.search(rf"{name}\W+([0-9.]+)", shown)
+        assert float(match[1]) == pytest.approx(defaults[name], abs=0.011)

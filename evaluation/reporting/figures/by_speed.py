@@ -1,4 +1,4 @@
-"""Whom a slow walk exposes: PLR after attack over net speed, a curve for each level."""
+"""PLR after attack over net speed, a curve for each level."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
@@ -20,7 +20,7 @@ from evaluation.reporting.charts import (
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.lookups import ENDS, family_of
+from evaluation.reporting.lookups import ENDS, find_family
 from evaluation.reporting.names import mechanism_name
 from evaluation.reporting.rows import Results
 from isac_track.intervals import LEAST_CLUSTERS
@@ -33,24 +33,23 @@ _NOTE: Final = (
 
 
 def figures(run: Results) -> Iterator[Figure]:
-    """Yield a panel for each adding rule with noise, of the levels that the run has attacked."""
+    """Yield a panel of the attacked levels for each adding rule with noise."""
     curves = _by_level(run.speeds[run.speeds["knowledge"].fillna("") != ""])
     looks = _looks(run, curves)
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for rule in ADDING_RULES:
-        under = [
-            where for where in curves if rule in family_of(run.families, where[0]).rules
+        wheres = [
+            where
+            for where in curves
+            if rule in find_family(run.families, where[0]).rules
         ]
         drawn = [
             _curve(looks[_name(run, where)], _name(run, where), curves[where])
-            for where in under
+            for where in wheres
         ]
-        if any(where[0] != RAW for where in under):
-            key |= (
-                {}
-                if label_room(drawn)
-                else {curve.label: curve.look for curve in drawn}
-            )
+        if any(where[0] != RAW for where in wheres):
+            if not label_room(drawn):
+                key |= {curve.label: curve.look for curve in drawn}
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
             panels.append((f"{rule} adding", curves_chart(drawn, x=x, y=y)))
     yield Figure(
@@ -66,14 +65,14 @@ def figures(run: Results) -> Iterator[Figure]:
 
 
 def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
-    """Return PLR after attack of the slowest and of the fastest people at the noisiest level."""
+    """Tell attacked PLR of the slowest and fastest people at the noisiest level."""
     added = [where for where in curves if where[0] != RAW]
     if not added:
         return ""
     where = min(added, key=lambda level: curves[level]["value"].mean())
     rows = curves[where].sort_values("speed_mps")
     slow, fast = rows.iloc[0], rows.iloc[-1]
-    name = mechanism_name(family_of(run.families, where[0]), where[1])
+    name = mechanism_name(find_family(run.families, where[0]), where[1])
     return (
         f"With {name}, PLR after attack is {PERCENT * slow['value']:.0f} % at "
         f"{slow['speed_mps']:.1f} m/s and {PERCENT * fast['value']:.0f} % at "
@@ -88,29 +87,31 @@ def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
     places: dict[Where, list[int]] = {}
     for place, where in enumerate(wheres):
         places.setdefault(where, []).append(place)
-    return {where: rows.iloc[some] for where, some in places.items()}
+    return {where: rows.iloc[own] for where, own in places.items()}
 
 
 def _looks(run: Results, wheres: Iterable[Where]) -> dict[str, Look]:
-    """Return what each level looks like under either rule: raw is a star, as everywhere."""
+    """Return the look of each level under both adding rules; raw is a star."""
     names = dict.fromkeys(_name(run, where) for where in wheres if where[0] != RAW)
-    looks = {_name(run, (RAW, None)): Look(LOOKS - 1)} if (RAW, None) in wheres else {}
-    return looks | {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
+    looks = {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
+    raw = {_name(run, (RAW, None)): Look(LOOKS - 1)} if (RAW, None) in wheres else {}
+    return raw | looks
 
 
 def _name(run: Results, where: Where) -> str:
     """Return the plain name of a level, whatever its adding rule."""
-    family = family_of(run.families, where[0])
+    family = find_family(run.families, where[0])
     return mechanism_name(replace(family, mechanism=family.name), where[1])
 
 
 def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:
-    """Return a level over the mean speed of each bin; its name tells both ends."""
+    """Return the curve of a level over the mean speed of each bin.
+
+    Its name tells both ends.
+    """
     rows = rows.sort_values("speed_mps")
-    x, values = (
-        rows["speed_mps"].to_numpy(),
-        PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T,
-    )
+    x = rows["speed_mps"].to_numpy()
+    values = PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
     points = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
     attack = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
     ends = " to ".join(dict.fromkeys(points))

@@ -1,10 +1,10 @@
-"""How soon the conflicts of the scenes come: the share with somebody inside by a time."""
+"""Times of conflicts: the share of conflicts with somebody inside by a time."""
 
 from collections.abc import Iterator
 
 import numpy as np
 
-from evaluation.plan.constants import horizon_of
+from evaluation.plan.constants import world_horizon_s
 from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
@@ -14,7 +14,7 @@ _LOOK, _NOW = Look(0), "k6"
 
 
 def figures(run: Results) -> Iterator[Figure]:
-    """Yield a panel for each horizon; a line across tells who is inside already."""
+    """Yield a panel for each horizon; a line across is the share inside already."""
     if run.conflict_times.empty:
         return
     panels, shares_now = list[tuple[str, Chart]](), list[float]()
@@ -25,7 +25,7 @@ def figures(run: Results) -> Iterator[Figure]:
         curve = Curve(_LOOK, f"{now:.0f} % are inside at step 0", by_s, shares)
         x, y = Axis("time from now (s)"), Axis("conflicts that have begun (%)")
         chart = curves_chart([curve], x=x, y=y, across=[(_NOW, now)])
-        horizon_s = horizon_of(str(dataset).rpartition(":")[2])
+        horizon_s = world_horizon_s(str(dataset).rpartition(":")[2])
         heading = (
             "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"
         )

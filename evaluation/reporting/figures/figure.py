@@ -1,4 +1,7 @@
-"""The figures of a run, panels of charts: a file of this folder with `figures` makes some."""
+"""Figures of a run: panels of charts.
+
+Each file of this folder with a function `figures` makes some.
+"""
 
 import contextlib
 import io
@@ -16,13 +19,14 @@ import numpy as np
 from evaluation.reporting.charts import CHARACTER, INKS, MARKERS, WIDTH, Chart, Look
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import Results
-from evaluation.reporting.table import printable, shortened
+from evaluation.reporting.table import printable, shorten_name
 from evaluation.store.files import write_whole
 
 _TOP, _LEFT, _HEADING, _GAP = 26.0, 10.0, 16.0, 14.0
-_LINE: Final = 14.0  # Of the caption and the note.
-_TEXT_CHARACTER: Final = 5.3  # How wide a character of these is, on average.
-_PRINTED: Final[dict[str, dict[str, Any]]] = {  # What `chart.css` says of each class.
+_LINE: Final = 14.0  # Height of a line of the caption and the note.
+_TEXT_CHARACTER: Final = 5.3  # Mean width of a character of these lines.
+# The style of each class in `chart.css`, for PDF.
+_PRINTED: Final[dict[str, dict[str, Any]]] = {
     "grid": {"color": "#d9dce0", "linewidth": 0.6},
     "bar": {"linewidth": 1.1, "alpha": 0.55},
     "curve": {"linewidth": 0.8, "alpha": 0.5},
@@ -42,68 +46,74 @@ class Figure:
     title: str
     panels: Sequence[tuple[str, Chart]]  # Heading and chart, row by row.
     columns: int
-    key: Mapping[
-        str, Look
-    ]  # What each mark is of, where no label beside a curve says so.
-    caption: str = ""  # What its numbers say: a sentence.
+    # Text and look of each mark that has no label beside a curve.
+    key: Mapping[str, Look]
+    caption: str = ""  # The finding, in a sentence.
     note: str = ""  # How to read it.
 
 
 class Layout(NamedTuple):
-    """Where everything of a figure stands."""
+    """Positions of all parts of a figure, px."""
 
     width: float
     height: float
     lines: list[tuple[float, str]]  # Height and words of the caption and the note.
     panels: list[tuple[float, float, str, Chart]]  # Left, top, heading and chart.
-    key: list[tuple[float, float, str, Look]]  # Middle of each mark, and what it is of.
+    key: list[tuple[float, float, str, Look]]  # Middle, text and look of each mark.
 
 
-def figures_of(run: Results) -> list[Figure]:
-    """Return the figures of a run that have a panel, of every file of this folder."""
+def make_figures(run: Results) -> list[Figure]:
+    """Make the figures of a run with all files of this folder, but empty ones."""
     folder = __name__.rpartition(".")[0]
-    names = [one.name for one in iter_modules(import_module(folder).__path__)]
+    names = [module.name for module in iter_modules(import_module(folder).__path__)]
     modules = [import_module(f"{folder}.{name}") for name in names]
-    every = (one for of in modules if hasattr(of, "figures") for one in of.figures(run))
-    return [one for one in every if one.panels]
+    return [
+        figure
+        for module in modules
+        if hasattr(module, "figures")
+        for figure in module.figures(run)
+        if figure.panels
+    ]
 
 
 def write(figures: Iterable[Figure], *, folder: Path, dataset: str, pdf: bool) -> None:
-    """Write every figure of a data set as SVG, with `pdf` as PDF, too. DataError if that fails."""
+    """Write figures of a data set as SVG, and as PDF if wanted.
+
+    Raises DataError if a file cannot be written.
+    """
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     template = HTML.get_template("figure.svg.j2")
-    for of in figures:
-        one = replace(
-            of, title=printable(f"{shortened(dataset, room=_ROOM)}: {of.title}")
-        )
-        text = template.render(of=one, at=_layout(one))
-        write_whole(folder / f"{one.name}.svg", text.encode())
+    heading = shorten_name(dataset, room=_ROOM)
+    for figure in figures:
+        titled = replace(figure, title=printable(f"{heading}: {figure.title}"))
+        text = template.render(figure=titled, layout=_layout(titled))
+        write_whole(folder / f"{titled.name}.svg", text.encode())
         if pdf:
-            write_whole(folder / f"{one.name}.pdf", _printed(one))
+            write_whole(folder / f"{titled.name}.pdf", _printed(titled))
 
 
-def _layout(of: Figure) -> Layout:
-    columns = min(of.columns, len(of.panels))
+def _layout(figure: Figure) -> Layout:
+    columns = min(figure.columns, len(figure.panels))
     width, top, panels = columns * (WIDTH + _GAP), _TOP, []
     lines = list[tuple[float, str]]()
-    for text in _wrapped(of.caption, width):
+    for text in _wrapped(figure.caption, width):
         lines.append((top + 4.0, text))
         top += _LINE
-    for start in range(0, len(of.panels), of.columns):
-        row = of.panels[start : start + of.columns]
+    for start in range(0, len(figure.panels), figure.columns):
+        row = figure.panels[start : start + figure.columns]
         for place, (heading, chart) in enumerate(row):
             panels.append((place * (WIDTH + _GAP), top + _HEADING, heading, chart))
         top += _HEADING + max(chart.height for _, chart in row) + _GAP
     key, x = [], _LEFT
-    for name, look in of.key.items():
+    for name, look in figure.key.items():
         needed = CHARACTER * len(name) + 26.0
         if x > _LEFT and x + needed > width:
             x, top = _LEFT, top + 15.0
         key.append((x, top, name, look))
         x += needed
     top += _LINE if key else 0.0
-    for text in _wrapped(of.note, width):
+    for text in _wrapped(figure.note, width):
         lines.append((top, text))
         top += _LINE
     return Layout(width, top + 4.0, lines, panels, key)
@@ -114,66 +124,60 @@ def _wrapped(text: str, width: float) -> list[str]:
     return textwrap.wrap(text, int((width - 2 * _LEFT) / _TEXT_CHARACTER))
 
 
-def _printed(of: Figure) -> bytes:
-    """Return a figure as PDF, the same bytes each time, whatever the user's own settings are."""
+def _printed(figure: Figure) -> bytes:
+    """Return a figure as PDF, the same bytes whatever the user's settings."""
     import matplotlib as mpl  # noqa: PLC0415 - slow to import, and seldom needed
     from matplotlib.figure import Figure as Page  # noqa: PLC0415 - as said
 
-    at = _layout(of)
+    layout = _layout(figure)
     usual = mpl.rcParamsDefault | {"text.parse_math": False}
     with mpl.rc_context(usual), warnings.catch_warnings():
         # A data set may be named in a script that the bundled font lacks.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        page = Page(figsize=(at.width / 72.0, at.height / 72.0))
+        page = Page(figsize=(layout.width / 72.0, layout.height / 72.0))
         ax = page.add_axes(
-            (0.0, 0.0, 1.0, 1.0), xlim=(0.0, at.width), ylim=(at.height, 0.0)
+            (0.0, 0.0, 1.0, 1.0), xlim=(0.0, layout.width), ylim=(layout.height, 0.0)
         )
         ax.set_axis_off()
-        ax.text(8.0, 16.0, of.title, fontsize=11.0, weight="bold")
-        for left, top, heading, chart in at.panels:
+        ax.text(8.0, 16.0, figure.title, fontsize=11.0, weight="bold")
+        for left, top, heading, chart in layout.panels:
             ax.text(left + 8.0, top - 4.0, heading, fontsize=9.5, weight="bold")
-            for x, y, kind, text in chart.texts:
-                ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
-            middle = top + 0.5 * chart.bottom
-            ax.text(
-                left + 10.0,
-                middle,
-                chart.y_label,
-                fontsize=8.5,
-                rotation=90,
-                va="center",
-            )
-            for css, strokes in [("grid", chart.grid), *chart.lines]:
-                kind, _, colour = css.partition(" k")
-                ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
-                for line in strokes:
-                    ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
-            for look, places, _ in chart.marks:
-                for x, y in places:
-                    _mark(ax, left + x, top + y, look)
-            for label in chart.labels:
-                _mark(ax, left + label.x, top + label.y, label.look)
-                ax.text(
-                    left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5
-                )
-        for y, text in at.lines:
+            _print_chart(ax, chart, left, top)
+        for y, text in layout.lines:
             ax.text(8.0, y, text, fontsize=8.5)
-        for x, y, name, look in at.key:
+        for x, y, name, look in layout.key:
             _mark(ax, x, y, look)
             ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
-        sink, dated = (
-            io.BytesIO(),
-            dict.fromkeys(("CreationDate", "Creator", "Producer")),
-        )
-        page.savefig(sink, format="pdf", metadata=dated)
+        sink = io.BytesIO()
+        undated = dict.fromkeys(("CreationDate", "Creator", "Producer"))
+        page.savefig(sink, format="pdf", metadata=undated)
     return sink.getvalue()
 
 
-def _mark(ax: Any, x: float, y: float, of: Look) -> None:  # noqa: ANN401 - matplotlib's axes
-    ink = INKS[of.place]
-    look = {
+def _print_chart(ax: Any, chart: Chart, left: float, top: float) -> None:  # noqa: ANN401 - matplotlib's axes
+    """Draw a chart with its upper left corner at a place, as the page does in SVG."""
+    for x, y, kind, text in chart.texts:
+        ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
+    middle = top + 0.5 * chart.bottom
+    ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
+    for css, strokes in [("grid", chart.grid), *chart.lines]:
+        kind, _, colour = css.partition(" k")
+        ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
+        for line in strokes:
+            ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
+    for look, places, _ in chart.marks:
+        for x, y in places:
+            _mark(ax, left + x, top + y, look)
+    for label in chart.labels:
+        _mark(ax, left + label.x, top + label.y, label.look)
+        ax.text(left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5)
+
+
+def _mark(ax: Any, x: float, y: float, look: Look) -> None:  # noqa: ANN401 - matplotlib's axes
+    ink = INKS[look.place]
+    style = {
         "color": ink,
-        "markerfacecolor": "white" if of.hollow else ink,
+        "markerfacecolor": "white" if look.hollow else ink,
         "markersize": 5.0,
     }
-    ax.plot([x], [y], MARKERS[of.shape], **look)
+    ax.plot([x], [y], MARKERS[look.shape], **style)

@@ -1,4 +1,4 @@
-"""What is left at a price: attacked PLR of every family where missed conflicts rise by a target."""
+"""PLR after attack at a price: families at equal rises of missed conflicts."""
 
 from collections.abc import Iterator, Sequence
 from typing import Final
@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.frontier import VALUE, WHITE, usual_price
-from evaluation.estimates.keys import AS_SHARED, Source, rows_of
+from evaluation.estimates.keys import AS_SHARED, Source, row_dicts
 from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.presets import BASELINE
@@ -24,7 +24,7 @@ from evaluation.reporting.charts import (
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.lookups import family_of
+from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import (
     INDEPENDENT_NOTE,
     family_name,
@@ -35,7 +35,7 @@ from evaluation.reporting.names import (
 from evaluation.reporting.rows import Results
 
 _LEAST_POINTS: Final = 2
-_TELLING: Final = 0.05  # Rise of missed conflicts that the caption is about.
+_CAPTION_RISE: Final = 0.05  # Rise of missed conflicts in the caption.
 _MOST: Final = LOOKS - 1  # Families of a panel beside white noise.
 
 
@@ -51,12 +51,12 @@ def figures(run: Results) -> Iterator[Figure]:
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for robot, known in rows.groupby("robot", sort=False):
         for start in range(0, max(len(names), 1), _MOST):
-            which = f", {start // _MOST + 1}" if len(names) > _MOST else ""
+            part = f", {start // _MOST + 1}" if len(names) > _MOST else ""
             # A mechanism looks the same for every robot.
             shown = [WHITE, *names[start : start + _MOST]]
             chart = _panel(run, known, shown, key)
             if chart:
-                panels.append((f"robot: {robot_name(str(robot))}{which}", chart))
+                panels.append((f"robot: {robot_name(str(robot))}{part}", chart))
     yield Figure(
         name="frontier",
         section="plane",
@@ -73,7 +73,7 @@ def figures(run: Results) -> Iterator[Figure]:
 
 
 def _mechanisms(rows: pd.DataFrame) -> list[str]:
-    """Return the mechanisms with enough points for a line with some robot, without white noise."""
+    """Return the mechanisms with enough points for a line, without white noise."""
     counts = rows.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
     lines = counts[counts >= _LEAST_POINTS].index.get_level_values("mechanism")
     return [str(name) for name in dict.fromkeys(lines) if name != WHITE]
@@ -82,16 +82,17 @@ def _mechanisms(rows: pd.DataFrame) -> list[str]:
 def _panel(
     run: Results, rows: pd.DataFrame, names: Sequence[str], key: dict[str, Look]
 ) -> Chart | None:
-    """Return the chart of some mechanisms; None without any. `key` gets what has no label."""
+    """Return the chart of some mechanisms; None without any.
+
+    `key` gets the curves for which there is no room to label them.
+    """
     parts = {str(name): part for name, part in rows.groupby("mechanism", sort=False)}
     curves, marked = list[Curve](), list[Mark]()
     for place, name in enumerate(names):
         if name in parts:
-            title = (
-                "white"
-                if name == WHITE
-                else short_family_name(family_of(run.families, name))
-            )
+            title = "white"
+            if name != WHITE:
+                title = short_family_name(find_family(run.families, name))
             curve, marks = _drawn(parts[name], title, Look(place))
             curves.append(curve)
             marked += marks
@@ -104,18 +105,18 @@ def _panel(
 
 
 def _caption(run: Results, rows: pd.DataFrame) -> str:
-    """Return which mechanism has the lowest PLR where misses of a robot rise by 5 points."""
+    """Return the mechanism with the lowest PLR where a robot misses 5 points more."""
     usual = rows[
-        rows["knowledge"].isin(HEADLINE) & np.isclose(rows["target"], _TELLING)
+        rows["knowledge"].isin(HEADLINE) & np.isclose(rows["target"], _CAPTION_RISE)
     ]
     usual = usual[usual["robot"] == usual["robot"].iloc[0]] if len(usual) else usual
     if usual.empty:
         return ""
     best = usual.sort_values("value", kind="stable").iloc[0]
-    name = family_name(family_of(run.families, str(best["mechanism"])))
+    name = family_name(find_family(run.families, str(best["mechanism"])))
     text = (
-        f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _TELLING:g} points"
-        f" more, {name} has the lowest PLR after attack:"
+        f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _CAPTION_RISE:g}"
+        f" points more, {name} has the lowest PLR after attack:"
         f" {PERCENT * best['value']:.0f} %"
     )
     white = usual.loc[usual["mechanism"] == WHITE, "value"]
@@ -124,16 +125,17 @@ def _caption(run: Results, rows: pd.DataFrame) -> str:
 
 
 def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark]]:
-    """Return the line of a family, and a hollow mark for what an adversary gets beyond it."""
+    """Return the line of a family, and a hollow mark for each adversary beyond it."""
     is_usual, marks = rows["knowledge"].isin(HEADLINE), list[Mark]()
-    of = rows[is_usual]
-    ends = of[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
-    x = of["target"].to_numpy(dtype=np.float64) * PERCENT
+    usual = rows[is_usual]
+    values = usual[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
+    x = usual["target"].to_numpy(dtype=np.float64) * PERCENT
     points = ", ".join(
-        f"{y:.0f} % at +{at:g}" for at, y in zip(x, ends[0], strict=True)
+        f"{value:.0f} % at +{rise:g}" for rise, value in zip(x, values[0], strict=True)
     )
-    for one in rows_of(rows[~is_usual]):
-        at, value = PERCENT * one["target"], PERCENT * one["value"]
-        who = f"{title}, after {Source(one['consumer'], one['knowledge']).label}"
-        marks.append((look._replace(hollow=True), at, value, f"{who}: {value:.0f} %"))
-    return Curve(look, f"{title}: {points}", x, ends, title), marks
+    for row in row_dicts(rows[~is_usual]):
+        rise, value = PERCENT * row["target"], PERCENT * row["value"]
+        attack = Source(row["consumer"], row["knowledge"]).label
+        name = f"{title}, after {attack}: {value:.0f} %"
+        marks.append(Mark(look._replace(hollow=True), rise, value, name))
+    return Curve(look, f"{title}: {points}", x, values, title), marks

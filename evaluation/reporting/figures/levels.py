@@ -1,4 +1,4 @@
-"""Figures over the level: missed conflicts and descriptors as shared, and PLR after each attack."""
+"""Figures over the level: missed conflicts, descriptors as shared, attacked PLR."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -16,7 +16,6 @@ from evaluation.estimates.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
-from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import (
     LOOKS,
     PERCENT,
@@ -31,7 +30,8 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import attack_name, robot_name, robot_subject
-from evaluation.reporting.result_tables import after_attack, sources_of
+from evaluation.reporting.result_tables import after_attack, list_sources
+from evaluation.reporting.rows import Results, Scheme, schemes, source_rows
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80  # Of a file's name.
@@ -49,33 +49,34 @@ _PANELS = {
 
 
 class _Series(NamedTuple):
-    """A metric of somebody: rows have mechanism, level, value and both ends."""
+    """A metric of a consumer."""
 
     label: str
     look: Look
-    rows: pd.DataFrame
+    rows: pd.DataFrame  # Columns mechanism, level, value and both ends.
     metric: str
 
-    def of(self, mechanism: str) -> list[float]:
-        """Return what it is where a mechanism has no level, as it is shown."""
-        found = self.rows.loc[self.rows["mechanism"] == mechanism, "value"]
-        return [METRICS[self.metric].scale * one for one in found if np.isfinite(one)]
+    def values_at(self, mechanism: str) -> list[float]:
+        """Return the finite values of a mechanism in the units of the axis."""
+        values = self.rows.loc[self.rows["mechanism"] == mechanism, "value"]
+        scale = METRICS[self.metric].scale
+        return [scale * value for value in values if np.isfinite(value)]
 
 
-def figures(run: picked.Results) -> Iterator[Figure]:
+def figures(run: Results) -> Iterator[Figure]:
     """Yield the figure of the attacks, and one for each swept mechanism."""
     yield from _attacked(run)
     names: list[str] = []
-    for swept, of in groupby(picked.schemes(run.ours), key=attrgetter("name")):
-        known = list(of)
+    for swept, group in groupby(schemes(run.ours), key=attrgetter("name")):
+        rules = list(group)
         plain = f"sweep-{re.sub(r'[^A-Za-z0-9=.-]+', '_', swept)[:_MOST_CHARACTERS]}"
         name = _FILES.get(swept, plain)
-        names.append(f"{name}-{known[0].place}" if name in names else name)
-        yield _sweep(run, known, name=names[-1])
+        names.append(f"{name}-{rules[0].place}" if name in names else name)
+        yield _sweep(run, rules, name=names[-1])
 
 
 def _panel(
-    scheme: picked.Scheme,
+    scheme: Scheme,
     series: Sequence[_Series],
     key: dict[str, Look],
     *,
@@ -83,20 +84,23 @@ def _panel(
     across: Sequence[tuple[str, float]] = (),
     marked: Sequence[Mark] = (),
 ) -> Iterator[tuple[str, Chart]]:
-    """Yield a panel over the levels of a scheme, its curves named by their ends; none without."""
+    """Yield a panel over the levels of a scheme, its curves named by their ends.
+
+    There is no panel without a curve.
+    """
     curves = []
-    for label, look, every, metric in series:
-        shown, rows = METRICS[metric], scheme.of(every[np.isfinite(every["value"])])
-        values = shown.scale * rows[ENDS].to_numpy(dtype=np.float64).T
-        pairs = zip(values[0], rows["level"], strict=True)
-        ends = [
-            f"{one:.{shown.digits}f} {shown.unit} at {scheme.at(at)}"
-            for one, at in pairs
+    for label, look, frame, metric in series:
+        style = METRICS[metric]
+        rows = scheme.select_rows(frame[np.isfinite(frame["value"])])
+        values = style.scale * rows[ENDS].to_numpy(dtype=np.float64).T
+        points = [
+            f"{value:.{style.digits}f} {style.unit} at {scheme.describe_level(level)}"
+            for value, level in zip(values[0], rows["level"], strict=True)
         ]
-        if ends:
-            told = " to ".join(dict.fromkeys([ends[0], ends[-1]]))
+        if points:
+            ends = " to ".join(dict.fromkeys([points[0], points[-1]]))
             x = rows["level"].to_numpy(dtype=np.float64)
-            curves.append(Curve(look, f"{label}: {told}", x, values, label))
+            curves.append(Curve(look, f"{label}: {ends}", x, values, label))
     if curves:
         if not label_room(curves):
             key |= {curve.label: curve.look for curve in curves}
@@ -107,58 +111,84 @@ def _panel(
             key["paper (raw at the edge)"] = _PAPER_LOOK
 
 
-def _raw(series: Sequence[_Series]) -> list[tuple[str, float]]:
-    return [(f"k{one.look.place}", value) for one in series for value in one.of(RAW)]
+def _raw_lines(series: Sequence[_Series]) -> list[tuple[str, float]]:
+    """Return a line across for each raw value: its class and its height."""
+    return [
+        (f"k{part.look.place}", value)
+        for part in series
+        for value in part.values_at(RAW)
+    ]
 
 
-def _sweep(run: picked.Results, known: Sequence[picked.Scheme], *, name: str) -> Figure:
-    """Return the figure of a swept mechanism: a column for each adding rule, a row an axis."""
+def _sweep(run: Results, rules: Sequence[Scheme], *, name: str) -> Figure:
+    """Return the figure of a swept mechanism: a column a rule, a row an axis."""
     ours = run.ours[~is_attack(run.ours)]
-    of = ours.set_index(["consumer", "metric"], drop=False).sort_index(kind="stable")
-    predictors = ours.loc[ours["metric"] == MISSED_RATE, "consumer"].unique()[
-        : LOOKS - 2
-    ]
-    looks = {(one, MISSED_RATE): Look(place) for place, one in enumerate(predictors)}
-    looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
-    series = [
-        _Series(_sweep_label(*at), look, of[of.index == at], at[1])
-        for at, look in looks.items()
-    ]
+    series = _sweep_series(ours)
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for label, metrics in _PANELS.items():
-        some = [one for one in series if one.metric in metrics]
-        papers = {
-            one.metric
-            for one in some
-            if one.metric != MISSED_RATE or one.label == robot_name(PREDICTOR)
-        }
-        of_paper = [one for one in metrics if one in papers and run.dataset == DATASET]
-        for scheme in known:
-            marked = [mark for one in of_paper for mark in _papers(one, scheme)]
-            y = Axis(label, label.endswith("(s)"))
-            panels += _panel(scheme, some, key, y=y, across=_raw(some), marked=marked)
+        drawn = [part for part in series if part.metric in metrics]
+        published = _published_metrics(drawn) if run.dataset == DATASET else set()
+        for scheme in rules:
+            marked = [
+                mark
+                for metric in metrics
+                if metric in published
+                for mark in _paper_marks(metric, scheme)
+            ]
+            y, across = Axis(label, label.endswith("(s)")), _raw_lines(drawn)
+            panels += _panel(scheme, drawn, key, y=y, across=across, marked=marked)
     return Figure(
         name=name,
         section="figures",
-        title=f"Missed conflicts, PLR and exposure over the level: {known[0].title}",
+        title=f"Missed conflicts, PLR and exposure over the level: {rules[0].title}",
         panels=panels,
-        columns=len(known),
+        columns=len(rules),
         key=key,
-        caption=_sweep_caption(known[0], ours),
+        caption=_sweep_caption(rules[0], ours),
         note="Dashed: raw positions.",
     )
 
 
+def _sweep_series(rows: pd.DataFrame) -> list[_Series]:
+    """Return missed conflicts of each robot, then the descriptors as shared."""
+    by_measure = rows.set_index(["consumer", "metric"], drop=False)
+    by_measure = by_measure.sort_index(kind="stable")
+    robots = rows.loc[rows["metric"] == MISSED_RATE, "consumer"].unique()
+    looks = {
+        (robot, MISSED_RATE): Look(place)
+        for place, robot in enumerate(robots[: LOOKS - 2])
+    }
+    looks |= {(SHARED, metric): look for metric, look in _SHARED_LOOKS.items()}
+    return [
+        _Series(
+            label=_sweep_label(consumer, metric),
+            look=look,
+            rows=by_measure[by_measure.index == (consumer, metric)],
+            metric=metric,
+        )
+        for (consumer, metric), look in looks.items()
+    ]
+
+
+def _published_metrics(series: Sequence[_Series]) -> set[str]:
+    """Return the metrics of some series for which the paper has numbers."""
+    return {
+        part.metric
+        for part in series
+        if part.metric != MISSED_RATE or part.label == robot_name(PREDICTOR)
+    }
+
+
 def _sweep_label(consumer: str, metric: str) -> str:
-    """Return what a curve of a sweep is called."""
+    """Return the name of a curve of a sweep."""
     return METRICS[metric].head if consumer == SHARED else robot_name(consumer)
 
 
-def _sweep_caption(scheme: picked.Scheme, rows: pd.DataFrame) -> str:
-    """Return missed conflicts of the first robot and PLR as shared at both ends of a sweep."""
+def _sweep_caption(scheme: Scheme, rows: pd.DataFrame) -> str:
+    """Tell missed conflicts of the first robot and PLR as shared at a sweep's ends."""
     known = rows[np.isfinite(rows["value"])]
     robot = next(iter(known.loc[known["metric"] == MISSED_RATE, "consumer"]), "")
-    shown, parts = scheme.of(known), list[str]()
+    shown, parts = scheme.select_rows(known), list[str]()
     missed = shown[(shown["metric"] == MISSED_RATE) & (shown["consumer"] == robot)]
     if len(missed):
         ends = _ends(missed["value"])
@@ -168,7 +198,7 @@ def _sweep_caption(scheme: picked.Scheme, rows: pd.DataFrame) -> str:
         parts.append(f"PLR as shared is {_ends(exposed['value'])}")
     if not parts:
         return ""
-    low, high = (scheme.at(shown["level"].iloc[place]) for place in (0, -1))
+    low, high = (scheme.describe_level(shown["level"].iloc[place]) for place in (0, -1))
     return f"From {low} to {high}, {'. '.join(parts)}."
 
 
@@ -177,46 +207,52 @@ def _ends(values: "pd.Series[float]") -> str:
     return f"{PERCENT * values.iloc[0]:.0f} % to {PERCENT * values.iloc[-1]:.0f} %"
 
 
-def _papers(metric: str, scheme: picked.Scheme) -> list[Mark]:
-    """Return the paper's numbers; raw, which has no level, goes to the edge next to it."""
+def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:
+    """Return the paper's numbers; raw, without a level, is at the edge next to it."""
     if scheme.name not in _FILES or "linear" not in scheme.rules:
         return []
-    edge, shown, marks = np.inf if scheme.log else 0.0, METRICS[metric], []
-    for mechanism, at, of, share in PUBLISHED:
-        if of == metric and mechanism in (RAW, scheme.name):
-            x, where = (edge, "raw") if at is None else (at, scheme.at(at))
-            y = share * shown.scale
-            name = f"paper: {shown.head} {y:.4g} {shown.unit} at {where}"
-            marks.append((_PAPER_LOOK, x, y, name))
+    edge, style, marks = np.inf if scheme.log else 0.0, METRICS[metric], []
+    for mechanism, level, published_metric, share in PUBLISHED:
+        if published_metric == metric and mechanism in (RAW, scheme.name):
+            x, place = edge, "raw"
+            if level is not None:
+                x, place = level, scheme.describe_level(level)
+            y = share * style.scale
+            name = f"paper: {style.head} {y:.4g} {style.unit} at {place}"
+            marks.append(Mark(_PAPER_LOOK, x, y, name))
     return marks
 
 
-def _attacked(run: picked.Results) -> Iterator[Figure]:
-    """Yield PLR over the level, as shared and after each attack; hollow if the oracle's alone."""
+def _attacked(run: Results) -> Iterator[Figure]:
+    """Yield PLR over the level, as shared and after each attack.
+
+    An attack that only the oracle can run is hollow.
+    """
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == EXPOSURE]
     chosen = [
         source
-        for source in most_knowing(sources_of(rows))
+        for source in most_knowing(list_sources(rows))
         if source.consumer != IDENTITY
     ]
     oracle = [source for source in chosen if source.knowledge == ORACLE]
     others = [source for source in chosen if source.knowledge and source not in oracle]
     looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
-    looks |= {of: Look(place) for place, of in enumerate(others[: LOOKS - 1])}
+    looks |= {source: Look(place) for place, source in enumerate(others[: LOOKS - 1])}
     looks |= {
-        of: Look(place, hollow=True) for place, of in enumerate(oracle[: LOOKS - 1])
+        source: Look(place, hollow=True)
+        for place, source in enumerate(oracle[: LOOKS - 1])
     }
     if not looks.keys() - {AS_SHARED}:
         return
     series = [
-        _Series(_label(of), look, found, EXPOSURE)
-        for of, look in looks.items()
-        if len(found := picked.of_source(rows, of))
+        _Series(_label(source), look, source_rows(rows, source), EXPOSURE)
+        for source, look in looks.items()
     ]
-    across = _raw([one for one in series if one.label == "as shared"])
+    series = [part for part in series if len(part.rows)]
+    across = _raw_lines([part for part in series if part.label == "as shared"])
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
-    for scheme in picked.schemes(rows):
+    for scheme in schemes(rows):
         panels += _panel(
             scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across
         )
@@ -233,31 +269,34 @@ def _attacked(run: picked.Results) -> Iterator[Figure]:
 
 
 def _label(source: Source) -> str:
-    """Return what positions are called: as shared, or the attack and the adversary."""
+    """Return the name of positions: as shared, or the attack and the adversary."""
     if source == AS_SHARED:
         return "as shared"
     return f"{attack_name(source.consumer)} ({source.knowledge})"
 
 
 def _rise(series: Sequence[_Series]) -> str:
-    """Return by how many points of PLR the best attack of each level exceeds what was shared.
+    """Tell how many points of PLR the best attack adds to the shared positions.
 
     The oracle does not count.
     """
-    shared = [one.rows for one in series if one.label == _label(AS_SHARED)]
+    shared = [part.rows for part in series if part.label == _label(AS_SHARED)]
     attacked = [
-        one.rows for one in series if not one.look.hollow and one.label != "as shared"
+        part.rows
+        for part in series
+        if not part.look.hollow and part.label != "as shared"
     ]
     if not (shared and attacked):
         return ""
-    at = ["mechanism", "level"]
-    best = pd.concat(attacked).groupby(at, sort=False)["value"].max()
-    rises = PERCENT * (best - shared[0].groupby(at, sort=False)["value"].max()).dropna()
+    keys = ["mechanism", "level"]
+    best = pd.concat(attacked).groupby(keys, sort=False)["value"].max()
+    as_shared = shared[0].groupby(keys, sort=False)["value"].max()
+    rises = PERCENT * (best - as_shared).dropna()
     if rises.empty:
         return ""
     low, high = rises.min(), rises.max()
-    change = (
-        f"raises PLR by {low:.0f} to" if low > 0 else f"changes PLR by {low:+.0f} to"
-    )
-    end = f"{high:.0f}" if low > 0 else f"{high:+.0f}"
-    return f"The strongest attack {change} {end} points at the levels drawn."
+    if low > 0:
+        change = f"raises PLR by {low:.0f} to {high:.0f}"
+    else:
+        change = f"changes PLR by {low:+.0f} to {high:+.0f}"
+    return f"The strongest attack {change} points at the levels drawn."

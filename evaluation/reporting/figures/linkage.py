@@ -1,4 +1,4 @@
-"""Re-identified people over the level: a row of panels for each kind of linkage task."""
+"""Re-identified people over the level: a row of panels for each kind of task."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -10,7 +10,7 @@ import pandas as pd
 from evaluation.estimates.families import RAW
 from evaluation.estimates.keys import Source
 from evaluation.estimates.linkability import LinkedTask
-from evaluation.reporting.amounts import sentence_case, whole
+from evaluation.reporting.amounts import round_percent, sentence_case
 from evaluation.reporting.charts import (
     PERCENT,
     Axis,
@@ -41,15 +41,13 @@ class _Linked(NamedTuple):
     """A linkage task by the strongest attack on it."""
 
     task: str
-    rows: (
-        pd.DataFrame
-    )  # Columns mechanism, level, value, ci_low, ci_high, chance: fractions.
+    # Columns mechanism, level, value, ci_low, ci_high, chance: fractions.
+    rows: pd.DataFrame
 
     def at_raw(self) -> list[float]:
         """Return rank 1 of raw positions in %; empty where it is not known."""
-        return (
-            PERCENT * self.rows.loc[self.rows["mechanism"] == RAW, "value"]
-        ).to_list()
+        raw = self.rows.loc[self.rows["mechanism"] == RAW, "value"]
+        return (PERCENT * raw).to_list()
 
     def chance(self) -> list[float]:
         """Return rank 1 of a random guess in %; empty where it is not known."""
@@ -71,11 +69,8 @@ def figures(run: Results) -> Iterator[Figure]:
                 x = Axis(rules[0].label, rules[0].log)
                 chart = curves_chart(curves, x=x, y=_AXIS, across=across)
                 panels.append((f"{rules[0].title}: {title}", chart))
-                key |= (
-                    {}
-                    if label_room(curves)
-                    else {one.label: one.look for one in curves}
-                )
+                if not label_room(curves):
+                    key |= {curve.label: curve.look for curve in curves}
     note = (
         "Hollow, *: noise independent of the sensing error. Dashed: raw positions;"
         " black: chance."
@@ -89,13 +84,15 @@ def figures(run: Results) -> Iterator[Figure]:
         panels=panels,
         columns=2,
         key=key,
-        caption=_caption(list(tasks.values()), [x for x in swept if x.name in shown]),
+        caption=_caption(
+            list(tasks.values()), [scheme for scheme in swept if scheme.name in shown]
+        ),
         note=note,
     )
 
 
 def _strongest(run: Results, task: LinkedTask) -> _Linked:
-    """Return a task by the run's strongest attack on it, or else by the best on average."""
+    """Return a task by the run's strongest attack, else by the best on average."""
     rows = {source: _rank1_rows(task, source) for source in task.attacks}
     named = run.strongest.get(task.name)
     if named in rows:
@@ -118,12 +115,12 @@ def _kinds(tasks: Iterable[str]) -> dict[str, list[str]]:
 def _drawn(
     tasks: Sequence[_Linked], rules: Sequence[Scheme]
 ) -> tuple[list[Curve], list[tuple[str, float]]]:
-    """Return a curve for each task and adding rule of a mechanism, and the lines across."""
+    """Return a curve for each task and adding rule of a mechanism, and lines across."""
     curves, across = list[Curve](), list[tuple[str, float]]()
     for place, linked in enumerate(tasks):
         for scheme in rules:
             is_hollow = scheme.rules == ("independent",) and len(rules) > 1
-            rows = scheme.of(linked.rows)
+            rows = scheme.select_rows(linked.rows)
             if len(rows):
                 curves.append(
                     _curve(linked.task, scheme, rows, Look(place, hollow=is_hollow))
@@ -137,28 +134,34 @@ def _curve(task: str, scheme: Scheme, rows: pd.DataFrame, look: Look) -> Curve:
     """Return the curve of a task under an adding rule; its name tells both ends."""
     x = rows["level"].to_numpy(dtype=np.float64)
     values = PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
-    ends = [f"{values[0, place]:.1f} % at {scheme.at(x[place])}" for place in (0, -1)]
+    ends = [
+        f"{values[0, place]:.1f} % at {scheme.describe_level(x[place])}"
+        for place in (0, -1)
+    ]
     name = f"{task}, {scheme.rule_text}: {' to '.join(dict.fromkeys(ends))}"
     label = task_head(task)
-    return Curve(
-        look, name, x, values, f"{label}{INDEPENDENT_MARK}" if look.hollow else label
-    )
+    if look.hollow:
+        label += INDEPENDENT_MARK
+    return Curve(look, name, x, values, label)
 
 
 def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
-    """Return between which shares the strongest attack re-identifies people in the first task."""
+    """Tell the range of re-identified people in the first task that has values."""
     leading = [
         task for kind in _kinds(task.task for task in tasks).values() for task in kind
     ]
     by_name = {task.task: task for task in tasks}
     for linked in (by_name[name] for name in leading):
         values = pd.concat(
-            [scheme.of(linked.rows)["value"] for scheme in shown] or [pd.Series()]
+            [scheme.select_rows(linked.rows)["value"] for scheme in shown]
+            or [pd.Series()]
         )
         if len(values):
-            low, high = (whole(PERCENT * end) for end in (values.min(), values.max()))
+            low, high = (
+                round_percent(PERCENT * end) for end in (values.min(), values.max())
+            )
             beside = "".join(
-                f"; chance is {whole(value)} %" for value in linked.chance()
+                f"; chance is {round_percent(value)} %" for value in linked.chance()
             )
             phrase = sentence_case(task_phrase(linked.task))
             return (
@@ -169,7 +172,7 @@ def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
 
 
 def _rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
-    """Return rank 1 of an attack where it is known, as a summary has metrics, and chance."""
+    """Return finite rank 1 of an attack, and chance, with the columns of a summary."""
     keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
     known = (block[source] for block in task.cells.values() if source in block)
     rows = [[row[key] for key in keys] for row in known if math.isfinite(row["rank1"])]

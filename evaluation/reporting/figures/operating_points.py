@@ -1,4 +1,4 @@
-"""What privacy costs a robot: each descriptor as shared against missed conflicts."""
+"""The price of privacy: each descriptor as shared against missed conflicts."""
 
 from collections.abc import Iterator
 from itertools import product
@@ -10,54 +10,49 @@ from evaluation.estimates.families import ADDING_RULES, RAW
 from evaluation.estimates.keys import is_attack
 from evaluation.estimates.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
 from evaluation.plan.presets import SHARED
-from evaluation.reporting import rows as picked
 from evaluation.reporting.charts import (
     LOOKS,
     Axis,
     Curve,
     Look,
+    Mark,
     curves_chart,
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import robot_name, robot_subject
+from evaluation.reporting.rows import Results, Scheme, schemes
 
 
-def figures(run: picked.Results) -> Iterator[Figure]:
-    """Yield the privacy-utility planes of the first predictor: each rule, each descriptor."""
+def figures(run: Results) -> Iterator[Figure]:
+    """Yield the planes of the first predictor: a panel a descriptor and adding rule."""
     ours = run.ours[~is_attack(run.ours) & np.isfinite(run.ours["value"])]
     predictor = next(iter(ours["consumer"][ours["metric"] == MISSED_RATE]), "")
-    known = picked.schemes(ours, as_points=True)
+    known = schemes(ours, as_points=True)
     panels, key = [], dict[str, Look]()
     for metric, rule in product(DESCRIPTORS, ADDING_RULES):
-        plane, shown = _plane(ours, predictor, metric), METRICS[metric]
-        curves, marked = [], []
-        for scheme in known:
-            points = scheme.of(plane).sort_values("x", kind="stable")
-            if rule in scheme.rules and len(points):
-                x, values = points["x"].to_numpy(), points[ENDS].to_numpy().T
-                name = (
-                    f"{scheme.title}, noisiest at"
-                    f" {scheme.at(points['level'].iloc[-1])}: "
-                )
-                name += (
-                    f"{x[-1]:.1f} % missed, {shown.head}"
-                    f" {values[0, -1]:.{shown.digits}f}"
-                )
-                look = Look(scheme.place % (LOOKS - 1))
-                curves.append(Curve(look, name, x, values, scheme.title))
+        plane, style = _plane(ours, predictor, metric), METRICS[metric]
+        curves = [
+            _curve(scheme, points, metric)
+            for scheme in known
+            if rule in scheme.rules and len(points := scheme.select_rows(plane))
+        ]
         raw = plane[plane["mechanism"] == RAW]
-        for at, value in zip(raw["x"], raw["value"], strict=True):
-            marked.append((Look(LOOKS - 1), at, value, f"raw: {at:.1f} % missed"))
+        marked = [
+            Mark(Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed")
+            for x, value in zip(raw["x"], raw["value"], strict=True)
+        ]
         if curves:
-            y = Axis(f"{shown.head}, shared ({shown.unit})", metric != EXPOSURE)
+            y = Axis(f"{style.head}, shared ({style.unit})", metric != EXPOSURE)
             chart = curves_chart(
                 curves, x=Axis("missed conflicts (%)"), y=y, marked=marked
             )
-            panels.append((f"{shown.head}, {rule} adding", chart))
-            key |= {} if label_room(curves) else {one.label: one.look for one in curves}
-            key |= {"raw positions": Look(LOOKS - 1)} if marked else {}
+            panels.append((f"{style.head}, {rule} adding", chart))
+            if not label_room(curves):
+                key |= {curve.label: curve.look for curve in curves}
+            if marked:
+                key["raw positions"] = Look(LOOKS - 1)
     yield Figure(
         name="operating_points",
         section="plane",
@@ -70,8 +65,22 @@ def figures(run: picked.Results) -> Iterator[Figure]:
     )
 
 
+def _curve(scheme: Scheme, points: pd.DataFrame, metric: str) -> Curve:
+    """Return the curve of a mechanism; its name tells the noisiest level."""
+    style = METRICS[metric]
+    points = points.sort_values("x", kind="stable")
+    x, values = points["x"].to_numpy(), points[ENDS].to_numpy().T
+    level = scheme.describe_level(points["level"].iloc[-1])
+    name = (
+        f"{scheme.title}, noisiest at {level}: {x[-1]:.1f} % missed,"
+        f" {style.head} {values[0, -1]:.{style.digits}f}"
+    )
+    look = Look(scheme.place % (LOOKS - 1))
+    return Curve(look, name, x, values, scheme.title)
+
+
 def _caption(plane: pd.DataFrame, predictor: str) -> str:
-    """Return missed conflicts and PLR as shared of the level with the lowest PLR, and of raw."""
+    """Tell missed conflicts and PLR of the level with the lowest PLR as shared."""
     if plane.empty:
         return ""
     lowest = plane.sort_values("value", kind="stable").iloc[0]
@@ -80,11 +89,12 @@ def _caption(plane: pd.DataFrame, predictor: str) -> str:
         f"{robot_subject(predictor)} misses {lowest['x']:.0f} % of conflicts"
     )
     raw = plane.loc[plane["mechanism"] == RAW, "x"]
-    return f"{text}{f', {raw.iloc[0]:.0f} % with raw positions' if len(raw) else ''}."
+    beside = f", {raw.iloc[0]:.0f} % with raw positions" if len(raw) else ""
+    return f"{text}{beside}."
 
 
 def _plane(summary: pd.DataFrame, predictor: str, metric: str) -> pd.DataFrame:
-    """Return missed-conflict rate x and descriptor of every level, in the units of the axes."""
+    """Return missed conflicts x and descriptor of every level, in units of the axes."""
     x = summary[(summary["consumer"] == predictor) & (summary["metric"] == MISSED_RATE)]
     y = summary[(summary["consumer"] == SHARED) & (summary["metric"] == metric)]
     keys = ["mechanism", "level"]

@@ -1,39 +1,40 @@
-"""The closest attack beside the optimum, or the genie's ceiling, in worlds of the fitted motion."""
+"""The closest attack beside the optimum or the genie's ceiling, in model worlds."""
 
-from collections.abc import Callable, Iterator, Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Final
 
 from evaluation.estimates.bounds import Gap
-from evaluation.reporting.bounds import law_of
+from evaluation.reporting.bounds import world_error_law
 from evaluation.reporting.charts import PERCENT, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.lookups import family_of
+from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import short_mechanism_name
 from evaluation.reporting.rows import Results
-from isac_track.intervals import Estimate
 
-_MARKS: Final[dict[str, tuple[Look, Callable[[Gap], Estimate | None]]]] = {
-    "closest attack": (Look(0), lambda one: one.reached),
-    "optimum": (Look(2), lambda one: one.bound if one.is_exact else None),
-    "ceiling": (Look(2, hollow=True), lambda one: None if one.is_exact else one.bound),
-}
+if TYPE_CHECKING:
+    from isac_track.intervals import Estimate
+
+_CLOSEST: Final = Look(0)
+_OPTIMUM: Final = Look(2)
+_CEILING: Final = Look(2, hollow=True)
 
 
 def figures(run: Results) -> Iterator[Figure]:
     """Yield a panel for each model world, its levels as rows."""
-    known = [one for one in run.headline.gaps if not one.attack.task]
+    gaps = [gap for gap in run.headline.gaps if not gap.attack.task]
     panels, key = [], dict[str, Look]()
-    for world in dict.fromkeys(one.world for one in known):
-        of = [one for one in known if one.world == world]
-        every = {
-            name: (look, [take(one) for one in of])
-            for name, (look, take) in _MARKS.items()
+    for world in dict.fromkeys(gap.world for gap in gaps):
+        own = [gap for gap in gaps if gap.world == world]
+        marks: dict[str, tuple[Look, Sequence[Estimate | None]]] = {
+            "closest attack": (_CLOSEST, [gap.reached for gap in own]),
+            "optimum": (_OPTIMUM, [gap.bound if gap.is_exact else None for gap in own]),
+            "ceiling": (_CEILING, [None if gap.is_exact else gap.bound for gap in own]),
         }
-        series = {name: drawn for name, drawn in every.items() if any(drawn[1])}
+        series = {name: drawn for name, drawn in marks.items() if any(drawn[1])}
         key |= {name: look for name, (look, _) in series.items()}
-        names = [_level(run, gap) for gap in of]
+        names = [_level(run, gap) for gap in own]
         chart = rows_chart(names, series, x_label="PLR (%)")
-        panels.append((f"error law: {law_of(world, run)}", chart))
+        panels.append((f"error law: {world_error_law(world, run)}", chart))
     yield Figure(
         name="optimum",
         section="bounds",
@@ -41,7 +42,7 @@ def figures(run: Results) -> Iterator[Figure]:
         panels=panels,
         columns=2,
         key=key,
-        caption=_caption(known),
+        caption=_caption(gaps),
         note=(
             "Ceiling: it also knows the scale of every error; attacks need not"
             " reach it."
@@ -51,18 +52,18 @@ def figures(run: Results) -> Iterator[Figure]:
 
 def _level(run: Results, gap: Gap) -> str:
     """Return the plain name of the level of a gap."""
-    return short_mechanism_name(family_of(run.families, gap.where[0]), gap.where[1])
+    return short_mechanism_name(find_family(run.families, gap.where[0]), gap.where[1])
 
 
-def _caption(known: Sequence[Gap]) -> str:
-    """Return how far the closest attack stays below the optimum, at the worst level."""
-    exact = [PERCENT * gap.gap.value for gap in known if gap.is_exact]
+def _caption(gaps: Sequence[Gap]) -> str:
+    """Tell how far the closest attack stays below the optimum, at the worst level."""
+    exact = [PERCENT * gap.gap.value for gap in gaps if gap.is_exact]
     if exact:
         return (
             f"The closest attack stays at most {max(exact):.1f} points of PLR below the"
             " optimum."
         )
-    bounded = [PERCENT * gap.gap.value for gap in known]
+    bounded = [PERCENT * gap.gap.value for gap in gaps]
     if not bounded:
         return ""
     return (

@@ -1,9 +1,9 @@
-"""The project's own pedestrian crowd: a generator, and the two sessions that are bundled.
+"""The project's own pedestrian crowd: a generator, and two bundled sessions.
 
 ``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m
-isac_track.datasets.crowd --out DIR``. ``docs/plaza.md`` describes the model, how it was
-tuned and what it must not be used for. Same settings, seed and session give the same
-millimetres, very likely on any machine: the state is rounded in every step
+isac_track.datasets.crowd --out DIR``. ``docs/explanation/plaza.md`` describes the model, how it was
+tuned and what it must not be used for. The same settings, seed and session give the
+same millimetres, very likely on any machine: the state is rounded in every step
 (`model.GRID_DIGITS`).
 """
 
@@ -24,35 +24,34 @@ from isac_track.types import Tracks
 __all__ = ["BUNDLED_SEED", "FILES", "CrowdSettings", "bundled_path", "generate"]
 
 BUNDLED_SEED = 1
-FILES = {
-    1: "plaza.npz",
-    2: "plaza_session2.npz",
-}  # Each bundled session's, in the folder above.
+# File of each bundled session, in the folder above.
+FILES = {1: "plaza.npz", 2: "plaza_session2.npz"}
 
 
 def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     """Simulate one session of the crowd, numbered from 1.
 
-    The same seed gives the same people with the same traits in every session, however
-    many, on new routes, at other times, in other company. There is one walk a person,
-    in whole millimetres at multiples of ``settings.frame_s`` seconds; `source` is the
-    persistent id (``p0001``), `group` the party that he or she walks with in this
-    session (``s1g001``).
+    The same seed gives the same people with the same traits in every session, on new
+    routes, at other times, in other company. Each person has one walk, in whole
+    millimetres at multiples of ``settings.frame_s`` seconds. `source` is the person's
+    lasting id (``p0001``), `group` the party in this session (``s1g001``).
     """
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
     frame, person, xy = simulate(plan, seed=seed, session=session)
     order = np.lexsort((frame, person))
     rows, first = np.unique(person[order], return_index=True)
-    party = {
-        row: number for number, one in enumerate(plan.parties, 1) for row in one.members
+    party_numbers = {
+        row: number
+        for number, party in enumerate(plan.parties, 1)
+        for row in party.members
     }
     return Tracks(
         t=frame[order].astype(np.float64) * settings.frame_s,
         xy=np.rint(xy[order] * 1e3) / 1e3,
         offsets=np.append(first, frame.size),
         source=tuple(person_id(row) for row in rows),
-        group=tuple(f"s{session}g{party[row]:03d}" for row in rows),
+        group=tuple(f"s{session}g{party_numbers[row]:03d}" for row in rows),
     )
 
 
@@ -66,12 +65,12 @@ def write_npz(
 ) -> None:
     """Write tracks with a sample every `frame_s`, as whole millimetres in int16.
 
-    `about`, where the tracks come from, is kept in the file as JSON.
+    `about` describes the origin of the tracks; the file keeps it as JSON.
     """
     frame = np.rint(tracks.t / frame_s)
     xy_mm = np.rint(tracks.xy * 1e3).astype(np.int16)
-    # Steps compress better than positions. They may wrap around: so does the sum in
-    # read_npz.
+    # Steps compress better than positions. They may wrap around; the sum in read_npz
+    # wraps back.
     steps = np.diff(xy_mm, axis=0, prepend=np.zeros((1, 2), dtype=np.int16))
     np.savez_compressed(
         path,

@@ -1,4 +1,4 @@
-"""How the simulated people move: anticipatory social forces and Ornstein-Uhlenbeck noise.
+"""Motion of simulated people: anticipatory social forces, Ornstein-Uhlenbeck noise.
 
 References
 ----------
@@ -25,29 +25,25 @@ FORESIGHT_S = 3.0  # tau_0 of the same law.
 COLLISION_M = 0.4  # Distance of two centres that counts as a collision.
 # Cap of one neighbour's anticipatory force: the law diverges at contact.
 AVOID_MAX_MPS2 = 2.0
-CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = (
-    2.0,
-    0.36,
-    0.1,
-)  # Of the exponential repulsion.
-FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2  # Spring to one's place, and its cap.
-PACE_MPS, PACE_S = (
-    0.18,
-    1.2,
-)  # Ornstein-Uhlenbeck noise of the speed: sd, correlation time.
+# The exponential repulsion: strength, distance, range.
+CONTACT_MPS2, CONTACT_M, CONTACT_RANGE_M = 2.0, 0.36, 0.1
+# Spring to a member's place in the formation, and its cap.
+FORMATION_PER_S2, FORMATION_MAX_MPS2 = 1.2, 1.2
+# Ornstein-Uhlenbeck noise of the speed: standard deviation, correlation time.
+PACE_MPS, PACE_S = 0.18, 1.2
 WANDER_S = 1.8  # Correlation time of the heading's wandering; its size is a trait.
 # Less 0.1 m/s; slower people hold their heading up to three times less well.
 STEADY_MPS = 0.9
 # Smoothing time of the body's orientation, which the sway is lateral to.
 HEADING_S = 0.6
-STANDING = 0.08  # Share of pace noise and sway that is left in someone who stands.
+STANDING = 0.08  # Share of pace noise and sway that a standing person keeps.
 FULL_SWAY_MPS = 0.6  # Speed from which on the body sways in full.
 TOP_SPEED_MPS = 2.0
 # Noise may turn a slow walk into a step back, but no further than this.
 BACKWARD_MPS = 0.1
 REACHED_M = 1.2  # Distance at which a waypoint counts as reached.
-LOST_M = 3.0  # Who strays this far off the plaza has left it.
-# To 1 um a step: two machines' last bits are forgotten, not amplified by chaos.
+LOST_M = 3.0  # A person who strays this far off the plaza has left it.
+# Rounded to 1 um a step: chaos must not amplify the last bits of another machine.
 GRID_DIGITS = 6
 
 _Records: TypeAlias = NDArray[np.void]
@@ -56,21 +52,19 @@ _PERSON = np.dtype(
         ("xy", float, 2),  # m, without sway
         ("v", float, 2),  # m/s
         ("heading", float, 2),  # unit vector
-        (
-            "pace",
-            float,
-        ),  # Ornstein-Uhlenbeck noise of unit variance, as are the next two
+        # The next three are Ornstein-Uhlenbeck noise of unit variance.
+        ("pace", float),
         ("wander", float),
         ("sway", complex),  # in both parts
-        ("here", bool),  # on the plaza now; who is not is not up to date
-        ("party", int),  # its number
-        ("slot", float, 2),  # m, place in its formation: ahead, left
+        ("here", bool),  # on the plaza now; if not, other fields are out of date
+        ("party", int),  # number of the party
+        ("slot", float, 2),  # m, place in the formation: ahead, left
     ]
 )
 _PARTY = np.dtype(
     [
         ("target", int),  # current waypoint
-        ("walked_m", float),  # mean over those of its members who are here
+        ("walked_m", float),  # mean over the members who are on the plaza
         ("next_stop", int),
         ("stand_until_s", float),  # standing before this time
     ]
@@ -80,8 +74,8 @@ _PARTY = np.dtype(
 def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats]:
     """Walk everybody across the plaza.
 
-    Three arrays are returned: the recorded frame, (M,) in order, the row of the person,
-    (M,), and the recorded position, (M, 2) m: the body's, with its sway.
+    Returns the recorded frame, (M,) in order, the row of the person, (M,), and the
+    recorded position, (M, 2) m: the body's, with its sway.
     """
     settings = plan.settings
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
@@ -94,15 +88,14 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
     arrival_s = np.array([party.arrival_s for party in plan.parties])
     arrival_frame = np.maximum(0, np.ceil(arrival_s / settings.frame_s))
     frames, people, places = [], [], []
-    for frame in range(
-        round(settings.duration_s / settings.frame_s) + 1
-    ):  # the first at time 0
+    # The first frame is at time 0.
+    for frame in range(round(settings.duration_s / settings.frame_s) + 1):
         for arrived in np.flatnonzero(arrival_frame == frame):
             _enter(crowd, plan, int(arrived), noise)
         rows = np.flatnonzero(crowd["here"])
         frames.append(np.full(rows.size, frame))
         people.append(rows)
-        # People are seen where they walk, and aside of it by their sway.
+        # A recorded position is the walker's, shifted to the side by the sway.
         heading, v = crowd["heading"][rows], crowd["v"][rows]
         side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
         awake = STANDING + (1 - STANDING) * np.minimum(
@@ -116,12 +109,12 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
 
 
 def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> None:
-    """Put a party at the clearest of its entries, or part-way if it came before the start."""
+    """Put a party at its clearest entry, or part-way if it came before the start."""
     party = plan.parties[number]
     rows, entries, first = party.members, party.entry_m, party.targets_m[0]
     if party.arrival_s < 0:
-        gone = np.linspace(0.05, 0.85, len(entries))[:, None]
-        entries = entries + gone * (first - entries)
+        way_share = np.linspace(0.05, 0.85, len(entries))[:, None]
+        entries = entries + way_share * (first - entries)
     others = crowd["xy"][crowd["here"]]
     gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(
         axis=1, initial=2.0
@@ -144,7 +137,7 @@ def _advance(
     noise: list[Generator],
     frame: int,
 ) -> None:
-    """Move the people in `rows` on by one frame, and let those who have arrived leave."""
+    """Move the people in `rows` by one frame; people who have arrived leave."""
     settings, traits = plan.settings, plan.traits
     dt = settings.frame_s / settings.substeps
     draws = np.stack(
@@ -176,12 +169,15 @@ def _advance(
         sway = keep_sway * crowd["sway"][rows] + kick_sway * (xi[:, 2] + 1j * xi[:, 3])
 
         ahead = _unit(target[local] - centre[local])
-        # The slower, the more does a heading wander than by the trait alone.
+        # The heading of slow people wanders more than by the trait alone.
         unsteady = np.minimum(STEADY_MPS / (np.hypot(*v.T) + 0.1), 3.0)
         angle = traits.turn_rad[rows] * wander * unsteady
         course = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), ahead)
-        wanted = np.where(standing, STANDING * PACE_MPS * pace, speed + PACE_MPS * pace)
-        force = (np.maximum(wanted, -BACKWARD_MPS)[:, None] * course - v) / RELAXATION_S
+        desired = np.where(
+            standing, STANDING * PACE_MPS * pace, speed + PACE_MPS * pace
+        )
+        desired = np.maximum(desired, -BACKWARD_MPS)
+        force = (desired[:, None] * course - v) / RELAXATION_S
         force += _avoidance(x, v, together=local[:, None] == local[None, :])
         front = _unit(_sum_by(local, heading))
         place = FORMATION_PER_S2 * (centre[local] + _turned(slot, front[local]) - x)
@@ -190,57 +186,60 @@ def _advance(
         v = _capped(v + dt * force, TOP_SPEED_MPS)
         heading = _unit(heading + (dt / HEADING_S) * v)
         moved = dt * v
-        now = {"xy": x + moved, "v": v, "heading": heading}
-        now |= {"pace": pace, "wander": wander, "sway": sway}
-        for name, value in now.items():
+        state = {"xy": x + moved, "v": v, "heading": heading}
+        state |= {"pace": pace, "wander": wander, "sway": sway}
+        for name, value in state.items():
             crowd[name][rows] = np.round(value, GRID_DIGITS)
-        progress["walked_m"][parties] += (
-            np.bincount(local, np.hypot(*moved.T)) / head_count
-        )
-        progress["walked_m"][parties] = np.round(
-            progress["walked_m"][parties], GRID_DIGITS
-        )
-    # Those who have passed their gate's side of the plaza, or got lost, leave.
-    x_min, y_min, x_max, y_max = settings.area_m
+        moved_m = np.bincount(local, np.hypot(*moved.T)) / head_count
+        walked_m = progress["walked_m"][parties] + moved_m
+        progress["walked_m"][parties] = np.round(walked_m, GRID_DIGITS)
+    _leave(crowd, plan, rows)
+
+
+def _leave(crowd: _Records, plan: Plan, rows: Ints) -> None:
+    """Remove people who are beyond the plaza's side of their gate, or lost."""
+    x_min, y_min, x_max, y_max = plan.settings.area_m
     px, py = crowd["xy"][rows].T
     beyond = np.stack([x_min - px, y_min - py, px - x_max, py - y_max])
     sides = np.array(
         [plan.parties[number].exit_side for number in crowd["party"][rows]]
     )
-    gone = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
-    crowd["here"][rows[gone]] = False
+    has_left = (beyond[sides, np.arange(rows.size)] > 0) | (beyond.max(axis=0) > LOST_M)
+    crowd["here"][rows[has_left]] = False
 
 
 def _steer(
     progress: _Records, plan: Plan, parties: Ints, centre: Floats, now_s: float
 ) -> Floats:
-    """Return each party's current waypoint (G, 2); begin and end its stops."""
+    """Return each party's current waypoint, (G, 2) m; begin and end its stops."""
     target = np.empty((parties.size, 2))
     for place, number in enumerate(parties):
         party = plan.parties[number]
-        at = progress[number]  # a view
-        aim = party.targets_m[at["target"]]
-        on_the_way = at["target"] < len(party.targets_m) - 1
+        state = progress[number]  # A view: assignments change `progress`.
+        aim = party.targets_m[state["target"]]
+        on_the_way = state["target"] < len(party.targets_m) - 1
         if on_the_way and np.hypot(*(aim - centre[place])) < REACHED_M:
-            at["target"] += 1
-            aim = party.targets_m[at["target"]]
-            at["stand_until_s"] = now_s + party.chat_s
-        stop = at["next_stop"]
-        if stop < party.stop_at_m.size and at["walked_m"] >= party.stop_at_m[stop]:
-            at["next_stop"] += 1
-            at["stand_until_s"] = max(at["stand_until_s"], now_s + party.stop_s[stop])
+            state["target"] += 1
+            aim = party.targets_m[state["target"]]
+            state["stand_until_s"] = now_s + party.chat_s
+        stop = state["next_stop"]
+        if stop < party.stop_at_m.size and state["walked_m"] >= party.stop_at_m[stop]:
+            state["next_stop"] += 1
+            state["stand_until_s"] = max(
+                state["stand_until_s"], now_s + party.stop_s[stop]
+            )
         target[place] = aim
     return target
 
 
 def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
-    """Return the acceleration (P, 2) away from collisions to come, and from contact.
+    """Return the acceleration, (P, 2), away from future collisions and from contact.
 
     For a pair with separation ``x``, relative velocity ``v`` and collision distance
     ``R``, the time to collision is ``tau = (b - sqrt(d)) / a`` with ``a = v.v``, ``b =
     -x.v``, ``c = x.x - R^2`` and ``d = b^2 - a c``, and the force is minus the gradient
-    of ``k / tau^2 exp(-tau / tau_0)``. People who walk together do not anticipate each
-    other.
+    of ``k / tau^2 exp(-tau / tau_0)``. People who walk together do not anticipate
+    collisions with each other.
     """
     dx = x[:, None] - x[None]
     dv = v[:, None] - v[None]
@@ -272,7 +271,7 @@ def _avoidance(x: Floats, v: Floats, *, together: Bools) -> Floats:
 
 
 def _turned(vector: Floats, ahead: Floats) -> Floats:
-    """Return vectors given as (ahead, left) in the plane's axes, for unit vectors `ahead`."""
+    """Turn vectors given as (ahead, left) to the plane's axes; `ahead` has length 1."""
     left = np.stack([-ahead[..., 1], ahead[..., 0]], axis=-1)
     return np.asarray(vector[..., :1] * ahead + vector[..., 1:] * left)
 

@@ -1,4 +1,4 @@
-"""Who walks on the simulated plaza, and what they are up to: traits, groups, routes, stops."""
+"""Plan of the simulated plaza: the people's traits, groups, routes and stops."""
 
 from dataclasses import dataclass
 from typing import Any, TypeAlias
@@ -16,60 +16,42 @@ class CrowdSettings:
 
     duration_s: float = 600.0  # length of the recording
     n_people: int = 1100  # people, each with one walk in every session
-    # scale of the spread of every trait: 0 makes everybody alike
+    # scale of the spread of every trait: 0 makes all people the same
     trait_strength: float = 1.0
     frame_s: float = 0.4  # time between recorded positions
     substeps: int = 5  # simulated steps per recorded position
-    # arrivals this long before the start are already under way when it comes
+    # people may arrive this long before the start and be under way by then
     lead_s: float = 20.0
     # nobody arrives in the last seconds, so that every walk has some length
     tail_s: float = 4.0
-    area_m: tuple[float, float, float, float] = (
-        -6.1,
-        -6.1,
-        7.5,
-        7.4,
-    )  # x_min, y_min, x_max, y_max
+    # x_min, y_min, x_max, y_max
+    area_m: tuple[float, float, float, float] = (-6.1, -6.1, 7.5, 7.4)
 
 
-# (N,) what persists about people: the table below.
+# (N,) lasting traits of people: the table below.
 Traits: TypeAlias = "np.recarray[Any, Any]"
 TRAIT_MEDIAN_AND_SPREAD = {
     "speed_mps": (1.14, 0.24),  # desired speed when alone
     "sway_m": (0.02, 0.35),  # standard deviation of the lateral body sway,
     "sway_hz": (0.7, 0.2),  # ... its frequency
     "sway_s": (2.0, 0.3),  # ... and its coherence time
-    "stops_per_m": (
-        0.065,
-        0.6,
-    ),  # short stops per metre walked; scales the chance of a chat too
+    # short stops per metre walked; scales the chance of a chat, too
+    "stops_per_m": (0.065, 0.6),
     "turn_rad": (0.24, 0.6),  # standard deviation of the heading's wandering
 }
 """Median and standard deviation of the logarithm, in the order of the draws:
 median * exp(strength * spread * N(0, 1))."""
 
-GROUP_SIZE_SHARES = (
-    0.65,
-    0.28,
-    0.045,
-    0.025,
-)  # Of singles, pairs, threes and fours that arrive.
-GROUP_PACE = (
-    1.0,
-    0.82,
-    0.76,
-    0.72,
-)  # Over its members' mean: groups walk slower [Moussaid 2010].
-# Standard deviation of the logarithm of one's speed between sessions.
+# Shares of arriving singles, pairs, threes and fours.
+GROUP_SIZE_SHARES = (0.65, 0.28, 0.045, 0.025)
+# Speed of a party over its members' mean: groups walk slower [Moussaid 2010].
+GROUP_PACE = (1.0, 0.82, 0.76, 0.72)
+# Standard deviation of the logarithm of a person's speed between sessions.
 MOOD_SPREAD = 0.08
 SPACING_M = 0.58  # Shoulder to shoulder in a group that walks abreast.
 VIA_CHANCE = 0.35  # Share of parties that walk by way of a place on the plaza.
-CHAT_CHANCE = (
-    0.03,
-    0.14,
-    0.19,
-    0.19,
-)  # By party size, to stand there at the median habit.
+# Probability to stand there, by party size, at the median habit.
+CHAT_CHANCE = (0.03, 0.14, 0.19, 0.19)
 CHAT_MEDIAN_S, CHAT_SPREAD, CHAT_MAX_S = 40.0, 0.7, 180.0
 STOP_MEAN_S, STOP_MIN_S = 0.9, 0.4
 SIDE_CENTRES = ((0, 0.65), (1, 0.25), (1, 0.75), (2, 0.45), (3, 0.3), (3, 0.72))
@@ -80,7 +62,7 @@ GATE_WEIGHTS = (0.2, 0.18, 0.18, 0.12, 0.16, 0.16)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Party:
-    """People who walk together in one session, or one who walks alone."""
+    """People who walk together in a session, or a single walker."""
 
     members: Ints  # (K,) row of each person
     slots_m: Floats  # (K, 2) place in the formation: ahead of and left of its centre
@@ -96,7 +78,7 @@ class Party:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
-    """A session: who walks with whom, from where to where, and when."""
+    """A session: its parties, their routes and times, and the people's speeds."""
 
     settings: CrowdSettings
     traits: Traits
@@ -110,14 +92,14 @@ def person_id(row: int) -> str:
 
 
 def streams(settings: CrowdSettings, seed: int, *key: str | int) -> list[Generator]:
-    """Return a random stream for everybody, the same however many others there are."""
+    """Return each person's random stream, which depends on no other person."""
     return [
         stream(seed, "crowd", *key, person_id(row)) for row in range(settings.n_people)
     ]
 
 
 def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
-    """Draw everybody's traits, each person from a stream of their own."""
+    """Draw the traits of all people, each person's from a stream of their own."""
     columns = np.array(list(TRAIT_MEDIAN_AND_SPREAD.values()))
     everybody = streams(settings, seed, "traits")
     draws = np.array([rng.standard_normal(len(columns)) for rng in everybody])
@@ -130,10 +112,10 @@ def draw_traits(settings: CrowdSettings, *, seed: int) -> Traits:
 def plan_session(
     settings: CrowdSettings, traits: Traits, *, seed: int, session: int
 ) -> Plan:
-    """Draw who walks together, routes, arrivals and stops of one session.
+    """Draw the parties, routes, arrivals and stops of a session.
 
-    Company is drawn anew in every session: people who are recognised by the company
-    they keep would be told apart even where their traits are all alike.
+    Parties are drawn anew in every session: lasting parties would identify people even
+    if all traits were equal.
     """
     draws = streams(settings, seed, "session", session)
     order = np.argsort([rng.random() for rng in draws], kind="stable")
@@ -141,7 +123,7 @@ def plan_session(
     parties: list[Party] = []
     start = 0
     while start < settings.n_people:
-        # The first of a party in the order of the session draws for all of it.
+        # The party's first member, in the session's order, draws for all of it.
         rng = draws[order[start]]
         size = 1 + int(np.searchsorted(np.cumsum(GROUP_SIZE_SHARES), rng.random()))
         members = order[start : start + min(size, len(GROUP_SIZE_SHARES))]
@@ -157,6 +139,7 @@ def plan_session(
 def _party(
     settings: CrowdSettings, traits: Traits, members: Ints, rng: Generator
 ) -> Party:
+    """Draw route, arrival and stops of a party."""
     start_s, end_s = -settings.lead_s, settings.duration_s - settings.tail_s
     arrival_s = start_s + (end_s - start_s) * rng.random()
     weights = np.array(GATE_WEIGHTS)
@@ -184,7 +167,10 @@ def _party(
         slots_m=_formation(members.size),
         arrival_s=float(arrival_s),
         entry_m=np.array(
-            [_gate_point(settings, entry, at, beyond_m=0.0) for at in rng.random(8)]
+            [
+                _gate_point(settings, entry, share, beyond_m=0.0)
+                for share in rng.random(8)
+            ]
         ),
         targets_m=np.array(targets),
         exit_side=int(sides[leave]),
@@ -209,7 +195,7 @@ def _gate_point(
 
 
 def _formation(size: int) -> Floats:
-    """Return places (K, 2) ahead of and left of the centre: rows of up to three abreast."""
+    """Return places, (K, 2) m, ahead and left of the centre: rows of up to three."""
     rows = [size] if size <= 3 else [size - size // 2, size // 2]  # noqa: PLR2004 - more than three abreast split
     places = [
         (-0.9 * SPACING_M * behind, SPACING_M * (place - (width - 1) / 2))

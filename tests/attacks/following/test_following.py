@@ -1,4 +1,4 @@
-"""Following people through logs: hand-made walks, plain loops, closed forms, brute force."""
+"""Following people through logs: hand-made walks, plain loops, brute force."""
 
 from itertools import product
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.patrols import (
     SETTINGS,
     clean_network,
-    network_of,
+    make_network,
     patrol_past,
     straight_walks,
 )
@@ -26,7 +26,7 @@ from attacks.following.links import (
     probabilities,
 )
 from attacks.following.logs import Ending, follow_fleets
-from attacks.following.pieces import Q, pieces_of_fleet
+from attacks.following.pieces import Q, collect_pieces
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import disclose
 from isac_track.patrols.knowledge import guesses_from_map
@@ -40,7 +40,7 @@ CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
 def pieces_past(policy, *robots, tracks=CROSSING):
     network = clean_network(patrol_past(tracks, *(robots or ((0, 0),))))
     numbers = np.arange(len(robots) or 1)
-    return network, pieces_of_fleet(network, disclose(network, policy), robots=numbers)
+    return network, collect_pieces(network, disclose(network, policy), robots=numbers)
 
 
 def follow_past(policy, tracks, *robots, **options):
@@ -61,7 +61,7 @@ def follow_past(policy, tracks, *robots, **options):
 def crowd(request):
     """A network that senses a small crowd for three robots."""
     settings = SETTINGS.changed({"patrol.segment_s": 20.0})
-    return network_of(
+    return make_network(
         make_patrol(request.getfixturevalue("tracks"), settings=settings, seed=0),
         settings=settings,
     )
@@ -104,7 +104,7 @@ class TestPieces:
     )
     def test_they_are_what_equal_samples_join(self, crowd, policy):
         disclosure = disclose(crowd, policy)
-        pieces = pieces_of_fleet(crowd, disclosure, robots=np.arange(3))
+        pieces = collect_pieces(crowd, disclosure, robots=np.arange(3))
         answers = []
         for presence, first, end in zip(
             disclosure.presence, disclosure.first, disclosure.end, strict=True
@@ -132,7 +132,7 @@ class TestPieces:
 class TestLinks:
     def test_the_evidence_is_the_density_of_the_difference_of_states(self, crowd):
         disclosure = disclose(crowd, Near(3.0, window_s=0.8))
-        pieces = pieces_of_fleet(crowd, disclosure, robots=np.arange(3))
+        pieces = collect_pieces(crowd, disclosure, robots=np.arange(3))
         links = candidate_links(pieces)
         assert len(links.before) > 100
         constants = []
@@ -164,13 +164,13 @@ class TestLinks:
             assert (links.before == i).sum() == n_later
 
     def test_of_many_candidates_the_likeliest_stay(self, crowd):
-        pieces = pieces_of_fleet(
+        pieces = collect_pieces(
             crowd, disclose(crowd, Window(0.6)), robots=np.arange(3)
         )
         links = candidate_links(pieces)
         n_later = (pieces.start.t > pieces.end.t[:, None] + 1e-6).sum(axis=1)
-        kept = np.bincount(links.before, minlength=len(pieces))
-        assert kept.tolist() == np.minimum(n_later, MOST_CANDIDATES).tolist()
+        n_candidates = np.bincount(links.before, minlength=len(pieces))
+        assert n_candidates.tolist() == np.minimum(n_later, MOST_CANDIDATES).tolist()
         assert n_later.max() > MOST_CANDIDATES
         is_next = next_pieces(pieces)[links.before] == links.after
         assert is_next.sum() > 0.9 * (next_pieces(pieces) >= 0).sum()
@@ -304,7 +304,7 @@ class TestFollowed:
         assert (attack.followed_s <= attack.ceiling_s + 1e-9).all()
 
     def test_too_many_candidates_confuse(self):
-        # Everybody walks in the same place at once: nobody can be told from the others.
+        # Everybody walks in the same place at once: nobody can be distinguished.
         walks = [(0, 20, (0.001 * row, 0.0), (0.5, 0)) for row in range(12)]
         following = follow_past(Window(0.5), straight_walks(*walks))
         assert (following.ending == Ending.CONFUSED).all()
@@ -347,9 +347,8 @@ class TestMetrics:
 
 
 class TestAbsence:
-    def test_queries_that_should_have_told_of_her_are_counted(self):
-        # She passes the robot unseen in the log of the adversary: only her ends are
-        # kept.
+    def test_queries_without_an_expected_answer_are_counted(self):
+        # She passes the robot, but the log of the adversary has her two ends alone.
         network, pieces = pieces_past(Window(0.5))
         ends = Links(
             np.array([0]), np.array([len(pieces) - 1]), np.zeros((1, 3)), len(pieces)

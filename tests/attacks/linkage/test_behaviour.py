@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.walks import Person, context, release_of
+from helpers.walks import Person, context, walk_release
 
 from attacks.linkage.behaviour import FEATURES, Behaviour, features, learnt_metric
 from attacks.linkage.learning import log_rank
@@ -26,7 +26,7 @@ def line(speed_m_s, *, length_s=12.0, sway_m=0.0, sway_hz=0.85, noise_m=0.0, see
 
 
 def test_features_of_a_straight_walk():
-    release = release_of([line(1.3), line(0.0)])
+    release = walk_release([line(1.3), line(0.0)])
     for name in (
         "mean speed",
         "slowest tenth",
@@ -42,14 +42,14 @@ def test_features_of_a_straight_walk():
 def test_features_of_a_curve():
     t = np.arange(0.0, 12.0, 0.1)
     curve = 4.0 * np.stack([np.cos(0.3 * t), np.sin(0.3 * t)], axis=1)
-    release = release_of([(t, curve), (t, curve * [1, -1])])
+    release = walk_release([(t, curve), (t, curve * [1, -1])])
     rate = 0.3 / (1 + (0.4 / 1.2) ** 2)
     assert np.allclose(feature(release, "turning"), np.log(rate + 0.03), atol=0.1)
     assert np.allclose(feature(release, "net turn"), np.log(rate + 0.02), atol=0.1)
 
 
 def test_sway_shows_in_its_band():
-    release = release_of(
+    release = walk_release(
         [
             line(1.2, sway_m=0.05, sway_hz=hz, seed=k)
             for k, hz in enumerate((0.55, 0.85, 1.2))
@@ -57,7 +57,7 @@ def test_sway_shows_in_its_band():
     )
     sway = features(release)[:, -4:]
     assert sway.argmax(axis=1).tolist() == [0, 1, 2]
-    still = features(release_of([line(1.2)]))[:, -4:]
+    still = features(walk_release([line(1.2)]))[:, -4:]
     assert (sway.max(axis=1) > still.max() + 2.0).all()
 
 
@@ -66,7 +66,7 @@ def test_noise_hides_the_sway():
         walks = [
             line(1.2, sway_m=sway_m, noise_m=1.0, seed=first + k) for k in range(20)
         ]
-        assert np.abs(features(release_of(walks))[:, -4:]).max() < 0.2
+        assert np.abs(features(walk_release(walks))[:, -4:]).max() < 0.2
 
 
 def crowd(n, *, seed):
@@ -78,7 +78,7 @@ def crowd(n, *, seed):
         person = Person(rng, turn_rad_s=turn, speed_m_s=rng.uniform(0.8, 1.6))
         return person.seen(rng, start_s=0.0, length_s=12.0)
 
-    days = [release_of([walk(turn) for turn in habit]) for _ in range(2)]
+    days = [walk_release([walk(turn) for turn in habit]) for _ in range(2)]
     return (*days, np.arange(n))
 
 
@@ -90,7 +90,7 @@ def test_it_learns_what_lasts():
     assert learnt < blind - 0.2
 
 
-def metric_of(n, *, seed, shrinkage):
+def learn_metric(n, *, seed, shrinkage):
     """A learnt metric, and the features of either day that it was learnt from."""
     probe, gallery, mate = crowd(n, seed=seed)
     train = LinkageTrainingSet(probe, gallery, mate)
@@ -99,13 +99,13 @@ def metric_of(n, *, seed, shrinkage):
 
 @pytest.mark.parametrize("shrinkage", [0.0, 0.7, 1.0])
 def test_the_metric_is_a_metric(shrinkage):
-    metric, _, _ = metric_of(30, seed=3, shrinkage=shrinkage)
+    metric, _, _ = learn_metric(30, seed=3, shrinkage=shrinkage)
     assert np.allclose(metric, metric.T)
     assert np.linalg.eigvalsh(metric).min() > -1e-6 * np.abs(metric).max()
 
 
 def test_shrunk_to_the_diagonal_it_is_the_formula():
-    metric, a, b = metric_of(60, seed=4, shrinkage=1.0)
+    metric, a, b = learn_metric(60, seed=4, shrinkage=1.0)
     within = ((a - b) ** 2).mean(axis=0)
     total = 2.0 * np.concatenate([a, b]).var(axis=0)
     varies = within > 0.02**2
@@ -115,7 +115,7 @@ def test_shrunk_to_the_diagonal_it_is_the_formula():
 
 
 def test_unshrunk_it_sees_how_features_go_together():
-    metric, _, _ = metric_of(60, seed=4, shrinkage=0.0)
+    metric, _, _ = learn_metric(60, seed=4, shrinkage=0.0)
     pair = NAMES.index("mean speed"), NAMES.index("median speed")
     assert abs(metric[pair]) > 0.1 * np.sqrt(
         metric[pair[0], pair[0]] * metric[pair[1], pair[1]]

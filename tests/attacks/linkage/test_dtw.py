@@ -22,8 +22,8 @@ def test_it_is_dtaidistance(band, penalty):
     )
     # Of (N, K, 2) profiles every second cell is compared.
     signals = (
-        Signals(np.repeat(each.transpose(2, 0, 1), 2, axis=2), 2 * sizes)
-        for each, sizes in ((probe, sizes_p), (gallery, sizes_g))
+        Signals(np.repeat(values.transpose(2, 0, 1), 2, axis=2), 2 * sizes)
+        for values, sizes in ((probe, sizes_p), (gallery, sizes_g))
     )
     costs = warped_costs(*signals, floor=0.01, band=band, penalty=penalty)
     for (i, j), cost in np.ndenumerate(costs):

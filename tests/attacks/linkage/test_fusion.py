@@ -16,15 +16,17 @@ TRAIN = LinkageTrainingSet(*two_releases(40, seed=1, noise_m=0.3))
 
 def test_the_weights_are_those_of_a_solver_without_gradients():
     rng = stream(0, "choices")
-    found = [rng.standard_normal((30, n, 3)) for n in (8, 12)]
+    galleries = [rng.standard_normal((30, n, 3)) for n in (8, 12)]
     mates = [
-        (x @ [1.5, -0.5, 0.0] + rng.gumbel(size=x.shape[:2])).argmax(axis=1)
-        for x in found
+        (features @ [1.5, -0.5, 0.0] + rng.gumbel(size=features.shape[:2])).argmax(
+            axis=1
+        )
+        for features in galleries
     ]
     prior, ridge = np.array([1.0, 0.0, 0.0]), 2.0
 
     def loss(weights):
-        log_p = [log_softmax(x @ weights, axis=1) for x in found]
+        log_p = [log_softmax(features @ weights, axis=1) for features in galleries]
         own = sum(
             p[np.arange(m.size), m].sum() for p, m in zip(log_p, mates, strict=True)
         )
@@ -33,17 +35,17 @@ def test_the_weights_are_those_of_a_solver_without_gradients():
     exact = minimize(
         loss, prior, method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-9}
     ).x
-    weights = conditional_logit(found, mates, prior=prior, ridge=ridge)
+    weights = conditional_logit(galleries, mates, prior=prior, ridge=ridge)
     np.testing.assert_allclose(weights, exact, atol=1e-3)
     assert weights[0] > 1.0
     assert weights[1] < 0.0
 
 
-def test_new_people_are_found_at_least_as_often_as_by_the_likelihood_ratio_alone():
+def test_new_people_are_linked_at_least_as_often_as_by_the_likelihood_ratio():
     probe, gallery, mate = two_releases(40, seed=2, noise_m=0.3)
     known = context(TRAIN)
     fused, alone = (
-        one.fit(known)(probe, gallery) for one in (Fusion(), LikelihoodRatio())
+        attack.fit(known)(probe, gallery) for attack in (Fusion(), LikelihoodRatio())
     )
     assert hits(fused, mate) >= max(hits(alone, mate), 0.5)
     assert not np.allclose(fused, alone)
@@ -53,7 +55,7 @@ def test_wrong_mates_teach_other_weights():
     wrong = LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, np.roll(TRAIN.mate, 1))
     probe, gallery, mate = two_releases(40, seed=2, noise_m=0.3)
     right, misled = (
-        Fusion().fit(context(one))(probe, gallery) for one in (TRAIN, wrong)
+        Fusion().fit(context(train))(probe, gallery) for train in (TRAIN, wrong)
     )
     assert hits(misled, mate) < hits(right, mate)
 
@@ -63,10 +65,11 @@ def test_few_mates_leave_the_likelihood_ratio_as_it_is():
         TRAIN.probe, TRAIN.gallery, np.where(np.arange(40) < 15, TRAIN.mate, -1)
     )
     probe, gallery, _ = two_releases(5, seed=3)
-    found, alone = (
-        one.fit(context(few))(probe, gallery) for one in (Fusion(), LikelihoodRatio())
+    fused, alone = (
+        attack.fit(context(few))(probe, gallery)
+        for attack in (Fusion(), LikelihoodRatio())
     )
-    np.testing.assert_array_equal(found, alone)
+    np.testing.assert_array_equal(fused, alone)
 
 
 def test_a_ridge_must_be_positive():

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from helpers.walks import context, hits, release_of, two_releases
+from helpers.walks import context, hits, two_releases, walk_release
 
-from attacks.linkage.histogram import Histogram, counts_of, one_source
-from attacks.linkage.signals import motion, on_grid
+from attacks.linkage.histogram import Histogram, count_cells, same_source_ratio
+from attacks.linkage.signals import on_grid, smooth_motion
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
@@ -19,23 +19,23 @@ def test_it_is_the_likelihood_ratio():
     rng = stream(0, "test", "histogram")
     a = rng.poisson(1.5, (6, 9)) * rng.uniform(0.5, 2.0, (6, 9))
     b = rng.poisson(0.8, (4, 9)) * rng.uniform(0.5, 2.0, (4, 9)) + np.eye(4, 9)
-    ratio = one_source(a, b)
+    ratio = same_source_ratio(a, b)
     for i in range(6):
         for j in range(4):
-            both = (a[i] + b[j]) / (a[i].sum() + b[j].sum())
-            one = multinomial(a[i], both) + multinomial(b[j], both)
-            two = multinomial(a[i], a[i] / a[i].sum()) + multinomial(
+            shape = (a[i] + b[j]) / (a[i].sum() + b[j].sum())
+            single_source = multinomial(a[i], shape) + multinomial(b[j], shape)
+            two_sources = multinomial(a[i], a[i] / a[i].sum()) + multinomial(
                 b[j], b[j] / b[j].sum()
             )
-            assert ratio[i, j] == pytest.approx(one - two, abs=1e-9)
+            assert ratio[i, j] == pytest.approx(single_source - two_sources, abs=1e-9)
     assert (ratio <= 1e-9).all()
 
 
 def test_every_cell_of_the_grid_is_counted_once():
     probe, _, _ = two_releases(6, noise_m=0.3)
     walks = on_grid(probe)
-    going = motion(walks, width_s=np.full(6, 1.0))
-    counts = counts_of(going, speeds=12)
+    going = smooth_motion(walks, width_s=np.full(6, 1.0))
+    counts = count_cells(going, speeds=12)
     assert counts.shape == (6, 60)
     assert np.allclose(counts.sum(axis=1), walks.sizes)
     # Shares of the centres keep the mean.
@@ -48,11 +48,11 @@ def test_every_cell_of_the_grid_is_counted_once():
 def test_order_in_time_does_not_enter():
     t = np.arange(0.0, 12.0, 0.1)
     speed = np.where(t < 6.0, 0.6, 1.4)
-    there = np.stack([np.cumsum(speed) * 0.1, 0 * t], axis=1)
-    back = there[::-1].copy()
+    forth = np.stack([np.cumsum(speed) * 0.1, 0 * t], axis=1)
+    back = forth[::-1].copy()
     other = np.stack([1.0 * t, 0 * t], axis=1)
     scores = Histogram().fit(context())(
-        release_of([(t, there)]), release_of([(t, back), (t, other)])
+        walk_release([(t, forth)]), walk_release([(t, back), (t, other)])
     )
     assert scores[0, 0] > -1.0
     assert scores[0, 0] > scores[0, 1] + 5.0

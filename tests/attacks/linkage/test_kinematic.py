@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
-from helpers.walks import Person, context, release_of
+from helpers.walks import Person, context, walk_release
 
 from attacks.linkage.kinematic import Kinematic, continuations, rivals
 from attacks.linkage.learning import log_rank
@@ -36,7 +36,7 @@ def gap(n=10, *, seed=0, gap_s=2.0, noise_m=0.1, same_start=True, **habits):
         )
         for k in order
     ]
-    return release_of(probe), release_of(gallery), np.argsort(order)
+    return walk_release(probe), walk_release(gallery), np.argsort(order)
 
 
 def scene(train=None):
@@ -44,7 +44,7 @@ def scene(train=None):
     return context(train, granted=granted)
 
 
-def variance_of(release):
+def innovation_variance(release):
     return innovation_variance_m2(t=release.t, xy=release.xy, offsets=release.offsets)
 
 
@@ -63,17 +63,17 @@ def test_it_is_filterpy_across_the_gap():
     past, future = (
         [
             filtered(
-                sign * one.t[::sign], one.xy[::sign], np.maximum(variance, FLOOR_M2)
+                sign * track.t[::sign], track.xy[::sign], np.maximum(variance, FLOOR_M2)
             )
-            for one, variance in zip(side, variance_of(side), strict=True)
+            for track, variance in zip(side, innovation_variance(side), strict=True)
         ]
         for side, sign in ((probe, 1), (gallery, -1))
     )
     turn = np.diag([1.0, -1, 1, -1])
     for i, j in np.ndindex(scores.shape):
-        (mean, cov), (later, more) = past[i], future[j]
+        (mean, cov), (later, later_cov) = past[i], future[j]
         f, grown = oracle.motion(gallery[j].t[0] - probe[i].t[-1], Q)
-        cov = f @ cov @ f.T + grown + turn @ more @ turn
+        cov = f @ cov @ f.T + grown + turn @ later_cov @ turn
         off = f @ mean - turn @ later
         square = off @ np.linalg.solve(cov, off)
         by_hand = -0.5 * np.linalg.slogdet(cov)[1] - 4.5 * np.log1p(square / 5)

@@ -1,11 +1,11 @@
-"""Learning from ranks: by hand, and what is asked for."""
+"""Learning from ranks: by hand, and the scores that are asked for."""
 
 import numpy as np
 import pytest
 from helpers.walks import context, two_releases
 
-from attacks.linkage.learning import MARGIN, learn, log_rank
-from attacks.remembered import whole
+from attacks.linkage.learning import MARGIN, learn_parameters, log_rank
+from attacks.remembered import find_origin
 from isac_track.protocols import LinkageTrainingSet
 
 N = 12
@@ -22,7 +22,7 @@ def ranked(n_ahead, mate):
 
 
 def learnt(options, n_ahead, *, train=TRAIN):
-    """What is learnt where a choice has so many people ahead, and what was asked for."""
+    """Return the learnt values, and the choices whose scores were asked for."""
     asked = []
 
     def scores(known):
@@ -31,7 +31,7 @@ def learnt(options, n_ahead, *, train=TRAIN):
             asked.append(choice) or ranked(n_ahead(*choice), known.mate)
         )
 
-    return learn(context(train), options, scores=scores), asked
+    return learn_parameters(context(train), options, scores=scores), asked
 
 
 def test_log_rank_by_hand():
@@ -47,18 +47,20 @@ def test_learning_takes_one_parameter_after_the_other():
         ((1, 4, 9), (7,), (3, 8)), lambda a, b, c: abs(a - 5) + abs(c - 7) + b - 7
     )
     assert best == (4, 7, 8)
-    # What was found for the first is not asked for again.
+    # The first parameter keeps its value while the others are learnt.
     assert asked == [(1, 7, 3), (4, 7, 3), (9, 7, 3), (4, 7, 8)]
 
 
-@pytest.mark.parametrize(("share", "found"), [(0.5, 1), (2.0, 2)])
-def test_only_a_gain_of_the_margin_moves_from_the_default(share, found):
+@pytest.mark.parametrize(("share", "best"), [(0.5, 1), (2.0, 2)])
+def test_only_a_gain_of_the_margin_moves_from_the_default(share, best):
     # One mate of ROWS has one person less before it: a gain of log 2 / rows.
     train = LinkageTrainingSet(*two_releases(int(np.log(2) / (share * MARGIN))))
     default = ranked(1, train.mate)
     better = np.concatenate([ranked(0, train.mate)[:1], default[1:]])
     scores = {1: default, 2: better}.__getitem__
-    assert learn(context(train), ((1, 2),), scores=lambda _: scores) == (found,)
+    assert learn_parameters(context(train), ((1, 2),), scores=lambda _: scores) == (
+        best,
+    )
 
 
 def test_without_a_choice_or_a_teacher_nothing_is_asked():
@@ -79,10 +81,12 @@ def test_few_mates_are_the_mates():
 
     def scores(few):
         assert few.mate.tolist() == [0, 1, 2, 3]
-        taught.extend(whole(one)[1].tolist() for one in (few.probe, few.gallery))
+        taught.extend(
+            find_origin(side)[1].tolist() for side in (few.probe, few.gallery)
+        )
         return lambda _: ranked(1, few.mate)
 
-    learn(
+    learn_parameters(
         context(LinkageTrainingSet(TRAIN.probe, TRAIN.gallery, known)),
         ((1, 2),),
         scores=scores,

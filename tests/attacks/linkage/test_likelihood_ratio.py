@@ -1,8 +1,8 @@
-"""The likelihood ratio against dense Gaussian densities, and what it makes of what it knows."""
+"""The likelihood ratio against dense Gaussian densities, and its use of knowledge."""
 
 import numpy as np
 import pytest
-from helpers.walks import context, hits, release_of, two_releases
+from helpers.walks import context, hits, two_releases, walk_release
 from scipy.special import ive
 from scipy.stats import multivariate_normal
 
@@ -31,11 +31,11 @@ def legendre(t):
 
 
 def log_density(t, xy, owner, *, error):
-    """Of one axis after the other: walks of shared or own coefficients, each at any place."""
+    """Return the log density of walks with shared or own coefficients, at any place."""
     prior = np.diag(prior_m2(duration_s=np.array([12.0]), q=0.04, rank=RANK)[0])
     basis = legendre(t)
-    alike = np.equal.outer(owner, owner)
-    spread = basis @ prior @ basis.T + UNKNOWN_M**2 * alike + error
+    same_walk = np.equal.outer(owner, owner)
+    spread = basis @ prior @ basis.T + UNKNOWN_M**2 * same_walk + error
     return sum(
         multivariate_normal(np.zeros(t.size), spread).logpdf(xy[:, axis])
         for axis in (0, 1)
@@ -46,20 +46,20 @@ def log_density(t, xy, owner, *, error):
 @pytest.mark.parametrize("curved", [0.0, 0.03])
 def test_the_ratio_is_that_of_dense_gaussians_averaged_over_rotations(curved, tau_s):
     first, second = walk("a", curved=0.02), walk("b", curved=curved)
-    probe, gallery = release_of([first]), release_of([second])
+    probe, gallery = walk_release([first]), walk_release([second])
     t = np.concatenate([first[0], second[0]])
     owner = np.repeat([0, 1], [first[0].size, second[0].size])
     error = np.diag(
-        1.0 / np.concatenate([information(one, 5) for one in (probe, gallery)])
+        1.0 / np.concatenate([information(release, 5) for release in (probe, gallery)])
     )
     floor_m2, std_m = 1e-3, 0.3
     # The floor and a slow error act on the coefficients, for each walk by itself.
-    more = floor_m2 * np.eye(RANK)
+    added = floor_m2 * np.eye(RANK)
     if tau_s:
-        more += std_m**2 * likelihood_ratio._slow_share(12.0, tau_s, RANK)
+        added += std_m**2 * likelihood_ratio._slow_share(12.0, tau_s, RANK)
     for row in (0, 1):
         basis = legendre(t) * (owner == row)[:, None]
-        error = error + basis @ more @ basis.T
+        error = error + basis @ added @ basis.T
 
     def joint(angle):
         turn = np.array(
@@ -73,10 +73,8 @@ def test_the_ratio_is_that_of_dense_gaussians_averaged_over_rotations(curved, ta
     values = np.array([joint(angle) for angle in angles])
     together = values.max() + np.log(np.exp(values - values.max()).mean())
     alone = sum(
-        log_density(
-            one[0], one[1], np.zeros(one[0].size), error=error[np.ix_(mine, mine)]
-        )
-        for one, mine in ((first, owner == 0), (second, owner == 1))
+        log_density(t, xy, np.zeros(t.size), error=error[np.ix_(own, own)])
+        for (t, xy), own in ((first, owner == 0), (second, owner == 1))
     )
     attack = LikelihoodRatio(rank=RANK, reach_s=0.1, floor_m2=floor_m2, lag_s=1.0)
     known = context(
@@ -90,10 +88,12 @@ def test_the_prior_is_the_spread_of_walks_that_white_acceleration_drives():
     rng, dt, n = stream(0, "walks"), 0.02, 600
     push = rng.standard_normal((4000, n)) * np.sqrt(0.04 / dt)
     path = np.cumsum(np.cumsum(push, axis=1) * dt, axis=1) * dt
-    at = np.linspace(-1.0, 1.0, n)
-    found = path @ np.linalg.pinv(np.polynomial.legendre.legvander(at, 5)).T
+    positions = np.linspace(-1.0, 1.0, n)
+    coefficients = (
+        path @ np.linalg.pinv(np.polynomial.legendre.legvander(positions, 5)).T
+    )
     expected = prior_m2(duration_s=np.array([12.0]), q=0.04, rank=5)[0]
-    np.testing.assert_allclose(found[:, 2:].var(axis=0), expected[1:], rtol=0.1)
+    np.testing.assert_allclose(coefficients[:, 2:].var(axis=0), expected[1:], rtol=0.1)
 
 
 def test_the_bessel_function_is_that_of_scipy():
@@ -104,7 +104,7 @@ def test_the_bessel_function_is_that_of_scipy():
     assert np.log(factor) + exponent == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_lag_is_found_and_no_further_than_the_reach():
+def test_lags_are_searched_up_to_the_reach():
     probe, gallery, mate = two_releases(12, shift_s=4.0, length_s=12.0)
     assert hits(LikelihoodRatio().fit(context())(probe, gallery), mate) >= 0.9
     assert (
@@ -112,14 +112,15 @@ def test_a_lag_is_found_and_no_further_than_the_reach():
     )
 
 
-def test_who_knows_that_everybody_has_a_mate_scores_matchings():
+def test_if_everybody_has_a_mate_it_scores_matchings():
     probe, gallery, _ = two_releases(12, shift_s=4.0, length_s=12.0)
-    each, matched = (
-        LikelihoodRatio(one_to_one=one).fit(context()) for one in (False, True)
+    separate = LikelihoodRatio(one_to_one=False).fit(context())
+    matched = LikelihoodRatio(one_to_one=True).fit(context())
+    assert np.array_equal(
+        matched(probe, gallery), soft_matches(separate(probe, gallery))
     )
-    assert np.array_equal(matched(probe, gallery), soft_matches(each(probe, gallery)))
     fewer = probe.tracks(np.arange(5))
-    assert np.array_equal(matched(fewer, gallery), each(fewer, gallery))
+    assert np.array_equal(matched(fewer, gallery), separate(fewer, gallery))
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
-"""What every linkage attack owes: the right person first, any frame, any track, no memory."""
+"""Every linkage attack: the right person first, any frame, any track, no memory."""
+
+from functools import partial
 
 import numpy as np
 import pytest
-from helpers.walks import context, hits, moved, odd_release, release_of, two_releases
+from helpers.walks import context, hits, moved, odd_release, two_releases, walk_release
 
 from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
@@ -54,7 +56,7 @@ def test_a_mirror_image_is_somebody_else(attack, easy):
 
 
 @pytest.mark.parametrize("attack", [*ALL, Fusion()], ids=name)
-def test_a_pair_of_odd_tracks_is_scored_for_itself_also_by_who_learnt_from_such(attack):
+def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training(attack):
     probe, gallery = odd_release(0), odd_release(1, n=9)
     train = LinkageTrainingSet(
         odd_release(2, n=24), odd_release(3, n=24), np.arange(24)
@@ -63,14 +65,9 @@ def test_a_pair_of_odd_tracks_is_scored_for_itself_also_by_who_learnt_from_such(
     scores = score(probe, gallery)
     assert np.isfinite(scores).all()
     for row, column in ((0, 0), (1, 2), (5, 8), (13, 8)):
-        alone = (
-            score(probe.tracks([row]), gallery),
-            score(probe, gallery.tracks([column])),
-        )
-        for found, whole in zip(
-            alone, (scores[[row]], scores[:, [column]]), strict=True
-        ):
-            np.testing.assert_allclose(found, whole, rtol=1e-6, atol=1e-6)
+        close = partial(np.testing.assert_allclose, rtol=1e-6, atol=1e-6)
+        close(score(probe.tracks([row]), gallery), scores[[row]])
+        close(score(probe, gallery.tracks([column])), scores[:, [column]])
 
 
 @pytest.mark.parametrize(("attack", "sway"), [(Profile(), 0.02), (Shape(), 0.01)])
@@ -85,7 +82,7 @@ def test_it_learns_how_small_a_misfit_counts(attack, sway):
 
 @pytest.mark.parametrize("attack", ALL, ids=name)
 def test_nobody_to_link_is_no_error(attack, easy):
-    nobody = release_of([])
+    nobody = walk_release([])
     score = fitted(attack)
     assert score(easy[0], nobody).shape == (12, 0)
     assert score(nobody, easy[1]).shape == (0, 12)

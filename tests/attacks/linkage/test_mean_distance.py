@@ -9,9 +9,9 @@ from isac_track.types import Knowledge, Release
 
 
 def release(*walks):
-    """Return a release of walks, each of instants and places."""
-    t, xy = (np.concatenate(one) for one in zip(*walks, strict=True))
-    offsets = np.cumsum([0, *(len(one) for one, _ in walks)])
+    """Return a release of walks, each a pair of instants and places."""
+    t, xy = (np.concatenate(values) for values in zip(*walks, strict=True))
+    offsets = np.cumsum([0, *(len(values) for values, _ in walks)])
     names = tuple(f"p{n}" for n in range(len(walks)))
     return Release(
         t=t.astype(float),
@@ -23,7 +23,7 @@ def release(*walks):
 
 
 def line(start_s, end_s, *, shift_m):
-    """Return somebody who walks along x, `shift_m` beside it."""
+    """Return a walk along x, `shift_m` beside it."""
     t = np.linspace(start_s, end_s, 40)
     return t, np.column_stack([t, np.full(40, shift_m)])
 
@@ -33,14 +33,14 @@ def test_it_is_the_mean_distance_where_both_were_there():
     context = AttackContext(
         rng=np.random.default_rng(0), epsilon_m=0.3, granted=granted
     )
-    score = MeanDistance().fit(context)
+    link = MeanDistance().fit(context)
     probe = release(line(0.0, 10.0, shift_m=0.0), (np.array([3.1]), np.zeros((1, 2))))
     gallery = release(
         line(5.0, 15.0, shift_m=2.0),
         line(9.0, 20.0, shift_m=0.0),
         line(30.0, 40.0, shift_m=0.0),
     )
-    found = score(probe, gallery)
-    assert found[0, 0] == pytest.approx(-2.0)
-    assert (found[0, 1:] < -1e5).all()
-    assert (found[1] < -1e5).all()
+    scores = link(probe, gallery)
+    assert scores[0, 0] == pytest.approx(-2.0)
+    assert (scores[0, 1:] < -1e5).all()
+    assert (scores[1] < -1e5).all()

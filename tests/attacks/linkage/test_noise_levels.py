@@ -1,11 +1,11 @@
-"""Noise levels on both sides of a silence: against plain loops, and in planted worlds."""
+"""Noise levels on both sides of a silence: plain loops, and planted worlds."""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import context, hits, odd_release, release_of
+from helpers.walks import context, hits, odd_release, walk_release
 from scipy.stats import norm
 
 from attacks.linkage.kinematic import Kinematic, continuations
@@ -18,7 +18,7 @@ from attacks.linkage.noise_levels import (
     log_ratios,
 )
 from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.remembered import part, reconstructed_from
+from attacks.remembered import record_shared, select_tracks
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 from isac_track.types import Knowledge, derived
@@ -32,7 +32,7 @@ LEVEL_M = (0.05, 1.5)  # Least and largest standard deviation in the planted wor
 def standing(rng, noise_m, *, from_s, n_samples=50):
     """People who all stand in one place, at 10 Hz: positions tell nobody apart."""
     t = from_s + np.arange(n_samples) / 10.0
-    return release_of(
+    return walk_release(
         [(t, each * rng.standard_normal((n_samples, 2))) for each in noise_m]
     )
 
@@ -71,26 +71,28 @@ def level_by_hand(t, xy, silence_s):
     )
 
 
-@pytest.mark.parametrize("at", [1, -1])
-def test_levels_are_those_of_a_loop_over_triples(at):
+@pytest.mark.parametrize("direction", [1, -1])
+def test_levels_are_those_of_a_loop_over_triples(direction):
     release = odd_release(4)
-    levels = end_levels(release, at)
+    levels = end_levels(release, direction)
     for row, (first, end) in enumerate(pairwise(release.offsets)):
         t, xy = release.t[first:end], release.xy[first:end]
         if len(t) < 3:
             assert levels.variance[row] == 1e6
             continue
-        by_hand = level_by_hand(t, xy, t[-1] if at > 0 else t[0])
+        by_hand = level_by_hand(t, xy, t[-1] if direction > 0 else t[0])
         assert levels.log_m2[row] == pytest.approx(by_hand[0], rel=1e-9)
         assert levels.variance[row] == pytest.approx(by_hand[1], rel=1e-9)
 
 
-def test_what_is_near_the_silence_counts_most():
+def test_samples_near_the_silence_count_most():
     rng = stream(0, "test", "fading level")
     t = np.arange(100) / 10.0
     noise_m = np.repeat([0.1, 1.0], 50)[:, None] * rng.standard_normal((100, 2))
-    release = release_of([(t, noise_m)])
-    begins, ends = (np.exp(0.5 * end_levels(release, at).log_m2[0]) for at in (-1, 1))
+    release = walk_release([(t, noise_m)])
+    begins, ends = (
+        np.exp(0.5 * end_levels(release, direction).log_m2[0]) for direction in (-1, 1)
+    )
     assert begins < 0.4
     assert ends > 0.8
 
@@ -115,7 +117,7 @@ def test_a_model_without_correlation_and_a_track_without_a_level_tell_nothing():
     assert log_ratios(probe, gallery, NoiseModel(0.0, 1.0)) == pytest.approx(
         0.0, abs=1e-12
     )
-    short = release_of([(np.arange(2.0), np.ones((2, 2)))])
+    short = walk_release([(np.arange(2.0), np.ones((2, 2)))])
     assert log_ratios(short, gallery, NoiseModel(0.9, 1.0)) == pytest.approx(
         0.0, abs=1e-4
     )
@@ -132,7 +134,7 @@ def test_the_variance_of_an_estimate_is_that_of_the_error_law(law, expected):
     # All long before a silence that is far away: of equal weights, but for half a
     # percent.
     t = np.arange(n_samples) * 1e-3
-    levels = end_levels(release_of([(t, each) for each in errors_m]), 1)
+    levels = end_levels(walk_release([(t, each) for each in errors_m]), 1)
     assert levels.log_m2.var() * (n_samples - 2) == pytest.approx(expected, rel=0.1)
 
 
@@ -149,14 +151,14 @@ def test_a_model_is_fitted_to_how_levels_vary_and_persist():
     assert model.correlation == pytest.approx(correlation, abs=0.1)
 
 
-def test_what_it_assumes_untaught_is_the_model_that_it_names():
+def test_without_training_it_assumes_the_model_that_it_names():
     assert ASSUMED.correlation == 0.5  # exp(-0.7)
     assert ASSUMED.variance == pytest.approx(np.log(10.0 ** (4.0 / 10.0)) ** 2)
 
 
 class TestWorldsWherePositionsTellNothing:
     @pytest.mark.parametrize("is_taught", [False, True])
-    def test_who_keeps_a_noise_level_is_linked_by_it_alone(self, is_taught):
+    def test_a_lasting_noise_level_links_people_by_itself(self, is_taught):
         probe, gallery, mate = planted(1)
         train = LinkageTrainingSet(*planted(2)) if is_taught else None
         ignorant = fitted(Kinematic(noise_correlation=0.0), train)(probe, gallery)
@@ -213,12 +215,12 @@ def test_behind_a_reconstruction_levels_are_those_of_what_was_shared():
         smooth = RadialRTS().fit(context(granted=()))(shared)
         return derived(shared, xy=smooth.xy), shared
 
-    noted = [reconstructed_from(*smoothed(each)) for each in (probe, gallery)]
+    noted = [record_shared(*smoothed(each)) for each in (probe, gallery)]
     ratios = log_ratios(probe, gallery, ASSUMED)
     assert np.array_equal(log_ratios(*noted, ASSUMED), ratios)
     rows = np.array([7, 2])
     assert np.array_equal(
-        log_ratios(part(noted[0], rows), noted[1], ASSUMED), ratios[rows]
+        log_ratios(select_tracks(noted[0], rows), noted[1], ASSUMED), ratios[rows]
     )
     # What is left after smoothing links fewer.
     forgotten = [smoothed(each)[0] for each in (probe, gallery)]

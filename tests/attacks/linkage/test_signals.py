@@ -1,10 +1,10 @@
-"""The common grid, motion on it, and the search for the best lag against brute force."""
+"""The common grid, motion on it, and the best lag against brute force."""
 
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import context, odd_release, release_of, two_releases
+from helpers.walks import context, odd_release, two_releases, walk_release
 from scipy.optimize import minimize_scalar
 
 from attacks.linkage.signals import (
@@ -16,9 +16,9 @@ from attacks.linkage.signals import (
     WIDTHS_S,
     Signals,
     aligned_costs,
-    factors,
-    motion,
     on_grid,
+    smooth_motion,
+    width_factors,
     widths_s,
 )
 from isac_track.protocols import LinkageTrainingSet
@@ -57,14 +57,15 @@ def test_a_cell_is_the_mean_of_the_line_through_the_samples():
 def test_the_longest_walk_is_cut():
     t = np.arange(0.0, 200.0, 0.5)
     assert (
-        on_grid(release_of([(t, np.zeros((t.size, 2)))])).sizes[0] == LONGEST_S / STEP_S
+        on_grid(walk_release([(t, np.zeros((t.size, 2)))])).sizes[0]
+        == LONGEST_S / STEP_S
     )
 
 
 @pytest.mark.parametrize(("radius_m", "rad_s"), [(3.0, 0.4), (3.0, -0.4), (8.0, 0.15)])
 def test_motion_on_a_circle(radius_m, rad_s):
-    walks = on_grid(release_of([circle(radius_m, rad_s)]))
-    speed, turn = motion(walks, width_s=np.array([0.5])).values[:, 0]
+    walks = on_grid(walk_release([circle(radius_m, rad_s)]))
+    speed, turn = smooth_motion(walks, width_s=np.array([0.5])).values[:, 0]
     inside = slice(3, int(walks.sizes[0]) - 3)
     assert np.allclose(speed[inside], radius_m * abs(rad_s), rtol=0.05)
     damped = 1 / (1 + (0.4 / (radius_m * rad_s)) ** 2)
@@ -84,10 +85,10 @@ def test_widths_that_come_to_the_same_are_tried_once():
     tried = {}
     for noise_m in (0.0, 1.0):
         train = LinkageTrainingSet(*two_releases(12, noise_m=noise_m))
-        tried[noise_m] = factors(context(train), None)
+        tried[noise_m] = width_factors(context(train), None)
     assert tried == {0.0: (1.0,), 1.0: (1.0, 0.5, 2.0)}
-    assert factors(context(train), 3.0) == (3.0,)
-    assert factors(context(), None) == (1.0,)
+    assert width_factors(context(train), 3.0) == (3.0,)
+    assert width_factors(context(), None) == (1.0,)
 
 
 def slow_cost(a, b, *, floor, rank, reach, rotated):
@@ -110,7 +111,9 @@ def slow_cost(a, b, *, floor, rank, reach, rotated):
                 x, y = x - x.mean(), y - y.mean()
             degree = min(rank if rotated else rank - 1, m - 1)
             fit = np.polynomial.legendre.legvander(np.linspace(-1, 1, m), degree)
-            x, y = (fit @ np.linalg.lstsq(fit, each, rcond=None)[0] for each in (x, y))
+            x, y = (
+                fit @ np.linalg.lstsq(fit, values, rcond=None)[0] for values in (x, y)
+            )
 
             def misfit(angle, x=x, y=y):
                 return float((np.abs(x - np.exp(1j * angle) * y) ** 2).mean())

@@ -1,8 +1,8 @@
-"""The control hands back what it was given; closed forms of the mean over R + 1 releases."""
+"""The identity changes nothing; closed forms of the mean over R + 1 releases."""
 
 import numpy as np
 import pytest
-from helpers.walks import context, release_of, smooth_walks
+from helpers.walks import context, smooth_walks, walk_release
 
 from attacks.reconstruction.averaging import Averaging, Identity
 from isac_track.errors import KnowledgeDenied
@@ -13,14 +13,14 @@ SCENE, SIGMA, REPEATS = Knowledge.SCENE, Knowledge.SIGMA, Knowledge.REPEATS
 
 def test_the_very_positions_come_back():
     release, _ = smooth_walks(1, 8)
-    found = Identity().fit(context())(release)
-    np.testing.assert_array_equal(found.xy, release.xy)
-    assert found.std is None
+    result = Identity().fit(context())(release)
+    np.testing.assert_array_equal(result.xy, release.xy)
+    assert result.std is None
 
 
-def one_walk(xy, sigma=None):
+def single_walk(xy, sigma=None):
     xy = np.array(xy, dtype=float)
-    return release_of([(np.arange(float(len(xy))), xy)], sigma=sigma)
+    return walk_release([(np.arange(float(len(xy))), xy)], sigma=sigma)
 
 
 def averaged(first, *repeats, granted=(SCENE, REPEATS)):
@@ -29,7 +29,7 @@ def averaged(first, *repeats, granted=(SCENE, REPEATS)):
 
 def test_without_sigma_it_is_the_plain_mean():
     walks = ([[0, 3], [1, 1]], [[3, 3], [1, 4]], [[6, 0], [1, 7]])
-    assert averaged(*map(one_walk, walks)).xy.tolist() == [[3.0, 2.0], [1.0, 4.0]]
+    assert averaged(*map(single_walk, walks)).xy.tolist() == [[3.0, 2.0], [1.0, 4.0]]
 
 
 @pytest.mark.parametrize(
@@ -46,11 +46,11 @@ def test_without_sigma_it_is_the_plain_mean():
     ids=["weighed by its own variance", "declared exact"],
 )
 def test_with_sigma_each_sample_has_its_weight(first, again, expected):
-    walks = (one_walk(xy, sigma=np.array(sigma)) for xy, sigma in (first, again))
-    found = averaged(*walks, granted=(SCENE, REPEATS, SIGMA))
-    assert found.xy == pytest.approx(np.array(expected), abs=1e-9)
+    walks = (single_walk(xy, sigma=np.array(sigma)) for xy, sigma in (first, again))
+    result = averaged(*walks, granted=(SCENE, REPEATS, SIGMA))
+    assert result.xy == pytest.approx(np.array(expected), abs=1e-9)
 
 
 def test_without_repeats_it_cannot_run():
     with pytest.raises(KnowledgeDenied, match="REPEATS"):
-        averaged(one_walk([[0.0, 0.0]]), granted=(SCENE,))
+        averaged(single_walk([[0.0, 0.0]]), granted=(SCENE,))

@@ -1,4 +1,4 @@
-"""No attack beats the posterior covariance where the linear-Gaussian model holds exactly.
+"""No attack beats the posterior covariance under an exact linear-Gaussian model.
 
 Walks are drawn from the benchmark's own model: constant velocity, white-noise
 acceleration of Q = 0.04 m^2/s^3, 8 to 16 Hz, isotropic Gaussian errors of 0.1 to 1.5 m
@@ -36,7 +36,7 @@ PRIOR_STD = (100.0, 10.0)
 
 @cache
 def walks(n_tracks=N_TRACKS, seed=0):
-    """Truth, clock and offsets of tracks of 100 to 200 samples, and the std of every sample."""
+    """Return truth, clock, offsets and stds of tracks of 100 to 200 samples."""
     rng = stream(seed, "test", "benchmark", n_tracks)
     t, truth, offsets = cv_walks(
         *rng.integers(100, 201, n_tracks).tolist(), q=Q, seed=seed
@@ -47,7 +47,7 @@ def walks(n_tracks=N_TRACKS, seed=0):
     return truth, t, offsets, std * rng.uniform(2 / 3, 3 / 2, t.size)
 
 
-def release_of(n_tracks=N_TRACKS, seed=0, again=0):
+def make_release(n_tracks=N_TRACKS, seed=0, again=0):
     truth, t, offsets, std = walks(n_tracks, seed)
     noise = stream(seed, "test", "benchmark", "noise", seed, again).standard_normal(
         truth.shape
@@ -64,30 +64,32 @@ def posterior(n_releases=1, n_tracks=N_TRACKS):
     return variance
 
 
-def told(granted, n_train=32):
-    held = {}
+def make_context(granted, n_train=32):
+    knowledge = {}
     if Knowledge.TRAIN in granted:
-        train = release_of(n_train, seed=1)
+        train = make_release(n_train, seed=1)
         if Knowledge.SIGMA not in granted:
             train = train.without_sigma()
-        held["train"] = TrainingSet(train, walks(n_train, seed=1)[0])
+        knowledge["train"] = TrainingSet(train, walks(n_train, seed=1)[0])
     if Knowledge.REPEATS in granted:
-        held["repeats"] = tuple(release_of(again=1 + turn) for turn in range(N_REPEATS))
-    return context(granted=granted, mechanism=Raw(), **held)
+        knowledge["repeats"] = tuple(
+            make_release(again=1 + turn) for turn in range(N_REPEATS)
+        )
+    return context(granted=granted, mechanism=Raw(), **knowledge)
 
 
 def gaps(attack, granted, n_releases):
-    """Mean square error of each track, and what the benchmark expects, both (N,) m^2."""
+    """Return mean square errors of tracks, and the benchmark's, both (N,) m^2."""
     truth, _, offsets, _ = walks()
-    release = release_of()
+    release = make_release()
     if Knowledge.SIGMA not in granted:
         release = release.without_sigma()
-    found = attack.fit(told(granted))(release)
+    reconstruction = attack.fit(make_context(granted))(release)
     sizes = np.diff(offsets)
-    square = ((found.xy - truth) ** 2).sum(axis=1)
+    square = ((reconstruction.xy - truth) ** 2).sum(axis=1)
     expected = 2.0 * posterior(n_releases)
     return tuple(
-        np.add.reduceat(one, offsets[:-1]) / sizes for one in (square, expected)
+        np.add.reduceat(values, offsets[:-1]) / sizes for values in (square, expected)
     )
 
 
@@ -100,7 +102,7 @@ def over_benchmark(square, expected):
 
 
 BEYOND = {Knowledge.ANCHOR, Knowledge.COMPANIONS}
-"""More than releases of the walk, which the benchmark does not know of: not granted."""
+"""Knowledge beyond releases of the walk, which the benchmark lacks: not granted."""
 ROWS = [
     pytest.param(plugin.instance, adversary, granted - BEYOND, id=f"{name}-{adversary}")
     for name, origin in plugins.names("attacks").items()
@@ -125,23 +127,22 @@ def test_no_attack_beats_the_benchmark(attack, adversary, granted):
 def test_an_attack_that_knew_the_truth_a_little_would_be_seen():
     square, expected = gaps(KalmanRTS(q=Q), {Knowledge.SIGMA, Knowledge.TRAIN}, 1)
     assert over_benchmark(square, expected)[2] > 1.0
-    assert (
-        over_benchmark(0.95**2 * square, expected)[2] < 1.0
-    )  # each error a twentieth smaller
+    # Each error is a twentieth smaller.
+    assert over_benchmark(0.95**2 * square, expected)[2] < 1.0
 
 
 @pytest.mark.parametrize("granted", [(), (Knowledge.TRAIN,)], ids=["told", "learnt"])
-def test_the_smoother_that_is_told_all_attains_it(granted):
-    """Its law is Gaussian per axis: twice the radial share, given or learnt from others."""
+def test_the_smoother_with_all_knowledge_attains_it(granted):
+    """The law is Gaussian per axis: twice the radial share, given or learnt."""
     granted = {Knowledge.SIGMA, *granted}
     attack = KalmanRTS(q=Q)
     truth, _, _, std = walks(MANY_TRACKS)
-    release = release_of(MANY_TRACKS)
+    release = make_release(MANY_TRACKS)
     if Knowledge.TRAIN not in granted:
         # As a radial error of that variance would be declared.
         release = replace(release, sigma=std * np.sqrt(2.0))
-    found = attack.fit(told(granted, n_train=512))(release)
+    reconstruction = attack.fit(make_context(granted, n_train=512))(release)
     expected = posterior(n_tracks=MANY_TRACKS)
-    ratio = np.sqrt(np.mean((found.xy - truth) ** 2) / expected.mean())
+    ratio = np.sqrt(np.mean((reconstruction.xy - truth) ** 2) / expected.mean())
     assert ratio == pytest.approx(1.0, abs=0.02)
-    np.testing.assert_allclose(found.std**2, expected, rtol=0.02)
+    np.testing.assert_allclose(reconstruction.std**2, expected, rtol=0.02)

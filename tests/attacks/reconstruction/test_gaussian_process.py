@@ -4,15 +4,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import release_of, smooth_walks
+from helpers.walks import smooth_walks, walk_release
 
 from attacks.reconstruction.gaussian_process import TREND_STD, smooth
 from isac_track.rng import stream
 
 
 def dense(release, variance, *, kernel):
-    """Rasmussen, Williams, eq. 2.23-2.24, with K (K + R)^-1 written as 1 - R (K + R)^-1.
+    """Return the posterior by Rasmussen, Williams, eq. 2.23-2.24.
 
+    K (K + R)^-1 is written as 1 - R (K + R)^-1.
     As it stands in the book the posterior variance is the difference of two numbers of
     1e4.
     """
@@ -27,9 +28,9 @@ def dense(release, variance, *, kernel):
             TREND_STD[0] ** 2 + TREND_STD[1] ** 2 * np.outer(t, t) + scale**2 * shape
         )
         noise = np.diag(variance[lo:hi])
-        kept = noise @ np.linalg.inv(prior + noise)
-        xy[lo:hi] = release.xy[lo:hi] - kept @ (release.xy[lo:hi] - release.xy[lo])
-        std[lo:hi] = np.sqrt(np.diag(noise - kept @ noise))
+        share = noise @ np.linalg.inv(prior + noise)
+        xy[lo:hi] = release.xy[lo:hi] - share @ (release.xy[lo:hi] - release.xy[lo])
+        std[lo:hi] = np.sqrt(np.diag(noise - share @ noise))
     return xy, std
 
 
@@ -39,7 +40,7 @@ def with_a_gap_and_tiny_steps():
         np.arange(100) * 1e-3,
     )
     rng = stream(0, "test", "gap")
-    return release_of([(t, rng.standard_normal((t.size, 2))) for t in clocks])
+    return walk_release([(t, rng.standard_normal((t.size, 2))) for t in clocks])
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Radial errors are heavy at zero, which one smoother lives on alone; another has two moods."""
+"""Smoothers under the radial law, which is heavy at zero, and with two modes."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ N_TRACKS, N_SAMPLES = 200, 120
 
 
 def walks(law):
-    """Exact constant-velocity walks with errors of a law, one level a track, and the truth.
+    """Return exact constant-velocity walks with errors of a law, and the truth.
 
     sigma is declared so that half its square is the variance per axis under either law.
     """
@@ -41,7 +41,7 @@ def track_rmse(attack, release, truth, *granted):
 
 
 def compared(law, *granted):
-    """Mean of log(RMSE of radial_rts / RMSE of kalman_rts) over tracks, and its 95 % interval."""
+    """Return the mean log ratio of RMSE, radial_rts to kalman_rts, and half width."""
     release, truth = walks(law)
     if Knowledge.SIGMA not in granted:
         release = release.without_sigma()
@@ -74,11 +74,12 @@ def test_it_beats_the_linear_smoother_under_the_radial_law_and_only_there(
     "granted", [(), (Knowledge.SIGMA,)], ids=["blind", "with sigma"]
 )
 @pytest.mark.parametrize("law", LAWS)
-def test_without_being_told_it_is_the_smoother_of_the_law(granted, law):
+def test_it_finds_the_smoother_of_the_law(granted, law):
     release, _ = walks(law)
     right = RadialRTS(q=Q, passes=5) if law == "radial" else KalmanRTS(q=Q)
     ours, theirs = (
-        one.fit(context(granted=granted))(release) for one in (RadialRTS(q=Q), right)
+        attack.fit(context(granted=granted))(release)
+        for attack in (RadialRTS(q=Q), right)
     )
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
@@ -90,7 +91,7 @@ def test_the_law_shows_whatever_scales_the_errors(law, spread):
     release, truth = walks("radial")
     rng, n = stream(0, "test", "laws"), release.t.size
     sigma = release.sigma * np.exp(spread * rng.standard_normal(n))
-    drawn = [unit_errors(n_samples=n, law=one, rng=rng) for one in law.split(" on ")]
+    drawn = [unit_errors(n_samples=n, law=part, rng=rng) for part in law.split(" on ")]
     seen = replace(release, xy=truth + sigma[:, None] * sum(drawn))
     turned = replace(seen, xy=seen.xy[:, ::-1] * 0.1 + 50.0, t=seen.t / 3.0)
     assert looks_radial(seen) == looks_radial(turned) == (law != "isotropic")
@@ -101,7 +102,7 @@ def test_the_passes_are_learnt_from_others(law, passes):
     release, truth = walks(law)
     known = context(TrainingSet(release, truth))
     ours, theirs = (
-        one.fit(known)(release) for one in (RadialRTS(q=Q), RadialRTS(Q, passes))
+        attack.fit(known)(release) for attack in (RadialRTS(q=Q), RadialRTS(Q, passes))
     )
     np.testing.assert_array_equal(ours.xy, theirs.xy)
 
@@ -114,19 +115,19 @@ def test_a_single_pass_is_the_linear_smoother():
     np.testing.assert_array_equal(ours.std, theirs.std)
 
 
-def test_modes_that_are_alike_are_one_model():
+def test_equal_modes_are_a_single_model():
     release, _ = smooth_walks(60, 1, 2, 3, 150)
     attacks = ImmRTS(q=Q, q_turn=Q), KalmanRTS(q=Q)
-    both, one = (attack.fit(context())(release) for attack in attacks)
-    assert np.allclose(both.xy, one.xy, atol=1e-7)
-    assert np.allclose(both.std, one.std, atol=1e-7)
+    two_modes, single = (attack.fit(context())(release) for attack in attacks)
+    assert np.allclose(two_modes.xy, single.xy, atol=1e-7)
+    assert np.allclose(two_modes.std, single.std, atol=1e-7)
 
 
 def test_the_two_moods_last_as_long_as_the_attack_says():
     release, _ = smooth_walks(60)
-    told = replace(release, sigma=np.full(60, 0.5))
+    declared = replace(release, sigma=np.full(60, 0.5))
     attack = ImmRTS(q=0.01, q_turn=0.5, walk_s=6.0, turn_s=1.0)
-    found = attack.fit(context(granted={Knowledge.SIGMA}))(told)
+    result = attack.fit(context(granted={Knowledge.SIGMA}))(declared)
     batch = Batch(release.t, release.xy, np.full(60, 0.125), release.offsets, PRIOR_STD)
     position, _ = imm_smoother(batch, Moods((0.01, 0.5), (6.0, 1.0)))
-    assert np.array_equal(found.xy, position)
+    assert np.array_equal(result.xy, position)

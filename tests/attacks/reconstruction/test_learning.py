@@ -8,7 +8,11 @@ from helpers.walks import context, flat_release, smooth_walks
 
 from attacks.reconstruction.gaussian_process import GaussianProcess
 from attacks.reconstruction.kalman_rts import ImmRTS, KalmanRTS, RadialRTS
-from attacks.reconstruction.learning import around, exposure_loss, smoother
+from attacks.reconstruction.learning import (
+    candidates_around,
+    exposure_loss,
+    make_smoother,
+)
 from attacks.reconstruction.moving_windows import MovingAverage, Savgol
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
@@ -18,7 +22,7 @@ EPSILON_M = 0.5
 
 
 def chosen(candidates, reconstruct):
-    """What is chosen by two people; what was shared lies 1 m to the right of the truth."""
+    """Return the candidate for two people, shared 1 m to the right of the truth."""
     truth = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [9.0, 9.0]])
     release = flat_release(
         np.array([0.0, 1.0, 2.0, 0.0]),
@@ -32,7 +36,7 @@ def chosen(candidates, reconstruct):
         return Reconstruction(reconstruct(candidate, release))
 
     known = context(TrainingSet(release, truth), epsilon_m=EPSILON_M)
-    smoother(known, smooth, candidates=candidates)(release)
+    make_smoother(known, smooth, candidates=candidates)(release)
     assert tried[:-1] == list(candidates)
     return tried[-1]
 
@@ -76,13 +80,19 @@ def test_the_loss_by_hand():
     assert loss == pytest.approx(((0 + 1 / 2 + 4 / 5) / 3 + 16 / 17) / 2)
 
 
-# what is learnt, as a keyword for each candidate, and whether more smooths more
+# The learnt parameters of each candidate, and whether larger ones smooth more.
 LEARNERS = {
-    MovingAverage: ([{"width_s": one} for one in around(2.8, factor=2.0)], True),
-    Savgol: ([{"width_s": one} for one in around(6.5, factor=2.0)], True),
-    KalmanRTS: ([{"q": one} for one in around(0.04, factor=4.0)], False),
+    MovingAverage: (
+        [{"width_s": width_s} for width_s in candidates_around(2.8, factor=2.0)],
+        True,
+    ),
+    Savgol: (
+        [{"width_s": width_s} for width_s in candidates_around(6.5, factor=2.0)],
+        True,
+    ),
+    KalmanRTS: ([{"q": q} for q in candidates_around(0.04, factor=4.0)], False),
     partial(RadialRTS, passes=5, own_motion=False): (
-        [{"q": one} for one in around(0.04, factor=4.0)],
+        [{"q": q} for q in candidates_around(0.04, factor=4.0)],
         False,
     ),
     ImmRTS: (
@@ -90,7 +100,7 @@ LEARNERS = {
         False,
     ),
     GaussianProcess: (
-        [{"length_s": 12.0, "scale_m": m} for m in around(2.5, factor=2.0)],
+        [{"length_s": 12.0, "scale_m": m} for m in candidates_around(2.5, factor=2.0)],
         False,
     ),
 }
@@ -100,17 +110,17 @@ LEARNERS = {
 def test_training_chooses_for_the_walk_and_the_blind_take_the_default(attack):
     candidates, smooths = LEARNERS[attack]
     probe, _ = smooth_walks(400)
-    by_choice = [attack(**one) for one in candidates]
+    by_choice = [attack(**parameters) for parameters in candidates]
 
     def place(fitted):
-        """Which candidate gives the very same result."""
+        """Return the number of the only candidate with the very same result."""
         xy = fitted(probe).xy
-        (found,) = (
+        (number,) = (
             number
-            for number, one in enumerate(by_choice)
-            if np.array_equal(one.fit(context())(probe).xy, xy)
+            for number, candidate in enumerate(by_choice)
+            if np.array_equal(candidate.fit(context())(probe).xy, xy)
         )
-        return found
+        return number
 
     chosen = {}
     for turn in (0.05, 2.5):
@@ -121,31 +131,26 @@ def test_training_chooses_for_the_walk_and_the_blind_take_the_default(attack):
         assert np.mean((learnt(release).xy - truth) ** 2) < 0.4 * np.mean(
             (release.xy - truth) ** 2
         )
-        assert [place(one.fit(train)) for one in by_choice] == [
-            0,
-            1,
-            2,
-        ]  # given, nothing is learnt
+        # A given parameter is not learnt.
+        places = [place(candidate.fit(train)) for candidate in by_choice]
+        assert places == [0, 1, 2]
     assert (chosen[0.05] > chosen[2.5]) if smooths else (chosen[0.05] < chosen[2.5])
     assert place(attack().fit(context())) == 1
 
 
 REFUSED = [
-    *(
-        (MovingAverage, {"width_s": one}, "width_s must be positive")
-        for one in (0.0, np.nan)
-    ),
-    *((Savgol, {"width_s": one}, "width_s must be positive") for one in (-1.0, np.inf)),
-    *((one, {"q": 0.0}, "q must be positive") for one in (KalmanRTS, RadialRTS)),
-    *(
-        (ImmRTS, {name: 0.0}, f"{name} must be positive")
-        for name in ("walk_s", "turn_s")
-    ),
+    (MovingAverage, {"width_s": 0.0}, "width_s must be positive"),
+    (MovingAverage, {"width_s": np.nan}, "width_s must be positive"),
+    (Savgol, {"width_s": -1.0}, "width_s must be positive"),
+    (Savgol, {"width_s": np.inf}, "width_s must be positive"),
+    (KalmanRTS, {"q": 0.0}, "q must be positive"),
+    (RadialRTS, {"q": 0.0}, "q must be positive"),
+    (ImmRTS, {"walk_s": 0.0}, "walk_s must be positive"),
+    (ImmRTS, {"turn_s": 0.0}, "turn_s must be positive"),
     (RadialRTS, {"passes": 0}, "passes must be at least 1"),
-    *(
-        (RadialRTS, {"anneal": one}, r"anneal must lie in \[0, 1\)")
-        for one in (1, -0.1, np.nan)
-    ),
+    (RadialRTS, {"anneal": 1}, r"anneal must lie in \[0, 1\)"),
+    (RadialRTS, {"anneal": -0.1}, r"anneal must lie in \[0, 1\)"),
+    (RadialRTS, {"anneal": np.nan}, r"anneal must lie in \[0, 1\)"),
     (ImmRTS, {"q": 0.1}, "both q and q_turn"),
     (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
     (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),

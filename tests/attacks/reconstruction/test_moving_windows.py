@@ -1,11 +1,11 @@
-"""The mean against a loop, the filter against scipy's, and their windows against the law."""
+"""The mean against a loop, the filter against scipy's, the windows against the law."""
 
 from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from helpers.walks import context, release_of, smooth_walks
+from helpers.walks import context, smooth_walks, walk_release
 from scipy.signal import savgol_filter
 
 from attacks.reconstruction.learning import learn_variance
@@ -109,7 +109,7 @@ def test_running_sums_lose_nothing_on_a_long_track():
     xy = np.stack([50 * np.sin(t / 300), 0.01 * t], axis=1) + rng.standard_normal(
         (t.size, 2)
     )
-    release = release_of([(t, xy)])
+    release = walk_release([(t, xy)])
     half = np.array([40])
     ours = filtered(release, half, loop="fit_parabolas")
     assert np.allclose(ours, by_scipy(release, half), atol=1e-9, rtol=0)

@@ -1,8 +1,8 @@
-"""What an adversary takes for the noise of each sample: blind, declared, and by the FID rule."""
+"""The noise of each sample as an adversary estimates it: blind, declared, by FID."""
 
 import numpy as np
 import pytest
-from helpers.walks import context, release_of
+from helpers.walks import context, walk_release
 
 from attacks.reconstruction.learning import learn_variance
 from isac_track.noise import (
@@ -21,9 +21,9 @@ SHORT_S, LONG_S = 0.08, 0.2
 GAP = 4.6
 RAW_M = 0.3
 ETA = (GAP / RAW_M) ** 2 / 0.125
-"""At RAW_M information lasts for 0.125 s: intervals of 0.08 s exceed eta, those of 0.2 s do not."""
+"""At RAW_M information lasts for 0.125 s: only intervals of 0.08 s exceed eta."""
 ADDED_M = 0.5 * (1.5 - np.exp(-(0.125 / SHORT_S - 1.0)))
-"""What the rule then adds, 0.465 m, written out."""
+"""The standard deviation that the rule then adds, 0.465 m."""
 VARIANCE_M2 = {  # per axis, radial: (short intervals, long ones)
     "linear": ((RAW_M + ADDED_M) ** 2 / 2, RAW_M**2 / 2),
     "independent": ((RAW_M**2 + ADDED_M**2) / 2, RAW_M**2 / 2),
@@ -35,18 +35,18 @@ TRAINING_M = np.geomspace(0.08, 1.2, 24)
 
 
 def shared(mechanism, *, raw_m=(RAW_M,), n_samples=300, seed=0):
-    """Straight walks, one for each raw standard deviation; every ten samples the interval changes.
+    """Return a training set of straight walks, and the samples after short intervals.
 
-    A training set, and which samples follow a short interval.
+    There is a walk for each raw standard deviation; every ten samples the interval may
+    change.
     """
     rng = stream(seed, "test", "fid noise", len(raw_m))
     n = len(raw_m)
     spells = rng.integers(0, 2, (n, -(-n_samples // 10)))
     is_short = np.repeat(spells, 10, axis=1)[:, :n_samples] == 1
     second = min(1, n_samples - 1)
-    is_short[:, 0] = is_short[
-        :, second
-    ]  # the rule takes the next interval for the first sample
+    # The rule takes the next interval for the first sample.
+    is_short[:, 0] = is_short[:, second]
     t = np.cumsum(np.where(is_short, SHORT_S, LONG_S), axis=1)
     truth = rng.normal(0, 1, (n, 1, 2)) * t[..., None] + rng.normal(0, 5, (n, 1, 2))
     t, truth = t.reshape(-1), truth.reshape(-1, 2)
@@ -86,18 +86,15 @@ def test_each_track_has_the_level_of_its_innovations():
 @pytest.mark.parametrize(
     ("mechanism", "granted"),
     [
-        *(
-            (Fid(ETA), (one,)) for one in (TRAIN, MECHANISM)
-        ),  # half of what the rule takes
-        *(
-            (one, (MECHANISM, TRAIN))
-            for one in (Raw(), Fixed(0.5, adding="independent"))
-        ),
+        # The rule takes both kinds of knowledge.
+        (Fid(ETA), (TRAIN,)),
+        (Fid(ETA), (MECHANISM,)),
+        # There is no rule.
+        (Raw(), (MECHANISM, TRAIN)),
+        (Fixed(0.5, adding="independent"), (MECHANISM, TRAIN)),
     ],
 )
-def test_without_a_rule_and_who_teaches_it_there_are_the_positions_alone(
-    mechanism, granted
-):
+def test_without_a_known_rule_and_training_only_positions_count(mechanism, granted):
     victim = released(mechanism, seed=1)
     training, _ = shared(mechanism, raw_m=TRAINING_M)
     known = context(training, granted=granted, mechanism=mechanism)
@@ -115,7 +112,7 @@ def test_the_law_is_learnt_from_other_people_by_hand(length_m):
     # Squared errors 1 + 4 over declared 4 + 1, on two axes: one half of each; or twice
     # as much.
     walk = np.array([0.0, 1.0]), length_m * np.array([[1.0, 0.0], [0.0, 2.0]])
-    release = release_of([walk], sigma=np.array([2.0, 1.0]))
+    release = walk_release([walk], sigma=np.array([2.0, 1.0]))
     train = TrainingSet(release, np.zeros((2, 2)))
     victim = released(Fixed(0.4), raw_m=(0.1, 1.0), seed=1)
     variance = learn_variance(context(train, granted=(SIGMA, TRAIN)))(victim)
@@ -146,7 +143,7 @@ def test_by_the_rule_it_is_inferred_which_samples_were_perturbed_and_by_how_much
     victims, is_short = shared(rule, raw_m=(RAW_M,) * 60, seed=1)
     release = victims.release.without_sigma()
     variance = informed(rule)(release)
-    short, long = (per_track(variance, one) for one in (is_short, ~is_short))
+    short, long = (per_track(variance, chosen) for chosen in (is_short, ~is_short))
     assert (short > long).mean() > 0.75
     assert (short > long * (1 - 1e-9)).all()  # alike where all or none were perturbed
     true_short, true_long = VARIANCE_M2[adding]
@@ -159,7 +156,7 @@ def test_by_the_rule_it_is_inferred_which_samples_were_perturbed_and_by_how_much
 
 @RULES
 @pytest.mark.parametrize("raw_m", [0.05, 2.0], ids=["all in full", "none"])
-def test_far_from_the_threshold_all_samples_of_a_track_are_alike(adding, raw_m):
+def test_far_from_the_threshold_all_samples_of_a_track_have_one_variance(adding, raw_m):
     rule = Fid(ETA, adding=adding)
     victims, is_short = shared(rule, raw_m=(raw_m,) * 20, seed=1)
     variance = informed(rule)(victims.release.without_sigma())

@@ -1,4 +1,4 @@
-"""The smoother that reckons with a slow error: found out, told, taught; and where there is none."""
+"""The smoother of slow errors: fitted, known, learnt; and without a slow error."""
 
 from dataclasses import dataclass, replace
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
-from attacks.reconstruction.ou_rts import OuRTS, fitted
+from attacks.reconstruction.ou_rts import OuRTS, fit_slow_error
 from isac_track.mechanisms.controls import Correlated, correlated_errors
 from isac_track.plugins import parse
 from isac_track.protocols import TrainingSet
@@ -23,14 +23,14 @@ Q, NOISE_M = 0.05, 0.1
 
 @dataclass(frozen=True)
 class Slow:
-    """What a mechanism with such an error says of itself."""
+    """A mechanism that declares such an error."""
 
     std_m: float
     tau_s: float
 
 
 def walks(std_m, tau_s, *, n=40, size=150, white_m=NOISE_M):
-    """Walks of the model behind its errors, and where they truly were."""
+    """Return walks of the model behind its errors, and the truth."""
     t, path, offsets = cv_walks(*[size] * n, q=Q)
     rng = stream(0, "test", "ou_rts", str((std_m, tau_s, white_m)))
     xy = path + white_m * rng.standard_normal(path.shape)
@@ -47,14 +47,14 @@ def informed(taught, mechanism):
 
 
 def error_m2(attack, seen, truth, known=None):
-    """Mean squared error of a reconstruction, blind or of who knows more."""
+    """Return the mean squared error of a reconstruction, by default a blind one."""
     return float(((attack.fit(known or context())(seen).xy - truth) ** 2).mean())
 
 
 @pytest.mark.parametrize("error", [(0.5, 2.0), (1.0, 5.0), (0.8, 10.0)])
 def test_the_release_tells_how_large_and_how_slow_an_error_is(error):
     release, _ = walks(*error)
-    std_m, tau_s = fitted(release, Q)
+    std_m, tau_s = fit_slow_error(release, Q)
     # Over seconds an error shows how fast it moves, less how large it would become.
     assert std_m**2 / tau_s == pytest.approx(error[0] ** 2 / error[1], rel=0.15)
     assert error[1] / 3 < tau_s < 3 * error[1]
@@ -63,7 +63,7 @@ def test_the_release_tells_how_large_and_how_slow_an_error_is(error):
     assert np.sqrt(((blind - truth) ** 2).mean()) < 0.15 * error[0]
 
 
-def test_who_reckons_with_the_error_is_nearer_and_knows_how_near():
+def test_an_assumed_error_brings_it_nearer_and_its_std_is_right():
     release, truth = walks(0.8, 2.0)
     own = OuRTS(q=Q, std_m=0.8, tau_s=2.0).fit(context())(release)
     square = (own.xy - truth) ** 2
@@ -80,22 +80,20 @@ def test_half_or_twice_the_error_costs_little_next_to_none():
         assert right < wrong < right + 0.6 * (none - right)
 
 
-def test_what_it_is_told_and_taught_serves_it():
+def test_the_mechanism_and_training_help():
     release, truth = walks(0.8, 5.0)
     other, known = walks(0.8, 5.0, n=20, size=120)
     taught = TrainingSet(other, known)
-    law = replace(
-        Correlated(1.0, 5.0), adding="independent"
-    )  # says d_sigma: per axis 0.71 m
-    told, misled, by_law = (
+    # It declares d_sigma: per axis 0.71 m.
+    law = replace(Correlated(1.0, 5.0), adding="independent")
+    informed_m2, misled_m2, by_law_m2 = (
         error_m2(OuRTS(), release, truth, informed(taught, mechanism))
         for mechanism in (Slow(0.8, 5.0), Slow(0.1, 90.0), law)
     )
-    assert told < 1.1 * error_m2(OuRTS(), release, truth)
-    assert (
-        misled < 1.1 * told
-    )  # the training people show what the mechanism does not say
-    assert by_law < 1.1 * told
+    assert informed_m2 < 1.1 * error_m2(OuRTS(), release, truth)
+    # The training people show the true error.
+    assert misled_m2 < 1.1 * informed_m2
+    assert by_law_m2 < 1.1 * informed_m2
 
 
 @pytest.mark.parametrize("mechanism", [None, Raw(), Fixed(0.5)])
@@ -113,15 +111,15 @@ def test_parameters_that_cannot_be_are_refused():
 
 
 def beyond(release, **granted):
-    """The smoother of who is told the error and was granted more."""
+    """Return the result of an adversary who knows the error and is granted more."""
     knows = {
         "repeats": (REPEATS, SCENE),
         "anchor": (ANCHOR,),
         "companions": (COMPANIONS,),
     }
-    known = (MECHANISM, *(one for name in granted for one in knows[name]))
-    told = context(granted=known, mechanism=Slow(0.8, 5.0), **granted)
-    return OuRTS(q=Q).fit(told)(release)
+    known = (MECHANISM, *(needed for name in granted for needed in knows[name]))
+    granted_context = context(granted=known, mechanism=Slow(0.8, 5.0), **granted)
+    return OuRTS(q=Q).fit(granted_context)(release)
 
 
 def known_at(release, truth, places):
@@ -130,7 +128,7 @@ def known_at(release, truth, places):
     return flat_release(release.t[places], truth[places], np.arange(n + 1))
 
 
-def test_repeats_are_averaged_and_a_known_place_and_who_walks_along_help():
+def test_repeats_are_averaged_and_anchors_and_companions_help():
     t, path, offsets = cv_walks(*[150] * 40, q=Q)
 
     def release(row, shift_m=0.0):
@@ -141,18 +139,18 @@ def test_repeats_are_averaged_and_a_known_place_and_who_walks_along_help():
         white = NOISE_M * rng.standard_normal(path.shape)
         return flat_release(t, path + shift_m + 0.8 * slow + white, offsets)
 
-    def off_m2(found):
-        return float(((found.xy - path) ** 2).mean())
+    def off_m2(reconstruction):
+        return float(((reconstruction.xy - path) ** 2).mean())
 
     own = release(0)
-    alone = off_m2(beyond(own))
+    alone_m2 = off_m2(beyond(own))
     averaged = off_m2(beyond(own, repeats=tuple(release(row) for row in range(1, 10))))
-    assert averaged == pytest.approx(alone / 10, rel=0.3)
+    assert averaged == pytest.approx(alone_m2 / 10, rel=0.3)
     anchor = known_at(own, path, offsets[:-1] + 70)
-    found = beyond(own, anchor=anchor)
-    assert off_m2(found) < 0.8 * alone
-    np.testing.assert_allclose(found.xy[offsets[:-1] + 70], anchor.xy, atol=0.05)
-    assert off_m2(beyond(own, companions=(release(1, shift_m=1.0),))) < 0.97 * alone
+    anchored = beyond(own, anchor=anchor)
+    assert off_m2(anchored) < 0.8 * alone_m2
+    np.testing.assert_allclose(anchored.xy[offsets[:-1] + 70], anchor.xy, atol=0.05)
+    assert off_m2(beyond(own, companions=(release(1, shift_m=1.0),))) < 0.97 * alone_m2
     nobody = known_at(own, path, offsets[:-1])  # one sample: walks alone
     np.testing.assert_allclose(beyond(own, companions=(nobody,)).xy, beyond(own).xy)
 

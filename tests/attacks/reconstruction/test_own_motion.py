@@ -1,4 +1,4 @@
-"""Each track's own motion: told apart in a planted crowd, worth something there, and free else."""
+"""Motions of their own: identified in a planted crowd, useful there, free elsewhere."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ EPSILON_M = 0.3
 
 
 def crowd(*kinds, noise_m=NOISE_M, slow_m=0.0, seed=0):
-    """A release of people, each of the next of some kinds of motion, and where they truly were."""
+    """Return a release of people, with some kinds of motion in turn, and the truth."""
     rng = stream(seed, "test", "own motion", *kinds)
     step = rng.uniform(1 / 16, 1 / 8, (N, SIZE))
     kind = np.resize(kinds, N)
@@ -56,24 +56,24 @@ def plr(attack, release, truth, known=None):
 
 
 def gain(attack, release, truth, known=None):
-    """Mean gain in PLR over the same attack with one motion for all, and its standard error."""
+    """Return the mean gain in PLR over a common motion, and its standard error."""
     common = replace(attack, own_motion=False)
-    each = plr(attack, release, truth, known) - plr(common, release, truth, known)
-    return each.mean(), each.std(ddof=1) / np.sqrt(N)
+    difference = plr(attack, release, truth, known) - plr(common, release, truth, known)
+    return difference.mean(), difference.std(ddof=1) / np.sqrt(N)
 
 
-def test_who_stands_and_who_walks_are_told_apart():
+def test_standing_and_walking_people_get_different_motions():
     release, _ = crowd(STANDS, WALKS)
     variance = np.full(release.t.size, NOISE_M**2)
     case = Batch(release.t, release.xy, variance, release.offsets, (100.0, 10.0))
-    found = probabilities(case, SlowError(0.0, 0.0))
-    np.testing.assert_allclose(found.sum(axis=1), 1.0)
-    assert (found[::2].argmax(axis=1) <= STANDS).mean() > 0.9
+    probability = probabilities(case, SlowError(0.0, 0.0))
+    np.testing.assert_allclose(probability.sum(axis=1), 1.0)
+    assert (probability[::2].argmax(axis=1) <= STANDS).mean() > 0.9
     # Between walkers of neighbouring motions no track decides: their q is within a
     # factor of six.
-    q = found[1::2] @ np.log(MOTIONS.q)
+    q = probability[1::2] @ np.log(MOTIONS.q)
     assert abs(q.mean() - np.log(MOTIONS.q[WALKS])) < np.log(2.0)
-    assert (found[1::2, :4].sum(axis=1) < 0.5).all()
+    assert (probability[1::2, :4].sum(axis=1) < 0.5).all()
 
 
 def test_a_lone_sample_tells_nothing():
@@ -94,14 +94,13 @@ def test_a_crowd_of_two_motions_is_known_better(slow_m):
     attack = OuRTS(std_m=slow_m, tau_s=5.0) if slow_m else RadialRTS()
     mean, error = gain(attack, release, truth)
     assert mean > 0.02 + 2 * error
-    if (
-        not slow_m
-    ):  # as they walk, with one motion for all and none fitted, that is `KalmanRTS`
+    # With a common motion, and none fitted, the attack is `KalmanRTS`.
+    if not slow_m:
         common = plr(replace(attack, own_motion=False), release, truth)
         np.testing.assert_array_equal(common, plr(KalmanRTS(), release, truth))
 
 
-def test_behind_a_slow_error_who_stands_still_is_known_about_as_well_as_by_the_mean_of_the_track():
+def test_behind_a_slow_error_it_is_as_good_as_the_mean_of_a_standing_person():
     release, truth = crowd(STILL, slow_m=0.5, noise_m=0.1)
     mean = release.xy.reshape(N, SIZE, 2).mean(axis=1, keepdims=True)
     off_m = np.linalg.norm(truth.reshape(N, SIZE, 2) - mean, axis=2)
@@ -129,7 +128,9 @@ def test_a_given_q_is_that_of_all_tracks():
     release, _ = crowd(STANDS, WALKS)
     for attack in (RadialRTS(q=0.1), OuRTS(q=0.1), OuRTS(q=0.1, std_m=0.4, tau_s=5.0)):
         common = replace(attack, own_motion=False)
-        ours, theirs = (one.fit(context())(release).xy for one in (attack, common))
+        ours, theirs = (
+            smoother.fit(context())(release).xy for smoother in (attack, common)
+        )
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -139,20 +140,24 @@ def test_a_track_depends_on_no_other_and_on_no_frame():
     # Half of the people: with very few the release does not show whether errors are
     # radial.
     rows = np.arange(N)[::-2]
-    whole, some = smooth(release), smooth(release.tracks(rows))
-    by_track = whole.xy.reshape(N, SIZE, 2)
-    np.testing.assert_allclose(some.xy.reshape(-1, SIZE, 2), by_track[rows], atol=1e-9)
+    whole, part = smooth(release), smooth(release.tracks(rows))
+    place_by_track = whole.xy.reshape(N, SIZE, 2)
+    np.testing.assert_allclose(
+        part.xy.reshape(-1, SIZE, 2), place_by_track[rows], atol=1e-9
+    )
     turned = moved(release)
     shift = np.hypot(*(smooth(turned).xy - turned.xy).T)
     np.testing.assert_allclose(shift, np.hypot(*(whole.xy - release.xy).T), atol=1e-6)
 
 
-def test_who_is_taught_learns_the_passes_and_keeps_each_tracks_own_motion():
+def test_with_training_it_learns_the_passes_and_keeps_each_tracks_own_motion():
     release, truth = crowd(STANDS, WALKS)
     known = context(
         TrainingSet(*crowd(STANDS, WALKS, seed=1)), granted={Knowledge.TRAIN}
     )
-    taught, alone = (RadialRTS().fit(one)(release).xy for one in (known, context()))
+    taught, alone = (
+        RadialRTS().fit(knowledge)(release).xy for knowledge in (known, context())
+    )
     np.testing.assert_allclose(taught, alone, atol=1e-9)
     loss = exposure_loss(
         xy=taught, truth=truth, offsets=release.offsets, epsilon_m=EPSILON_M

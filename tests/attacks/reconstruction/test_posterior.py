@@ -1,4 +1,4 @@
-"""On short tracks it is what a dense solution says, averaged over all scales on a grid."""
+"""On short tracks it is a dense solution, averaged over all scales on a grid."""
 
 from dataclasses import replace
 
@@ -9,7 +9,7 @@ from scipy.special import gammaincinv
 
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.reconstruction.own_motion import PRIOR_STD
-from attacks.reconstruction.posterior import Posterior, _parts, _where_most_are
+from attacks.reconstruction.posterior import Posterior, _densest_points, _parts
 from isac_track.mechanisms.protections import Laplace, Ou
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
@@ -30,7 +30,7 @@ def covariance(t):
 
 
 def scales_on_a_grid(std_m, law, n):
-    """Variances, (n, K), that are equally likely each, as an error of the law is drawn."""
+    """Return variances, (n, K), that are equally likely under the error law."""
     u = (np.arange(n) + 0.5) / n
     if law == "radial":  # sin^2 of a uniform angle is arcsine distributed
         share = np.sin(np.pi * u / 2) ** 2
@@ -50,18 +50,21 @@ def dense(parts, n):
     )
     noise = every.reshape(len(every), len(parts), T.size).sum(axis=1)
     total, mean, square = 0.0, 0.0, 0.0
-    for some in np.array_split(noise, max(len(noise) // 20_000, 1)):
-        whole = prior + some[:, :, None] * np.eye(T.size)
-        gain = prior @ np.linalg.inv(whole)
-        found = gain @ xy
+    for noise_part in np.array_split(noise, max(len(noise) // 20_000, 1)):
+        covariances = prior + noise_part[:, :, None] * np.eye(T.size)
+        gain = prior @ np.linalg.inv(covariances)
+        estimate = gain @ xy
         fit = (
-            xy * np.linalg.solve(whole, np.broadcast_to(xy, (len(some), *xy.shape)))
+            xy
+            * np.linalg.solve(
+                covariances, np.broadcast_to(xy, (len(noise_part), *xy.shape))
+            )
         ).sum((1, 2))
-        weight = np.exp(-fit / 2) / np.linalg.det(whole)  # of two axes
+        weight = np.exp(-fit / 2) / np.linalg.det(covariances)  # of two axes
         spread = np.diagonal(prior - gain @ prior, axis1=1, axis2=2)
         total += weight.sum()
-        mean = mean + (weight[:, None, None] * found).sum(axis=0)
-        square = square + (weight[:, None] * (spread + (found**2).mean(axis=2))).sum(
+        mean = mean + (weight[:, None, None] * estimate).sum(axis=0)
+        square = square + (weight[:, None] * (spread + (estimate**2).mean(axis=2))).sum(
             axis=0
         )
     mean = mean / total
@@ -99,7 +102,7 @@ def test_a_short_track_against_all_scales_on_a_grid(parts, n):
 
 @pytest.mark.parametrize("length", [0.05, 0.4, 1.0, 2.5])
 def test_the_scales_make_up_the_law(length):
-    """Densities in the plane: exp(-r^2 / 2) / r, and exp(-sqrt(3) r), each over its integral."""
+    """Densities are exp(-r^2 / 2) / r and exp(-sqrt(3) r), each over its integral."""
     for law, expected in (
         ("radial", np.exp(-(length**2) / 2) / length / np.sqrt(2 * np.pi**3)),
         ("laplace", 3.0 * np.exp(-np.sqrt(3.0) * length) / (2 * np.pi)),
@@ -109,7 +112,7 @@ def test_the_scales_make_up_the_law(length):
         np.testing.assert_allclose(density.mean(), expected, rtol=1e-3)
 
 
-def test_the_mechanism_says_what_the_errors_are_made_of():
+def test_the_parts_of_an_error_are_those_of_the_mechanism():
     total = np.array([1.0, 0.1])
 
     def parts(mechanism):
@@ -129,17 +132,20 @@ def test_the_mechanism_says_what_the_errors_are_made_of():
 
 
 def test_the_point_is_where_most_draws_are():
-    """Of two places, seven of ten draws are about the second: the mean is near neither."""
+    """Seven of ten draws are about the second of two places, the mean near neither."""
     jitter = stream(0, "test", "draws").uniform(-0.05, 0.05, (100, 1, 2))
     draws = jitter + np.where(np.arange(100) % 10 < 3, 0.0, 0.5)[:, None, None]
-    found = _where_most_are(draws, 0.3)
+    result = _densest_points(draws, 0.3)
     places = np.stack(np.meshgrid(*[np.linspace(-0.3, 0.8, 56)] * 2), axis=-1).reshape(
         -1, 1, 2
     )
-    near = [(np.hypot(*(draws - at)[:, 0].T) < 0.3).sum() for at in (found.xy, *places)]
+    near = [
+        (np.hypot(*(draws - place)[:, 0].T) < 0.3).sum()
+        for place in (result.xy, *places)
+    ]
     assert near[0] == max(near) == 70
     square = ((draws - draws.mean(axis=0)) ** 2).mean()
-    np.testing.assert_allclose(found.std, np.sqrt([square]))
+    np.testing.assert_allclose(result.std, np.sqrt([square]))
 
 
 @pytest.mark.parametrize("mechanism", [Ou(0.3), Fixed(0.3)], ids=["slow", "not radial"])
@@ -149,5 +155,5 @@ def test_behind_other_errors_it_is_the_smoother(mechanism):
         error = release.xy - truth
         release = replace(release, xy=truth + 0.5 * error / np.hypot(*error.T)[:, None])
     known = context(mechanism=mechanism, granted=(Knowledge.MECHANISM,))
-    smooth, ours = (one.fit(known)(release) for one in (RadialRTS(), Posterior()))
+    smooth, ours = (attack.fit(known)(release) for attack in (RadialRTS(), Posterior()))
     np.testing.assert_array_equal(ours.xy, smooth.xy)

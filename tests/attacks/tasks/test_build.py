@@ -1,4 +1,4 @@
-"""What is linked: whose windows, when, and who may learn from whom."""
+"""The sessions of tasks: windows, mates, and the people to learn from."""
 
 import re
 from dataclasses import replace
@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from helpers.strategies import reproducible
 from helpers.walkers import runs
-from helpers.walks import release_of
+from helpers.walks import walk_release
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.tasks.build import joined, sample_at, sessions_of
+from attacks.tasks.build import joined, make_sessions, samples_at_shares
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -28,7 +28,7 @@ WINDOW_S = STAGES.linkage.window_s
 
 @cache
 def crowd(*, n=60, groups=(3, 2, 2), session=0):
-    """People who come and go over 100 s, each for 5 to 40 s; the first few walk in groups."""
+    """Return people who come and go over 100 s; the first few walk in groups."""
     walks = []
     for row in range(n):
         rng = stream(0, "test", "crowd", session, row)
@@ -40,11 +40,11 @@ def crowd(*, n=60, groups=(3, 2, 2), session=0):
         walks.append((t, rng.uniform(-3, 3, 2) + 0.4 * velocity.cumsum(axis=0)))
     group = [f"g{number}" for number, size in enumerate(groups) for _ in range(size)]
     group += [f"alone{session}-{row}" for row in range(len(group), n)]
-    return tracks_of(walks, source=[f"p{row:03d}" for row in range(n)], group=group)
+    return make_tracks(walks, source=[f"p{row:03d}" for row in range(n)], group=group)
 
 
-def tracks_of(walks, *, source, group):
-    flat = release_of(walks)
+def make_tracks(walks, *, source, group):
+    flat = walk_release(walks)
     return Tracks(
         flat.t, flat.xy, flat.offsets, source=tuple(source), group=tuple(group)
     )
@@ -54,7 +54,7 @@ def tracks_of(walks, *, source, group):
 def sessions(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
     later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
-    return sessions_of(
+    return make_sessions(
         TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later
     )
 
@@ -63,40 +63,43 @@ def spans(windows):
     return windows.t[windows.offsets[:-1]], windows.t[windows.offsets[1:] - 1]
 
 
-def both_sides(found):
-    return found.probe, found.gallery
+def both_sides(linked):
+    return linked.probe, linked.gallery
 
 
-def each(side):
-    """Person, search, instants and places of every window of a side."""
+def list_windows(side):
+    """Return person, search, instants and positions of every window of a side."""
     parts = (np.split(flat, side.offsets[1:-1]) for flat in (side.t, side.xy))
     return zip(side.person.tolist(), side.search.tolist(), *parts, strict=True)
 
 
 def without(tracks, source):
-    stay = [one for one in tracks if one.source[0] != source]
+    remaining = [track for track in tracks if track.source[0] != source]
     names = {
-        name: [getattr(one, name)[0] for one in stay] for name in ("source", "group")
+        name: [getattr(track, name)[0] for track in remaining]
+        for name in ("source", "group")
     }
-    return tracks_of([(one.t, one.xy) for one in stay], **names)
+    return make_tracks([(track.t, track.xy) for track in remaining], **names)
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 def test_a_mate_is_the_same_person_in_the_same_search(name):
-    found = sessions(name)
-    place = {one[:2]: row for row, one in enumerate(each(found.gallery))}
-    assert found.mate.tolist() == [place.get(one[:2], -1) for one in each(found.probe)]
-    assert (found.mate >= 0).any()
-    assert (found.mate >= 0).all() == (name in CLOSED)
+    linked = sessions(name)
+    place = {window[:2]: row for row, window in enumerate(list_windows(linked.gallery))}
+    assert linked.mate.tolist() == [
+        place.get(window[:2], -1) for window in list_windows(linked.probe)
+    ]
+    assert (linked.mate >= 0).any()
+    assert (linked.mate >= 0).all() == (name in CLOSED)
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
     tracks = crowd()
-    found = sessions(name, tracks=tracks)
-    track_of = dict(zip(tracks.source, tracks, strict=True))
-    for person, _, t, xy in each(found.probe):
-        track = track_of[found.source[person]]
+    linked = sessions(name, tracks=tracks)
+    track_by_source = dict(zip(tracks.source, tracks, strict=True))
+    for person, _, t, xy in list_windows(linked.probe):
+        track = track_by_source[linked.source[person]]
         assert track.t[0] - 1e-9 <= t[0] < t[-1] <= track.t[-1] + 1e-9
         assert 1 / 16 - 1e-9 <= np.diff(t).min() <= np.diff(t).max() <= 1 / 8 + 1e-9
         # The recorded samples lie on the walk that the window is cut from.
@@ -109,83 +112,83 @@ def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
 
 def test_a_rerelease_is_two_windows_of_one_length_that_mostly_overlap_of_everybody():
     tracks = crowd()
-    found = sessions("rerelease", tracks=tracks)
+    linked = sessions("rerelease", tracks=tracks)
     long = np.subtract(*spans(tracks)[::-1]) >= WINDOW_S - 1e-9
-    assert (len(found.source), found.too_short) == (long.sum(), (~long).sum())
-    for starts, ends in map(spans, both_sides(found)):
+    assert (len(linked.source), linked.too_short) == (long.sum(), (~long).sum())
+    for starts, ends in map(spans, both_sides(linked)):
         # The last instant lies within one step of the end.
         assert (np.abs(ends - starts - WINDOW_S + 1 / 16) <= 1 / 16 + 1e-9).all()
-    apart = np.abs(spans(found.probe)[0] - spans(found.gallery)[0][found.mate])
+    apart = np.abs(spans(linked.probe)[0] - spans(linked.gallery)[0][linked.mate])
     assert (apart <= STAGES.linkage.rerelease_shift_s).all()
     assert apart.max() > 2.0
     assert (apart > 0).mean() > 0.8  # a track of just 12 s has no room to shift
     # The place in the list does not tell who is who.
-    assert (found.mate == np.arange(found.mate.size)).mean() < 0.2
+    assert (linked.mate == np.arange(linked.mate.size)).mean() < 0.2
 
 
 def test_the_halves_of_a_split_are_of_one_length_and_do_not_touch():
-    found = sessions("split")
-    (_, first_end), (second_start, _) = map(spans, both_sides(found))
-    gap = second_start[found.mate] - first_end
+    linked = sessions("split")
+    (_, first_end), (second_start, _) = map(spans, both_sides(linked))
+    gap = second_start[linked.mate] - first_end
     assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
     assert gap.max() > 5.0
-    for starts, ends in map(spans, both_sides(found)):
+    for starts, ends in map(spans, both_sides(linked)):
         assert np.ptp(ends - starts) < 1 / 8 + 1e-9
         assert (ends - starts <= STAGES.linkage.split_window_s + 1e-9).all()
 
 
 @pytest.mark.parametrize("name", HANDOVERS)
-def test_in_a_handover_everyone_who_is_there_is_a_candidate_before_or_after_a_silent_gap(
+def test_in_a_handover_all_people_present_are_in_a_side_before_or_after_a_silent_gap(
     name,
 ):
     tracks = crowd()
-    found = sessions(name, tracks=tracks)
+    linked = sessions(name, tracks=tracks)
     gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
     start, end = spans(tracks)
-    (_, ends), (starts, _) = map(spans, both_sides(found))
-    for number, label in enumerate(found.searches):
-        at = tracks.t.min() + float(label.removesuffix(" s"))
-        before = (start <= at - least_s) & (end >= at - 1e-9)
-        after = (start <= at + gap_s) & (end >= at + gap_s + least_s - 1e-9)
-        for side, there in ((found.probe, before), (found.gallery, after)):
-            seen = np.array(found.source)[side.person[side.search == number]]
+    (_, ends), (starts, _) = map(spans, both_sides(linked))
+    for number, label in enumerate(linked.searches):
+        at_s = tracks.t.min() + float(label.removesuffix(" s"))
+        before = (start <= at_s - least_s) & (end >= at_s - 1e-9)
+        after = (start <= at_s + gap_s) & (end >= at_s + gap_s + least_s - 1e-9)
+        for side, present in ((linked.probe, before), (linked.gallery, after)):
+            seen = np.array(linked.source)[side.person[side.search == number]]
             # Labels are rounded: allow for those on the very edge.
-            assert np.setxor1d(np.array(tracks.source)[there], seen).size <= 1
+            assert np.setxor1d(np.array(tracks.source)[present], seen).size <= 1
             assert np.unique(seen).size == seen.size
-        silence_s = starts[found.gallery.search == number].min()
-        silence_s -= ends[found.probe.search == number].max()
+        silence_s = starts[linked.gallery.search == number].min()
+        silence_s -= ends[linked.probe.search == number].max()
         assert gap_s - 1e-9 <= silence_s < gap_s + 1 / 8
     # Some have left and some are new.
-    assert (found.mate < 0).any()
-    assert np.setdiff1d(np.arange(len(found.gallery)), found.mate).size
+    assert (linked.mate < 0).any()
+    assert np.setdiff1d(np.arange(len(linked.gallery)), linked.mate).size
 
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
-def test_nobody_is_attacked_or_calibrated_by_who_learnt_from_them_or_their_company(
+def test_no_adversary_learns_from_victims_or_their_company(
     name,
 ):
-    found = sessions(name)
-    group = np.array(found.group)
-    for fold, *teachers in zip((0, 1), found.learns, found.calibrates, strict=True):
+    linked = sessions(name)
+    group = np.array(linked.group)
+    for fold, *teachers in zip((0, 1), linked.learns, linked.calibrates, strict=True):
         sides = [
-            side.person[found.fold[side.search] == fold] for side in both_sides(found)
+            side.person[linked.fold[side.search] == fold] for side in both_sides(linked)
         ]
-        apart = [set(group[who]) for who in (np.concatenate(sides), *teachers)]
+        apart = [set(group[people]) for people in (np.concatenate(sides), *teachers)]
         assert all(apart)
         assert sum(map(len, apart)) == len(set.union(*apart))
     with pytest.raises(AssertionError, match="among the training people"):
-        replace(found, learns=np.ones_like(found.learns))
+        replace(linked, learns=np.ones_like(linked.learns))
 
 
-def by_person(found):
-    """Of either side the instants of each window, by whose it is and, of a handover, when."""
-    closed = found.task.name in CLOSED
+def by_person(linked):
+    """Return the instants of the windows of each side, by person and rotation."""
+    closed = linked.task.name in CLOSED
     return [
         {
-            (found.source[who], "" if closed else found.searches[number]): tuple(t)
-            for who, number, t, _ in each(side)
+            (linked.source[person], "" if closed else linked.searches[number]): tuple(t)
+            for person, number, t, _ in list_windows(side)
         }
-        for side in both_sides(found)
+        for side in both_sides(linked)
     ]
 
 
@@ -195,11 +198,11 @@ def test_leaving_one_person_out_changes_no_other_window(name):
     whole = sessions(name, tracks=tracks)
     # Somebody in the middle of the recording, so that the instants of handovers stay.
     lost = next(
-        one.source[0]
-        for one in tracks
-        if one.source[0] in whole.source
-        and one.group[0][:5] == "alone"
-        and 20 < one.t[0] < 60
+        track.source[0]
+        for track in tracks
+        if track.source[0] in whole.source
+        and track.group[0][:5] == "alone"
+        and 20 < track.t[0] < 60
     )
     part = sessions(name, tracks=without(tracks, lost))
     for before, after in zip(by_person(whole), by_person(part), strict=True):
@@ -235,7 +238,10 @@ def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
         sessions(name, tracks=tracks, **given).probe.t
         for given in ({}, {"seed": 1}, {"stages": stages})
     ]
-    assert not any(np.array_equal(one, other) for one, other in combinations(first, 2))
+    assert not any(
+        np.array_equal(first_t, second_t)
+        for first_t, second_t in combinations(first, 2)
+    )
     if setting == "linkage.most_people":
         assert len(sessions(name, tracks=tracks, stages=stages).source) == value
 
@@ -247,7 +253,8 @@ def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_the
     every = STAGES.changed({"linkage.handover_period_s": 5.0})
     for name in HANDOVERS:
         part, whole = (
-            sessions(name, tracks=crowd(n=200), stages=one) for one in (stages, every)
+            sessions(name, tracks=crowd(n=200), stages=settings)
+            for settings in (stages, every)
         )
         assert (
             len(part.source)
@@ -257,9 +264,11 @@ def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_the
         )
         assert 2 <= len(part.searches) < len(whole.searches)
         assert set(part.searches) <= set(whole.searches)
-        for few, all_of in zip(by_person(part), by_person(whole), strict=True):
+        for few, all_windows in zip(by_person(part), by_person(whole), strict=True):
             assert few == {
-                key: one for key, one in all_of.items() if key[1] in part.searches
+                key: settings
+                for key, settings in all_windows.items()
+                if key[1] in part.searches
             }
     assert (
         part.searches
@@ -269,16 +278,18 @@ def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_the
 
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     tracks = crowd(n=400)
-    found = sessions("rerelease", tracks=tracks)
+    linked = sessions("rerelease", tracks=tracks)
     first, second = (
         np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
-        for side in both_sides(found)
+        for side in both_sides(linked)
     )
     for middle in (first, second):
         assert (middle >= tracks.xy.min(axis=0) - 1e-9).all()
         assert (middle <= tracks.xy.max(axis=0) + 1e-9).all()
-    for one, other in zip(first.T, second[found.mate].T, strict=True):
-        assert abs(np.corrcoef(one, other)[0, 1]) < 4 / np.sqrt(found.mate.size)
+    for probe_axis, gallery_axis in zip(first.T, second[linked.mate].T, strict=True):
+        assert abs(np.corrcoef(probe_axis, gallery_axis)[0, 1]) < 4 / np.sqrt(
+            linked.mate.size
+        )
 
 
 def test_frozen_people_and_company_are_marked():
@@ -286,25 +297,25 @@ def test_frozen_people_and_company_are_marked():
     row = int(np.flatnonzero(np.subtract(*spans(tracks)[::-1]) > WINDOW_S)[-1])
     xy = tracks.xy.copy()
     xy[tracks.offsets[row] : tracks.offsets[row + 1]] = (1.0, 1.0)
-    found = sessions("rerelease", tracks=replace(tracks, xy=xy))
-    frozen = [found.source[one] for one in np.flatnonzero(~found.moving)]
+    linked = sessions("rerelease", tracks=replace(tracks, xy=xy))
+    frozen = [linked.source[person] for person in np.flatnonzero(~linked.moving)]
     assert frozen == [tracks.source[row]]
-    together = {found.source[one] for one in np.flatnonzero(~found.alone)}
-    assert together == {name for name in found.source if name <= "p006"}
+    together = {linked.source[person] for person in np.flatnonzero(~linked.alone)}
+    assert together == {name for name in linked.source if name <= "p006"}
 
 
-def test_who_comes_back_is_searched_for_among_all_by_who_learnt_on_the_others():
-    found = sessions("cross_session", tracks=runs())
-    assert found.source == tuple(f"p{who:02d}" for who in range(10))
-    assert (found.learns == ~np.eye(10, dtype=bool)).all()
-    assert not found.calibrates.any()
-    assert (found.probe.person == found.gallery.person[found.mate]).all()
-    assert (found.probe.search == 0).all()
-    assert (spans(found.probe)[1] < 500).all()
-    assert (spans(found.gallery)[0] >= 500).all()
+def test_returning_people_are_searched_for_among_all():
+    linked = sessions("cross_session", tracks=runs())
+    assert linked.source == tuple(f"p{number:02d}" for number in range(10))
+    assert (linked.learns == ~np.eye(10, dtype=bool)).all()
+    assert not linked.calibrates.any()
+    assert (linked.probe.person == linked.gallery.person[linked.mate]).all()
+    assert (linked.probe.search == 0).all()
+    assert (spans(linked.probe)[1] < 500).all()
+    assert (spans(linked.gallery)[0] >= 500).all()
     # By hand: everybody turns left about the middle, 20 are there, and walks last
     # alike.
-    for side in both_sides(found):
+    for side in both_sides(linked):
         np.testing.assert_allclose(side.about[:, 2], 1.0, atol=0.02)
         np.testing.assert_allclose(side.about[:, 3], 20)
         start_s = spans(side)[0] % 500
@@ -314,10 +325,10 @@ def test_who_comes_back_is_searched_for_among_all_by_who_learnt_on_the_others():
         np.testing.assert_allclose(side.about[:, 5], 39.6)
         np.testing.assert_allclose(np.hypot(*side.about[:, :2].T), 1.0)
     with pytest.raises(AssertionError, match="among the training people"):
-        replace(found, learns=np.ones_like(found.learns))
+        replace(linked, learns=np.ones_like(linked.learns))
 
 
-def test_fewer_than_eight_who_come_back_are_refused():
+def test_fewer_than_eight_returning_people_are_refused():
     assert len(sessions("cross_session", tracks=runs(n=8)).source) == 8
     with pytest.raises(
         DataError, match="7 people walk for 12 s in two sessions, but it takes 8"
@@ -330,7 +341,9 @@ def test_fewer_than_eight_who_come_back_are_refused():
 
 NAMES, T = [f"p{row}" for row in range(40)], np.arange(0.0, 100.0, 0.4)
 WALKS = stream(0, "test", "always").normal(0, 0.2, (40, T.size, 2)).cumsum(axis=1)
-ALWAYS = {"tracks": tracks_of([(T, one) for one in WALKS], source=NAMES, group=NAMES)}
+ALWAYS = {
+    "tracks": make_tracks([(T, walk) for walk in WALKS], source=NAMES, group=NAMES)
+}
 FEW = {"tracks": crowd(n=10)}
 GROUPED = {"tracks": replace(crowd(), group=("all",) * len(crowd()))}
 DRAWN = {"stages": STAGES.changed({"linkage.most_people": 3})}
@@ -367,7 +380,7 @@ def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
     ):
         task_named(name)
     with pytest.raises(SettingsError, match="unknown task"):
-        sessions_of(
+        make_sessions(
             replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0
         )
 
@@ -376,21 +389,21 @@ GROUP = st.sampled_from("abcdef")
 PEOPLE = st.lists(st.tuples(GROUP, GROUP), min_size=1, max_size=12)
 
 
-def reached(people, one):
+def reached(people, person):
     """Brute force: whoever shares a group with somebody reached, again and again."""
-    found = {one}
+    cluster = {person}
     while True:
-        more = {
+        grown = {
             other
             for other, (first, second) in enumerate(people)
             if any(
                 first == people[known][0] or second == people[known][1]
-                for known in found
+                for known in cluster
             )
         }
-        if more == found:
-            return found
-        found = more
+        if grown == cluster:
+            return cluster
+        cluster = grown
 
 
 @reproducible
@@ -398,8 +411,8 @@ def reached(people, one):
 def test_a_cluster_is_whoever_can_be_reached_over_shared_groups(people):
     """It has the first name of its groups in the first session."""
     cluster = joined([first for first, _ in people], [second for _, second in people])
-    for one, name in enumerate(cluster):
-        within = reached(people, one)
+    for person, name in enumerate(cluster):
+        within = reached(people, person)
         assert {k for k in range(len(people)) if cluster[k] == name} == within
         assert type(name) is str
         assert name == min(people[other][0] for other in within)
@@ -414,22 +427,22 @@ def sampled(*rates_hz, duration_s=20.0):
     return Tracks(t, np.zeros((t.size, 2)), offsets, source=names, group=names)
 
 
-def shares_of(tracks, n=3001):
+def draw_shares(tracks, n=3001):
     """How often each track is drawn by evenly spread shares."""
-    samples = sample_at((np.arange(n) + 0.5) / n, tracks)
+    samples = samples_at_shares((np.arange(n) + 0.5) / n, tracks)
     owner = np.searchsorted(tracks.offsets, samples, side="right") - 1
     return np.bincount(owner, minlength=len(tracks)) / n
 
 
 class TestPlacesByTime:
-    def test_alike_sampled_each_sample_is_as_likely_as_another(self):
+    def test_with_equal_steps_each_sample_is_as_likely_as_another(self):
         tracks, shares = sampled(2.5, 2.5, 2.5), np.linspace(0.0, 0.9999, 777)
         by_sample = (shares * tracks.t.size).astype(np.int64)
-        assert np.array_equal(sample_at(shares, tracks), by_sample)
+        assert np.array_equal(samples_at_shares(shares, tracks), by_sample)
 
     @pytest.mark.parametrize("fast", [10.0, 1000.0])
     def test_a_faster_track_is_drawn_for_its_time(self, fast):
-        assert np.abs(shares_of(sampled(2.5, fast, 2.5)) - 1 / 3).max() < 0.01
+        assert np.abs(draw_shares(sampled(2.5, fast, 2.5)) - 1 / 3).max() < 0.01
 
     def test_a_burst_within_a_track_is_drawn_for_its_time(self):
         steps = np.repeat([0.4, 0.001, 0.4], [25, 5000, 25])  # 10 s, 5 s, 10 s
@@ -442,7 +455,7 @@ class TestPlacesByTime:
             ("a", "b"),
             ("a", "b"),
         )
-        samples = sample_at((np.arange(4000) + 0.5) / 4000, both)
+        samples = samples_at_shares((np.arange(4000) + 0.5) / 4000, both)
         in_burst = ((samples >= 25) & (samples < 5025)).mean()
         assert abs(in_burst - 5.0 / 45.0) < 0.01
 
@@ -450,14 +463,18 @@ class TestPlacesByTime:
         tracks = sampled(2.5, 2.5)
         t = tracks.t.copy()
         t[-1] += 1000.0
-        assert np.abs(shares_of(replace(tracks, t=t)) - 0.5).max() < 0.01
+        assert np.abs(draw_shares(replace(tracks, t=t)) - 0.5).max() < 0.01
 
     def test_one_sample_a_track(self):
         t = np.zeros(3)
         tracks = Tracks(
             t, np.zeros((3, 2)), np.arange(4), ("a", "b", "c"), ("a", "b", "c")
         )
-        assert sample_at(np.array([0.0, 0.5, 0.99]), tracks).tolist() == [0, 1, 2]
+        assert samples_at_shares(np.array([0.0, 0.5, 0.99]), tracks).tolist() == [
+            0,
+            1,
+            2,
+        ]
 
     def test_a_track_of_one_sample_does_not_change_what_is_drawn(self):
         even = sampled(2.5, 2.5)
@@ -466,4 +483,4 @@ class TestPlacesByTime:
         tracks = Tracks(t, np.zeros((t.size, 2)), offsets, source=names, group=names)
         shares = np.linspace(0.0, 0.9999, 777)
         by_sample = (shares * t.size).astype(np.int64)
-        assert np.array_equal(sample_at(shares, tracks), by_sample)
+        assert np.array_equal(samples_at_shares(shares, tracks), by_sample)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.walks import release_of
+from helpers.walks import walk_release
 from scipy.spatial.distance import cdist
 
 from attacks.tasks.controls import CONTROLS, closeness
@@ -25,20 +25,20 @@ DRAWN = {
 
 
 def release(rng, **given):
-    """N tracks in which nothing tells who is who but what is given, one value a track."""
-    made = {
+    """Return N random tracks that differ by the given values alone, one a track."""
+    drawn = {
         name: rng.uniform(*how) for name, how in DRAWN.items() if name not in given
     } | given
     walks, sigma = [], []
     for duration_s, rate_hz, level, place, start_s in zip(
-        *map(made.get, DRAWN), strict=True
+        *map(drawn.get, DRAWN), strict=True
     ):
         size = int(duration_s * rate_hz)
         steps = rng.uniform(0.8, 1.2, size) / rate_hz
         t = start_s + np.cumsum(steps) - steps[0]
         walks.append((t, place + 0.2 * rng.standard_normal((size, 2)).cumsum(axis=0)))
         sigma.append(level * rng.uniform(0.9, 1.1, size))
-    return release_of(walks, sigma=np.concatenate(sigma))
+    return walk_release(walks, sigma=np.concatenate(sigma))
 
 
 LEAKS = {
@@ -76,7 +76,9 @@ def leaking(name, leak=None):
 
 def test_every_audit_has_a_leak_to_find():
     audits = {
-        name for name, one in CONTROLS.items() if one.is_audit and not one.circumstance
+        name
+        for name, control in CONTROLS.items()
+        if control.is_audit and not control.circumstance
     }
     assert LEAKS.keys() == audits
 
@@ -102,23 +104,23 @@ def test_an_audit_sees_nothing_but_its_own(name, leak):
 def test_the_frame_is_place_and_heading_by_hand():
     # All begin at 0 and end 1 m off, in three directions.
     ways = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]])
-    one = release_of(
+    tracks = walk_release(
         [(np.arange(4.0), np.repeat([[0.0, 0.0], way], 2, axis=0)) for way in ways]
     )
-    scores = CONTROLS["frame"].score(one, one, None)
+    scores = CONTROLS["frame"].score(tracks, tracks, None)
     # First and second: 1 m and 2, over standard deviations of 1/2 and 1 times the root
     # of 2/3.
     assert scores[0, :2].tolist() == pytest.approx([0.0, -2.0 * np.sqrt(3.0)])
 
 
 def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
-    def p_value_of(task, level_of):
+    def p_values_for(task, make_level):
         p_values = []
         for seed in range(5):
             rng = np.random.default_rng(seed)
             place, own = rng.uniform(-50, 50, (N, 2)), rng.uniform(0.2, 5, N)
             sides = {
-                side: release(rng, place=place, level=level_of(place, own, rng))
+                side: release(rng, place=place, level=make_level(place, own, rng))
                 for side in ("probe", "gallery")
             }
             p_values.append(p_value("noise_level", **sides, rng=rng, task=task))
@@ -131,17 +133,17 @@ def test_in_the_true_frame_noise_counts_beyond_what_the_place_explains():
     def by_person(place, own, rng):
         return by_place(place, own, rng) * own
 
-    assert (p_value_of("rerelease", by_place) < ALPHA).any()
-    assert (p_value_of("handover-1s", by_place) > ALPHA).all()
-    assert (p_value_of("handover-1s", by_person) < ALPHA).any()
+    assert (p_values_for("rerelease", by_place) < ALPHA).any()
+    assert (p_values_for("handover-1s", by_place) > ALPHA).all()
+    assert (p_values_for("handover-1s", by_person) < ALPHA).any()
 
 
-def test_noise_that_is_alike_shows_nothing_not_even_through_rounding():
+def test_equal_noise_shows_nothing_not_even_through_rounding():
     rng = np.random.default_rng(3)
-    alike = release(rng, level=np.full(N, 0.0))
+    same_noise = release(rng, level=np.full(N, 0.0))
     assert (
         not CONTROLS["noise_level"]
-        .scorer(TASKS["handover-1s"])(alike, alike, rng)
+        .scorer(TASKS["handover-1s"])(same_noise, same_noise, rng)
         .any()
     )
 

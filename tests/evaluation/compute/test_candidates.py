@@ -1,4 +1,4 @@
-"""Where some candidates alone are scored: what is computed, what is refused, what is lost."""
+"""Where a linker scores some candidates alone: what it computes, refuses and loses."""
 
 import math
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from helpers.cells import STAGES, linked, numbers_of, parsed, sessions_of
+from helpers.cells import STAGES, linked, make_sessions, parsed, result_numbers
 from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
 
@@ -39,8 +39,8 @@ class Length:
         def score(probe, gallery):
             self.seen.append((len(probe), len(gallery)))
             ways = [
-                [np.hypot(*(w.xy[-1] - w.xy[0])) for w in one]
-                for one in (probe, gallery)
+                [np.hypot(*(w.xy[-1] - w.xy[0])) for w in item]
+                for item in (probe, gallery)
             ]
             return -np.abs(np.subtract.outer(*ways))
 
@@ -50,42 +50,46 @@ class Length:
 class TestScores:
     @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
     def test_with_as_many_as_the_gallery_all_is_as_without(self, task):
-        sessions, who = sessions_of(task), parsed("attacks", "shape")
+        sessions, linker = make_sessions(task), parsed("attacks", "shape")
         largest = int(np.bincount(sessions.gallery.search).max())
-        exact, _ = linked(sessions, "raw", who, controls=True)
+        exact, _ = linked(sessions, "raw", linker, controls=True)
         for n in (0, largest, 10_000):
-            found, _ = linked(sessions, "raw", who, controls=True, stages=few(n))
-            assert found.keys() == exact.keys()
-            for key, one in exact.items():
-                np.testing.assert_array_equal(numbers_of(found[key]), numbers_of(one))
+            results, _ = linked(sessions, "raw", linker, controls=True, stages=few(n))
+            assert results.keys() == exact.keys()
+            for key, expected in exact.items():
+                np.testing.assert_array_equal(
+                    result_numbers(results[key]), result_numbers(expected)
+                )
 
     @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
     def test_the_first_few_of_the_first_stage_are_scored_and_others_follow_in_order(
         self, task
     ):
-        n, sessions, spy = 4, sessions_of(task), Length()
+        n, sessions, spy = 4, make_sessions(task), Length()
         exact, level = linked(sessions, "raw", Length())
-        found, _ = linked(sessions, "raw", spy, stages=few(n))
-        ((key, cell),) = found.items()
-        pairings = dict(one for half in level.known.halves for one in half.searches)
+        results, _ = linked(sessions, "raw", spy, stages=few(n))
+        ((key, cell),) = results.items()
+        pairings = dict(
+            search for half in level.setup.halves for search in half.searches
+        )
         for number, (search, whole) in enumerate(
             zip(cell.searches, exact[key].searches, strict=True)
         ):
             rows = pairings[number].probe, pairings[number].gallery
             sides = [
-                side.tracks(one)
-                for side, one in zip(level.blind.both, rows, strict=True)
+                side.tracks(side_rows)
+                for side, side_rows in zip(level.blind.releases, rows, strict=True)
             ]
             stage = candidates.first_stage(sessions.task)
             context = type("Context", (), {"granted": stage.requires})()
             first = stage.fit(context)(*sides)
-            of = [np.argsort(-one) for one in search.scores]
-            chosen = np.array([order[:n] for order in of])
+            result = [np.argsort(-score) for score in search.scores]
+            chosen = np.array([order[:n] for order in result])
             computed = np.take_along_axis(whole.scores, chosen, axis=1)
             assert np.array_equal(
                 np.take_along_axis(search.scores, chosen, axis=1), computed
             )
-            for row, order in enumerate(of):
+            for row, order in enumerate(result):
                 assert (search.scores[row, order[n:]] < computed.min()).all()
                 ranked = first[row, order]
                 # Up to rounding: another numpy sums in another order.
@@ -98,10 +102,10 @@ class TestScores:
 
     @pytest.mark.parametrize("worst", [-3e38, -1e-30, 0.0, 5.0, 3e38])
     def test_others_are_below_whatever_was_scored(self, worst):
-        _, level = linked(sessions_of("rerelease"), "raw", Length())
-        release, worst = level.seen.both[0], float(np.float32(worst))
+        _, level = linked(make_sessions("rerelease"), "raw", Length())
+        release, worst = level.seen.releases[0], float(np.float32(worst))
         n, first = len(release), stream(0, "test", "first").random((len(release),) * 2)
-        found = among_candidates(
+        result = among_candidates(
             lambda p, g: np.full((len(p), len(g)), worst),
             release,
             release,
@@ -112,9 +116,9 @@ class TestScores:
             n_at_once=64,
             rng=stream(0, "test", "below"),
         ).scores
-        assert np.isfinite(found).all()
+        assert np.isfinite(result).all()
         order = np.argsort(-first, axis=1)
-        ranked = np.take_along_axis(found, order, axis=1)
+        ranked = np.take_along_axis(result, order, axis=1)
         assert (ranked[:, :3] == worst).all()
         assert (np.diff(ranked[:, 2:], axis=1) < 0).all()
 
@@ -123,36 +127,38 @@ class TestWhatIsTold:
     @pytest.mark.parametrize("n", [1, 3, 8])
     def test_the_loss_is_that_of_a_search_in_full(self, n, monkeypatch):
         monkeypatch.setattr("evaluation.compute.linkage.CHECKED", 10_000)
-        sessions = sessions_of("rerelease")
+        sessions = make_sessions("rerelease")
         exact, _ = linked(sessions, "raw", parsed("attacks", "shape"))
-        found, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
-        for key, cell in found.items():
+        results, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
+        for key, cell in results.items():
             hits = [
                 np.concatenate(
-                    [rank1(scores=s.scores, mate=s.mate) for s in one.searches]
+                    [rank1(scores=s.scores, mate=s.mate) for s in item.searches]
                 )
-                for one in (exact[key], cell)
+                for item in (exact[key], cell)
             ]
             loss = hits[0].mean() - hits[1].mean()
             assert cell.losses.mean() == pytest.approx(loss, abs=1e-12)
-            assert cell.scored.estimates["rank1"].value == pytest.approx(hits[1].mean())
+            assert cell.scorecard.estimates["rank1"].value == pytest.approx(
+                hits[1].mean()
+            )
 
     def test_what_needs_all_pairs_is_refused_and_ranks_are_not(self):
         for task in ("rerelease", "handover-2s"):
-            sessions = sessions_of(task, tracks=walkers(80))
-            found, *_ = linked(
+            sessions = make_sessions(task, tracks=walkers(80))
+            results, *_ = linked(
                 sessions, "clean", Length(), controls=True, stages=few(2)
             )
-            for cell in found.values():
-                for name, one in cell.scored.estimates.items():
-                    known = [one.value, one.ci_low, one.ci_high]
+            for cell in results.values():
+                for name, estimate in cell.scorecard.estimates.items():
+                    known = [estimate.value, estimate.ci_low, estimate.ci_high]
                     is_refused = name in (*REFUSED, "rank1_g100")  # of forty candidates
                     assert np.isnan(known).all() == is_refused, name
-                    assert one.n > 0
-                assert 0 < cell.scored.p_value <= 1
-                assert 0 < cell.scored.p_value_low <= 1
-                assert not cell.scored.is_inverted
-                assert math.isnan(cell.scored.realised_fpr_1pct)
+                    assert estimate.n > 0
+                assert 0 < cell.scorecard.p_value <= 1
+                assert 0 < cell.scorecard.p_value_low <= 1
+                assert not cell.scorecard.is_inverted
+                assert math.isnan(cell.scorecard.realised_fpr_1pct)
 
     def test_manifest_notice_and_table_say_it(self, tmp_path):
         write_walkers(tmp_path / "walks.csv")
@@ -163,14 +169,14 @@ class TestWhatIsTold:
         results = evaluation.run(settings)
         manifest = read_manifest(tmp_path / "run")
         assert manifest["identity"]["linkage.candidates"] == 5
-        told = manifest["linkage"]["candidates"]["rerelease"]
-        assert told["cells"] == 6  # clean, raw and fixed, blind and informed
-        assert told["probes"] == 40
+        message = manifest["linkage"]["candidates"]["rerelease"]
+        assert message["cells"] == 6  # clean, raw and fixed, blind and informed
+        assert message["probes"] == 40
         rank = results.summary[results.summary["metric"] == "rank1"]
-        of = rank[(rank["consumer"] == told["consumer"].partition(" (")[0])]
-        assert of["value"].between(0, 1).all()
-        assert told["loss"] <= told["most"] <= 1
-        (line,) = (one for one in notices.notices(manifest) if "scored" in one)
+        result = rank[(rank["consumer"] == message["consumer"].partition(" (")[0])]
+        assert result["value"].between(0, 1).all()
+        assert message["loss"] <= message["most"] <= 1
+        (line,) = (notice for notice in notices.notices(manifest) if "scored" in notice)
         assert "scored 5 candidates of each probe" in line
         assert "40 probes in each of 6 cells were searched in full" in line
         page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

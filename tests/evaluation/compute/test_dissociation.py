@@ -1,4 +1,4 @@
-"""Mechanisms that share fewer samples, and the descriptors of what is linked, window by window."""
+"""Mechanisms that share fewer samples, and the descriptors of linked windows."""
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -11,9 +11,9 @@ from helpers.cells import (
     Spy,
     World,
     linked,
+    make_sessions,
     parsed,
     plugin,
-    sessions_of,
 )
 from helpers.oracles import aligned
 
@@ -23,8 +23,8 @@ from attacks.tasks.sessions import Windows
 from evaluation.compute.link_setup import sensed_sessions
 from evaluation.compute.linkage import WINDOW_COLUMNS, sees_times_alone
 from evaluation.compute.sharing import restricted, samples_shared, share
-from evaluation.compute.work import LinkWork, cells
-from evaluation.plan.axes import Consumer, axes, windows_of
+from evaluation.compute.work import LinkWork, compute_cells
+from evaluation.plan.axes import Consumer, axes, windows_consumer
 from evaluation.plan.presets import DISSOCIATION, PROTECTIONS
 from evaluation.plan.settings import Settings
 from isac_track import plugins, privacy
@@ -48,7 +48,7 @@ def taken(release, chosen):
 
 
 def is_odd(sensed):
-    """Whether a sample's own time in ms is odd, or it is the last: a rule of somebody else's."""
+    """Whether a sample's own time in ms is odd, or it is the last: a user's rule."""
     odd = np.rint(1e3 * sensed.t).astype(int) % 2 == 1
     odd[sensed.offsets[1:] - 1] = True
     return odd
@@ -56,7 +56,7 @@ def is_odd(sensed):
 
 @dataclass(frozen=True)
 class Sieve:
-    """A mechanism of one's own: another, of whose release it shares what `take` leaves."""
+    """A user's mechanism: it shares the samples of another's release that `take` leaves."""
 
     base: object = Raw()
     take: object = lambda release, sensed: taken(release, is_odd(sensed))
@@ -66,14 +66,14 @@ class Sieve:
 
 
 def attack(instance):
-    one = plugin(instance)
+    result = plugin(instance)
     return [
-        Consumer("attack", one, knowledge=name, granted=granted)
+        Consumer("attack", result, knowledge=name, granted=granted)
         for name, granted in grants(instance).items()
     ]
 
 
-def rows_of(world, by, *consumers):
+def stored_rows(world, by, *consumers):
     """Rows of each consumer of a mechanism."""
     return [rows for *_, rows in world.cells([by], consumers)]
 
@@ -162,7 +162,7 @@ class TestRefused:
     )
     def test_what_moves_times_or_leaves_nothing(self, world, take, message):
         with pytest.raises(PluginError, match=message):
-            rows_of(world, Sieve(take=take), Consumer("shared"))
+            stored_rows(world, Sieve(take=take), Consumer("shared"))
 
     def test_what_leaves_out_other_samples_when_a_walk_is_shared_again(self, world):
         def by_chance(release, sensed):
@@ -175,37 +175,39 @@ class TestRefused:
         with pytest.raises(
             PluginError, match="'mine' leaves out other samples when the same"
         ):
-            rows_of(world, sieve, *attack(Spy(requires=needs)))
-        (rows,) = rows_of(world, sieve, Consumer("shared"))  # but it may be shared once
+            stored_rows(world, sieve, *attack(Spy(requires=needs)))
+        (rows,) = stored_rows(
+            world, sieve, Consumer("shared")
+        )  # but it may be shared once
         assert (rows["n_samples"] < np.diff(world.scenes.offsets)).all()
 
 
 class TestScenes:
     def test_the_descriptors_are_those_of_the_samples_that_were_shared(self, world):
-        (rows,) = rows_of(world, Sieve(Fixed(0.3)), Consumer("shared"))
+        (rows,) = stored_rows(world, Sieve(Fixed(0.3)), Consumer("shared"))
         whole = world.share("fixed:0.3")
         chosen = is_odd(world.sensed)
         for row, (lo, hi) in enumerate(pairwise(whole.offsets)):
-            mine = np.flatnonzero(chosen[lo:hi]) + lo
+            own = np.flatnonzero(chosen[lo:hi]) + lo
             leaked = privacy.leakage_indicator(
-                shared_xy=whole.xy[mine],
-                true_xy=world.scenes.xy[mine],
+                shared_xy=whole.xy[own],
+                true_xy=world.scenes.xy[own],
                 epsilon_m=EPSILON_M,
             )
             expected = privacy.exposure(
-                leaked=leaked, t=whole.t[mine], offsets=np.array([0, mine.size])
+                leaked=leaked, t=whole.t[own], offsets=np.array([0, own.size])
             )
-            assert rows["n_samples"][row] == mine.size
+            assert rows["n_samples"][row] == own.size
             for name in ("plr", "ael_s", "mel_s"):
                 assert rows[name][row] == getattr(expected, name)[0]
-            square = ((whole.xy[mine] - world.scenes.xy[mine]) ** 2).sum(axis=1)
+            square = ((whole.xy[own] - world.scenes.xy[own]) ** 2).sum(axis=1)
             assert rows["mse_m2"][row] == pytest.approx(square.mean(), rel=1e-12)
 
     def test_a_predictor_gets_the_thinned_release_and_the_whole_future(self, world):
         forecaster = parsed("predictors", "least_squares")
         consumer = Consumer("predictor", forecaster)
         (thinned,), (whole,) = (
-            rows_of(world, by, consumer) for by in (Sieve(Clean()), Clean())
+            stored_rows(world, by, consumer) for by in (Sieve(Clean()), Clean())
         )
         for same in ("scene", "track", "conflict", "separation_m"):
             np.testing.assert_array_equal(thinned[same], whole[same])
@@ -221,14 +223,14 @@ class TestScenes:
     @pytest.mark.parametrize("granted", [(), tuple(Knowledge)])
     def test_an_attack_is_given_and_measured_on_what_was_shared(self, world, granted):
         spy = Spy(uses=frozenset(granted), requires=frozenset(granted))
-        (rows,) = rows_of(world, Sieve(Clean()), *attack(spy))
+        (rows,) = stored_rows(world, Sieve(Clean()), *attack(spy))
         # The truth was shared: whatever is compared with it must be the same to the
         # last sample.
         assert np.abs(rows["mse_m2"]).max() < 1e-12
         assert rows["plr"].tolist() == [1.0] * 24
         odd = is_odd(world.sensed)
-        of_track = np.add.reduceat(odd, world.scenes.offsets[:-1], dtype=int)
-        assert rows["n_samples"].tolist() == of_track.tolist()
+        track_rows = np.add.reduceat(odd, world.scenes.offsets[:-1], dtype=int)
+        assert rows["n_samples"].tolist() == track_rows.tolist()
         assert sum(release.t.size for _, release, _ in spy.seen) == odd.sum()
         for context, release, _ in spy.seen if granted else ():
             train = context.train
@@ -240,7 +242,7 @@ class TestScenes:
 
     @pytest.mark.parametrize("spec", ["correlated:0.5", "offset:0.3"])
     def test_without_independent_errors_there_is_no_linear_benchmark(self, world, spec):
-        (rows,) = rows_of(world, spec, *attack(Identity()))
+        (rows,) = stored_rows(world, spec, *attack(Identity()))
         assert np.isnan(rows["benchmark_mse_m2"]).all()
         assert np.isnan(rows["benchmark_plr"]).all()
         assert np.isfinite(rows["mse_m2"]).all()
@@ -248,13 +250,13 @@ class TestScenes:
 
 @pytest.fixture(scope="module")
 def sessions():
-    return {task: sessions_of(task) for task in ("rerelease", "handover-1s")}
+    return {task: make_sessions(task) for task in ("rerelease", "handover-1s")}
 
 
 LINKER = {"rerelease": "shape", "handover-1s": "kinematic"}
 
 
-def links_of(task, behind):
+def linked_consumers(task, behind):
     """The linker of a task, alone and behind a reconstruction."""
     linker = parsed("attacks", LINKER[task])
     return Consumer("linkage", linker), Consumer(
@@ -266,7 +268,7 @@ class TestLinkage:
     @pytest.mark.parametrize("task", LINKER)
     def test_who_smooths_first_learns_on_what_was_shared(self, sessions, task):
         watching = Spy(requires=frozenset({Knowledge.TRAIN}))
-        linked(sessions[task], Sieve(Clean()), links_of(task, watching)[1])
+        linked(sessions[task], Sieve(Clean()), linked_consumers(task, watching)[1])
         assert watching.seen
         for context, *_ in watching.seen:
             train = context.train
@@ -287,12 +289,14 @@ class TestLinkage:
 
 class TestWindows:
     def frame(self, sessions, by, stages=STAGES):
-        consumer = windows_of(sessions.task.name)
+        consumer = windows_consumer(sessions.task.name)
         work = LinkWork(
             sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),)
         )
-        ((_, _, one, tables),) = cells(work, tracks=None, stages=stages, seed=0)
-        assert one.spec == f"{sessions.task.name}/windows"
+        ((_, _, reader, tables),) = compute_cells(
+            work, tracks=None, stages=stages, seed=0
+        )
+        assert reader.spec == f"{sessions.task.name}/windows"
         return tables["rows"].to_pandas()
 
     @pytest.mark.parametrize(
@@ -302,14 +306,14 @@ class TestWindows:
     def test_a_window_by_hand(self, sessions, by, side, row):
         task = sessions["rerelease"]
         stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
-        found = self.frame(task, by, stages)
+        result = self.frame(task, by, stages)
         known = sensed_sessions(task, groups=(), stages=stages, seed=0)
         sensed = known.sensed[("probe", "gallery").index(side)]
         windows = getattr(task, side)
         shared = share(
             parsed("mechanisms", by), sensed, "linkage", "rerelease", side, seed=0
         )
-        release, mine = shared[row], slice(*shared.offsets[row : row + 2])
+        release, samples = shared[row], slice(*shared.offsets[row : row + 2])
         window = slice(*windows.offsets[row : row + 2])
         t, xy = windows.t[window], windows.xy[window]
         held = np.isin(t, release.t)
@@ -325,12 +329,12 @@ class TestWindows:
             rng=stream(0, "test"), epsilon_m=0.6, granted=frozenset()
         )
         after = RadialRTS().fit(context)(shared.without_sigma())
-        after_xy = after.xy[mine]
+        after_xy = after.xy[samples]
         leaked = privacy.leakage_indicator(
             shared_xy=after_xy, true_xy=xy[held], epsilon_m=0.6
         )
         left = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
-        assert found[found["side"] == side].iloc[row].to_dict() == {
+        assert result[result["side"] == side].iloc[row].to_dict() == {
             "side": side,
             "search": task.searches[windows.search[row]],
             "source": task.source[person],
@@ -344,7 +348,7 @@ class TestWindows:
             "ael_attacked": pytest.approx(left.ael_s[0]),
             "mel_attacked": pytest.approx(left.mel_s[0]),
             "alignment_error": pytest.approx(aligned(after_xy, xy[held]), abs=1e-6),
-            "posterior_std": pytest.approx(after.std[mine].mean()),
+            "posterior_std": pytest.approx(after.std[samples].mean()),
         }
 
     @pytest.mark.parametrize("task", LINKER)
@@ -356,13 +360,13 @@ class TestWindows:
         sides = {
             side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")
         }
-        for one in (raw, thin, clean):
-            assert tuple(one.columns) == WINDOW_COLUMNS
-            assert one["side"].tolist() == [
+        for item in (raw, thin, clean):
+            assert tuple(item.columns) == WINDOW_COLUMNS
+            assert item["side"].tolist() == [
                 side for side, n in sides.items() for _ in range(n)
             ]
             for name in ("source", "search", "duration_s", "speed_mps"):
-                assert one[name].tolist() == raw[name].tolist()
+                assert item[name].tolist() == raw[name].tolist()
         assert (clean["plr"] == 1).all()
         assert (clean["sigma_m"] == 0).all()
         assert (thin["n_samples"] < raw["n_samples"]).all()
@@ -375,14 +379,17 @@ class TestWindows:
             t, xy = (values[windows.offsets[:-1]] for values in (windows.t, windows.xy))
             offsets = np.arange(len(windows) + 1)
             short[side] = Windows(t, xy, offsets, windows.person, windows.search)
-        found = self.frame(replace(task, **short), "raw")
-        assert found["speed_mps"].isna().all()
+        result = self.frame(replace(task, **short), "raw")
+        assert result["speed_mps"].isna().all()
 
 
 def test_the_presets_but_smoke_hold_the_controls():
     controls = [
-        one.spec for one in plugins.parse_all("mechanisms", DISSOCIATION + PROTECTIONS)
+        item.spec
+        for item in plugins.parse_all("mechanisms", DISSOCIATION + PROTECTIONS)
     ]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
-        assert [one.spec for one in axes(bare).mechanisms][-len(controls) :] == controls
+        assert [mechanism.spec for mechanism in axes(bare).mechanisms][
+            -len(controls) :
+        ] == controls

@@ -1,4 +1,4 @@
-"""The channel of linkage tasks: one process a walk and session, whatever is cut from it."""
+"""The channel of linkage tasks: one process a walk and session, however it is cut."""
 
 from itertools import pairwise
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.cells import STAGES
 from helpers.walkers import walkers
 
-from attacks.tasks.build import sessions_of
+from attacks.tasks.build import make_sessions
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.compute.link_setup import sensed_sessions
@@ -24,26 +24,26 @@ CLEAR = {  # Of the error nothing but distance and large-scale gain is left.
 
 def sensed(name, **changes):
     stages = STAGES.changed(changes)
-    found = sessions_of(TASKS[name], tracks=walkers(), stages=stages, seed=0)
-    return found, sensed_sessions(found, groups=(), stages=stages, seed=0).sensed
+    sessions = make_sessions(TASKS[name], tracks=walkers(), stages=stages, seed=0)
+    return sessions, sensed_sessions(sessions, groups=(), stages=stages, seed=0).sensed
 
 
 def levels(name):
-    """By side the log of each window's noise without the distance's part, and whose it is."""
-    found, sides = sensed(name, **CLEAR)
+    """By side: the log of each window's noise without the distance, and its person."""
+    sessions, sides = sensed(name, **CLEAR)
     station_m = np.array([STAGES.sensing.bs_x_m, STAGES.sensing.bs_y_m])
-    sides_of = zip(sides, (found.probe, found.gallery), strict=True)
+    windows_by_side = zip(sides, (sessions.probe, sessions.gallery), strict=True)
     whose = []
-    for side, windows in sides_of:
+    for side, windows in windows_by_side:
         far_m = np.hypot(*(windows.xy - station_m).T)
         level = np.log(side.sigma_raw) - STAGES.sensing.path_loss_exponent * np.log(
             far_m
         )
-        own = {found.source[who]: set() for who in windows.person.tolist()}
-        for who, (lo, hi) in zip(
+        own = {sessions.source[item]: set() for item in windows.person.tolist()}
+        for row, (lo, hi) in zip(
             windows.person.tolist(), pairwise(windows.offsets), strict=True
         ):
-            own[found.source[who]] |= set(np.round(level[lo:hi], 9).tolist())
+            own[sessions.source[row]] |= set(np.round(level[lo:hi], 9).tolist())
         whose.append(own)
     return whose
 
@@ -55,8 +55,8 @@ def test_a_gain_that_never_forgets_is_one_of_a_walk_on_both_sides_and_at_every_i
     probe, gallery = levels(name)
     both = probe.keys() & gallery.keys()
     assert len(both) > 20
-    for who in both:
-        assert len(probe[who] | gallery[who]) == 1
+    for item in both:
+        assert len(probe[item] | gallery[item]) == 1
     assert len(set.union(*probe.values())) == len(probe)
     # What the walk keeps is evidence.
     assert not CONTROLS["noise_level"].audits(TASKS[name])
@@ -66,23 +66,23 @@ def test_a_gain_that_never_forgets_is_one_of_a_walk_on_both_sides_and_at_every_i
 def test_at_another_time_it_is_drawn_anew(name):
     probe, gallery = levels(name)
     assert probe.keys() == gallery.keys()
-    for who, own in probe.items():
-        assert len(own) == len(gallery[who]) == 1
-        assert not own & gallery[who]
+    for person, own in probe.items():
+        assert len(own) == len(gallery[person]) == 1
+        assert not own & gallery[person]
     assert CONTROLS["noise_level"].audits(TASKS[name])
 
 
 def test_no_draw_depends_on_the_gap():
-    """Before it nothing changes, and after it what was sensed at one instant of a walk is one."""
+    """Before the gap all is the same; after it, each instant of a walk has one value."""
     windows = []
     for name in HANDOVERS:
-        found, sides = sensed(name)
+        sessions, sides = sensed(name)
         keys = zip(
-            found.probe.person.tolist(), found.probe.search.tolist(), strict=True
+            sessions.probe.person.tolist(), sessions.probe.search.tolist(), strict=True
         )
         each = {
-            (found.source[who], found.searches[number]): one.xy.tobytes()
-            for (who, number), one in zip(keys, sides[0], strict=True)
+            (sessions.source[row], sessions.searches[number]): side.xy.tobytes()
+            for (row, number), side in zip(keys, sides[0], strict=True)
         }
         windows.append(each)
     common = windows[0].keys() & windows[1].keys() & windows[2].keys()
@@ -94,11 +94,11 @@ def test_no_draw_depends_on_the_gap():
 @pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
 def test_how_far_somebody_walked_does_not_depend_on_where_a_window_is_cut(name):
     tracks = walkers()
-    found, _ = sensed(name)
+    sessions, _ = sensed(name)
     row = {source: place for place, source in enumerate(tracks.source)}
-    for windows in (found.probe, found.gallery):
-        for number, who in enumerate(windows.person[:6].tolist()):
-            whole = tracks[row[found.source[who]]]
+    for windows in (sessions.probe, sessions.gallery):
+        for number, place in enumerate(windows.person[:6].tolist()):
+            whole = tracks[row[sessions.source[place]]]
             part = slice(*windows.offsets[number : number + 2])
             # The length of the way on a clock a hundred times as fine.
             t = np.linspace(whole.t[0], whole.t[-1], 30_000)

@@ -1,4 +1,4 @@
-"""What an adversary is given of a linkage task, what is read off, and what stays fixed."""
+"""Linkage: what an adversary is given, which scores follow, and what stays fixed."""
 
 import json
 import shutil
@@ -11,7 +11,15 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.bad_plugins import spoilt
-from helpers.cells import STAGES, Spy, linked, numbers_of, parsed, plugin, sessions_of
+from helpers.cells import (
+    STAGES,
+    Spy,
+    linked,
+    make_sessions,
+    parsed,
+    plugin,
+    result_numbers,
+)
 from helpers.small_runs import smoke
 from helpers.walkers import runs, walkers, write_walkers
 from scipy.stats import binomtest
@@ -41,7 +49,7 @@ LEVELS = ("fixed", "raw", "clean")
 def by_length(probe, gallery):
     """Scores by how far each walk leads."""
     ways = (
-        [np.hypot(*(one.xy[-1] - one.xy[0])) for one in side]
+        [np.hypot(*(item.xy[-1] - item.xy[0])) for item in side]
         for side in (probe, gallery)
     )
     return -np.abs(np.subtract.outer(*ways))
@@ -69,15 +77,15 @@ def behind(linker, reconstruction):
     return Consumer("linkage", plugin(linker), behind=plugin(reconstruction, "rounds"))
 
 
-def of_task(task, *links, by="raw", **options):
+def task_links(task, *links, by="raw", **options):
     """What is linked in a task, by consumer and adversary."""
-    return linked(sessions_of(task), by, *links, **options)[0]
+    return linked(make_sessions(task), by, *links, **options)[0]
 
 
-def equal(one, other):
+def equal(first, second):
     return all(
         np.array_equal(a.scores, b.scores)
-        for a, b in zip(one.searches, other.searches, strict=True)
+        for a, b in zip(first.searches, second.searches, strict=True)
     )
 
 
@@ -87,13 +95,13 @@ def samples(windows, rows):
 
 @pytest.fixture(scope="module", params=["rerelease", "handover-2s"])
 def watched(request):
-    """What a linker is shown of a task whose walks are shared as they are, granted all it may be.
+    """The releases that a linker sees in a task of raw walks, with all knowledge.
 
     Sessions, level, adversaries, and context, probe and gallery of each search.
     """
-    spy, sessions = Linker(uses=frozenset(Knowledge)), sessions_of(request.param)
-    found, level = linked(sessions, "clean", spy)
-    return sessions, level, {knowledge for _, knowledge in found}, spy.seen
+    spy, sessions = Linker(uses=frozenset(Knowledge)), make_sessions(request.param)
+    results, level = linked(sessions, "clean", spy)
+    return sessions, level, {knowledge for _, knowledge in results}, spy.seen
 
 
 class TestWhatAnAdversarySees:
@@ -101,7 +109,7 @@ class TestWhatAnAdversarySees:
         self, watched
     ):
         sessions, level, _, ((_, probe, _), *_) = watched
-        rows = level.known.halves[0].searches[0][1].probe
+        rows = level.setup.halves[0].searches[0][1].probe
         if sessions.task.shows_scene:  # the true frame and clock, to everyone
             own = samples(sessions.probe, rows)
             assert np.allclose(probe.xy, sessions.probe.xy[own], atol=1e-9)
@@ -130,16 +138,16 @@ class TestWhatAnAdversarySees:
         for context, *sides in seen:
             assert (Knowledge.SCENE in context.granted) == sessions.task.shows_scene
             assert Knowledge.REPEATS not in context.granted
-            for one in sides:
-                assert (one.sigma is not None) == (Knowledge.SIGMA in context.granted)
+            for side in sides:
+                assert (side.sigma is not None) == (Knowledge.SIGMA in context.granted)
             # Pseudonyms are fresh on either side.
-            assert set.isdisjoint(*(set(one.pseudonym) for one in sides))
+            assert set.isdisjoint(*(set(side.pseudonym) for side in sides))
         assert adversaries == {"blind", "informed", "oracle"}
 
     def test_who_trains_is_somebody_else(self, watched):
         sessions, level, _, seen = watched
         context, probe, _ = next(
-            one for one in seen if Knowledge.TRAIN in one[0].granted
+            item for item in seen if Knowledge.TRAIN in item[0].granted
         )
         train = context.train
         assert isinstance(train, LinkageTrainingSet)
@@ -149,7 +157,7 @@ class TestWhatAnAdversarySees:
             for release in (train.probe, probe)
         ]
         assert shapes[0].isdisjoint(shapes[1])
-        learns = level.known.halves[0].learns
+        learns = level.setup.halves[0].learns
         taught = sessions.probe.person[learns.probe]
         assert set(taught) <= set(np.flatnonzero(sessions.learns[0]))
         assert sessions.task.shows_scene or len(set(taught)) == sessions.learns[0].sum()
@@ -160,7 +168,7 @@ class TestWhatAnAdversarySees:
         tracks = walkers()
         days = np.repeat(86_400.0 * np.arange(len(tracks)), np.diff(tracks.offsets))
         spy, crowd = Linker(), replace(tracks, t=tracks.t + days)
-        linked(sessions_of("rerelease", tracks=crowd), "raw", spy)
+        linked(make_sessions("rerelease", tracks=crowd), "raw", spy)
         _, probe, _ = spy.seen[0]
         assert probe.t[probe.offsets[:-1]].max() <= 86_400.0
 
@@ -168,8 +176,12 @@ class TestWhatAnAdversarySees:
         contexts = []
         for mechanism in ("raw", "fixed:1"):
             spy = Linker(uses=frozenset({Knowledge.TRAIN, Knowledge.MECHANISM}))
-            of_task("rerelease", spy, by=mechanism)
-            contexts += [one for one, *_ in spy.seen if Knowledge.TRAIN in one.granted]
+            task_links("rerelease", spy, by=mechanism)
+            contexts += [
+                seen_context
+                for seen_context, *_ in spy.seen
+                if Knowledge.TRAIN in seen_context.granted
+            ]
         distinct = {id(context): context for context in contexts}.values()
         assert len(distinct) == 4
         assert len({context.train.probe.xy.tobytes() for context in distinct}) == 4
@@ -180,23 +192,28 @@ class TestWhatAnAdversarySees:
 
     def test_a_linker_behind_a_reconstruction_sees_what_that_makes(self):
         spy, rounds = Linker(uses=frozenset({Knowledge.TRAIN})), Spy(move=np.rint)
-        found = of_task("rerelease", behind(spy, rounds))
-        assert {spec for spec, _ in found} == {"rerelease/spy@rounds"}
+        result = task_links("rerelease", behind(spy, rounds))
+        assert {spec for spec, _ in result} == {"rerelease/spy@rounds"}
         for context, *sides in spy.seen:
             shown = [*sides]
             if Knowledge.TRAIN in context.granted:
                 shown += [context.train.probe, context.train.gallery]
-            assert all((one.xy == np.rint(one.xy)).all() for one in shown)
-        assert not any((one.xy == np.rint(one.xy)).all() for _, one, _ in rounds.seen)
+            assert all((item.xy == np.rint(item.xy)).all() for item in shown)
+        assert not any(
+            (linker_probe.xy == np.rint(linker_probe.xy)).all()
+            for _, linker_probe, _ in rounds.seen
+        )
 
     def test_a_reconstruction_in_front_learns_where_its_people_truly_were(self):
         rounds, sessions = (
             Spy(uses=frozenset({Knowledge.TRAIN})),
-            sessions_of("rerelease"),
+            make_sessions("rerelease"),
         )
         linked(sessions, "clean", behind(Linker(), rounds))
         informed = [
-            one.train for one, *_ in rounds.seen if Knowledge.TRAIN in one.granted
+            context.train
+            for context, *_ in rounds.seen
+            if Knowledge.TRAIN in context.granted
         ]
         assert len(informed[0].release) == sessions.learns[0].sum()
         for train in informed:
@@ -208,32 +225,37 @@ class TestWhatAnAdversarySees:
             spoilt(gallery.xy)
             return np.zeros((len(probe), len(gallery)))
 
-        alone = of_task("rerelease", Linker())
-        after = of_task("rerelease", plugin(Linker(score=vandal), "vandal"), Linker())
+        alone = task_links("rerelease", Linker())
+        after = task_links(
+            "rerelease", plugin(Linker(score=vandal), "vandal"), Linker()
+        )
         assert equal(alone[SPY], after[SPY])
 
 
 class TestWhatIsReadOff:
     def test_rank_1_is_that_of_the_raw_scores(self):
-        result = of_task("rerelease", Linker(), by="fixed:0.3")[SPY]
+        result = task_links("rerelease", Linker(), by="fixed:0.3")[SPY]
         hits = np.concatenate(
-            [rank1(scores=one.scores, mate=one.mate) for one in result.searches]
+            [
+                rank1(scores=search.scores, mate=search.mate)
+                for search in result.searches
+            ]
         )
-        assert result.scored.estimates["rank1"].value == pytest.approx(
+        assert result.scorecard.estimates["rank1"].value == pytest.approx(
             hits.mean(), abs=1e-12
         )
-        assert result.scored.n_mated == hits.size
+        assert result.scorecard.n_mated == hits.size
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
-        found, level = linked(sessions_of("rerelease"), "clean", Linker())
+        results, level = linked(make_sessions("rerelease"), "clean", Linker())
         result, sessions, alone = (
-            found[SPY],
-            level.known.sessions,
-            level.known.sessions.alone,
+            results[SPY],
+            level.setup.sessions,
+            level.setup.sessions.alone,
         )
         hits = []
         for search, (_, pairing) in zip(
-            result.searches, sorted(level.known.searches.items()), strict=True
+            result.searches, sorted(level.setup.searches.items()), strict=True
         ):
             candidates = np.flatnonzero(alone[sessions.gallery.person[pairing.gallery]])
             for row in np.flatnonzero(alone[sessions.probe.person[pairing.probe]]):
@@ -242,10 +264,10 @@ class TestWhatIsReadOff:
         part = result.cohorts["without_groups"]
         assert part["n_mated"] == len(hits) == alone.sum()
         assert part["rank1"] == pytest.approx(np.mean(hits), abs=1e-12)
-        assert part["chance"] > result.scored.estimates["chance"].value
+        assert part["chance"] > result.scorecard.estimates["chance"].value
 
     def test_who_is_in_the_scenes_too_is_drawn_alike(self):
-        sessions = sessions_of("rerelease")
+        sessions = make_sessions("rerelease")
         ours = sorted(set(sessions.group))
         groups = ours[5:]
         known = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=0)
@@ -254,9 +276,9 @@ class TestWhatIsReadOff:
         assert (known.weights[:, :5].sum(axis=1) == 5).all()
 
     def test_who_has_no_mate_is_left_alone_in_a_handover(self):
-        sessions = sessions_of("handover-2s", tracks=walkers(80))
-        found, *_ = linked(sessions, "clean", parsed("attacks", "kinematic"))
-        estimates = found["handover-2s/kinematic", "informed"].scored.estimates
+        sessions = make_sessions("handover-2s", tracks=walkers(80))
+        results, *_ = linked(sessions, "clean", parsed("attacks", "kinematic"))
+        estimates = results["handover-2s/kinematic", "informed"].scorecard.estimates
         assert (sessions.mate < 0).any()
         assert estimates["rank1"].value > 0.9
         assert estimates["rank1_assigned"].value > 0.8
@@ -269,9 +291,9 @@ class TestControls:
         [("rerelease", {*COLUMNS}), ("handover-1s", {*COLUMNS, "frame", "clock"})],
     )
     def test_every_task_has_its_controls(self, task, without):
-        found = of_task(task, Linker(), controls=True)
+        result = task_links(task, Linker(), controls=True)
         names = {
-            spec.partition("control-")[2] for spec, _ in found if "control" in spec
+            spec.partition("control-")[2] for spec, _ in result if "control" in spec
         }
         assert names == CONTROLS.keys() - without
 
@@ -280,22 +302,22 @@ class TestControls:
     )  # beyond, scores are in single precision
     def test_shuffled_mates_are_those_of_a_real_attack(self, monkeypatch, most_pairs):
         monkeypatch.setattr("attacks.linkage.learning._MOST_PAIRS", most_pairs)
-        found = of_task("rerelease", SHAPE, by="clean", controls=True)
-        real = found["rerelease/shape", "blind"]
-        shuffled = found["rerelease/control-shuffled", ""]
-        for one, other in zip(real.searches, shuffled.searches, strict=True):
-            assert np.allclose(np.sort(one.scores), np.sort(other.scores), rtol=1e-5)
-            assert (one.mate == other.mate).all()
+        result = task_links("rerelease", SHAPE, by="clean", controls=True)
+        real = result["rerelease/shape", "blind"]
+        shuffled = result["rerelease/control-shuffled", ""]
+        for search, other in zip(real.searches, shuffled.searches, strict=True):
+            assert np.allclose(np.sort(search.scores), np.sort(other.scores), rtol=1e-5)
+            assert (search.mate == other.mate).all()
         # That it is rejected as often as it should be takes many seeds: see below.
-        assert real.scored.p_value <= 0.001 < shuffled.scored.p_value
+        assert real.scorecard.p_value <= 0.001 < shuffled.scorecard.p_value
 
     def test_what_sees_times_alone_is_alike_at_every_level(self):
         raw, fixed = (
-            of_task("rerelease", Linker(), by=spec, controls=True)
+            task_links("rerelease", Linker(), by=spec, controls=True)
             for spec in ("raw", "fixed:1")
         )
         for name, control in (
-            (one, CONTROLS[one]) for one in CONTROLS if one not in COLUMNS
+            (item, CONTROLS[item]) for item in CONTROLS if item not in COLUMNS
         ):
             key = f"rerelease/control-{name}", ""
             assert equal(raw[key], fixed[key]) == control.sees_times_only
@@ -305,10 +327,10 @@ class TestControls:
     def test_a_control_is_rejected_as_often_as_the_test_says(self, name):
         rejected = []
         for seed in range(300):
-            sessions = sessions_of("rerelease", seed=seed)
-            found, *_ = linked(sessions, "raw", Linker(), controls=True, seed=seed)
+            sessions = make_sessions("rerelease", seed=seed)
+            results, *_ = linked(sessions, "raw", Linker(), controls=True, seed=seed)
             rejected.append(
-                found[f"rerelease/control-{name}", ""].scored.p_value <= 0.05
+                results[f"rerelease/control-{name}", ""].scorecard.p_value <= 0.05
             )
         assert (
             0.02 <= np.mean(rejected) <= 0.085
@@ -317,16 +339,18 @@ class TestControls:
 
 class TestDeterminism:
     def test_who_else_is_there_changes_nothing(self):
-        alone = of_task("rerelease", Linker(), by="fid:1")[SPY]
+        alone = task_links("rerelease", Linker(), by="fid:1")[SPY]
         others = (SHAPE, behind(Linker(), Spy(move=np.rint)))
-        among = of_task("rerelease", *others, Linker(), by="fid:1", controls=True)[SPY]
-        np.testing.assert_array_equal(numbers_of(alone), numbers_of(among))
+        among = task_links("rerelease", *others, Linker(), by="fid:1", controls=True)[
+            SPY
+        ]
+        np.testing.assert_array_equal(result_numbers(alone), result_numbers(among))
 
     def test_errors_are_common_to_all_mechanisms(self):
         shown = {}
         for spec in ("clean", "raw", "fixed:0.2", "fixed:0.4"):
             spy = Linker()
-            of_task("rerelease", spy, by=spec)
+            task_links("rerelease", spy, by=spec)
             shown[spec] = spy.seen[0][1].xy
         few, many = (shown[spec] - shown["raw"] for spec in ("fixed:0.2", "fixed:0.4"))
         assert np.allclose(2 * few, many, atol=1e-6)
@@ -360,37 +384,41 @@ class TestBreaches:
         with pytest.raises(
             PluginError, match=rf"attack rerelease/spy \(blind\) .*{message}"
         ):
-            of_task("rerelease", Linker(score=score))
+            task_links("rerelease", Linker(score=score))
 
     def test_a_reconstruction_in_front_is_named_as_well(self):
         cuts = Spy(move=lambda xy: xy[:-1])
         with pytest.raises(
             PluginError, match=r"attack rounds \(behind rerelease/spy@rounds"
         ):
-            of_task("rerelease", behind(Linker(), cuts))
+            task_links("rerelease", behind(Linker(), cuts))
 
     def test_who_requires_sigma_is_the_oracle(self):
-        (key,) = of_task("split", Linker(requires=frozenset({Knowledge.SIGMA})))
+        (key,) = task_links("split", Linker(requires=frozenset({Knowledge.SIGMA})))
         assert key == ("split/spy", "oracle")
 
 
 def written(out, task, *, control="", keep_scores=False):
-    """Outcome and sessions of a linker or control, its tables, and its entry in a manifest."""
-    found, level = linked(sessions_of(task), "raw", Linker(), controls=bool(control))
+    """Result and setup of a linker or control, its tables, and its manifest entry."""
+    results, level = linked(
+        make_sessions(task), "raw", Linker(), controls=bool(control)
+    )
     consumer = Consumer("linkage", plugin(Linker()), "blind", task=task)
     if control:
         consumer = Consumer("control", task=task, control=control)
-    result = found[consumer.spec, consumer.knowledge]
-    tables = linkage_tables(result, level.known, keep_scores=keep_scores)
+    result = results[consumer.spec, consumer.knowledge]
+    tables = linkage_tables(result, level.setup, keep_scores=keep_scores)
     (out / "cells").mkdir()
-    content = cell_files.packed([(consumer.label, "key", {}, tables)], unit="", code={})
+    content = cell_files.pack_cells(
+        [(consumer.label, "key", {}, tables)], unit="", code={}
+    )
     (out / "cells" / "one.parquet").write_bytes(content)
     where = {
         "consumer": consumer.spec,
         "knowledge": consumer.knowledge,
         "files": ["one.parquet"],
     }
-    return result, level.known, tables, where
+    return result, level.setup, tables, where
 
 
 class TestCells:
@@ -401,23 +429,23 @@ class TestCells:
     def test_what_is_read_is_what_was_computed(self, tmp_path, task, control):
         result, _, _, where = written(tmp_path, task, control=control)
         (read,) = cell_files.read_outcomes(tmp_path, [where])
-        assert list(read.estimates) == list(result.scored.estimates)
+        assert list(read.estimates) == list(result.scorecard.estimates)
         with_draws = 0
-        for name, estimate in result.scored.estimates.items():
-            found = read.estimates[name]
+        for name, estimate in result.scorecard.estimates.items():
+            results = read.estimates[name]
             for field_name in ("value", "ci_low", "ci_high", "n"):
                 np.testing.assert_equal(
-                    getattr(found, field_name), getattr(estimate, field_name)
+                    getattr(results, field_name), getattr(estimate, field_name)
                 )
-            if not found.replicates.size:
-                of_ranks = name in result.scored.probes.values()
-                assert name in DERIVED or (control and not of_ranks)
+            if not results.replicates.size:
+                rank_metrics = name in result.scorecard.probes.values()
+                assert name in DERIVED or (control and not rank_metrics)
                 continue
             with_draws += 1
             expected = estimate.replicates.astype(np.float32)
-            np.testing.assert_array_equal(found.replicates, expected)
+            np.testing.assert_array_equal(results.replicates, expected)
         assert with_draws == (4 if control else 12) + (task != "rerelease")
-        assert read.numbers["p_value"] == result.scored.p_value
+        assert read.numbers["p_value"] == result.scorecard.p_value
         assert read.cohorts == result.cohorts
 
     def test_every_probe_says_how_it_fared(self, tmp_path):
@@ -435,9 +463,9 @@ class TestCells:
         ):
             assert row.search == known.sessions.searches[number]
             assert row.chance == 1 / scores.size
-            of_mate = np.nan if mate < 0 else scores[mate]
-            assert row.above == ((scores > of_mate).sum() if mate >= 0 else -1)
-            assert row.tied == (scores == of_mate).sum()
+            mate_scores = np.nan if mate < 0 else scores[mate]
+            assert row.above == ((scores > mate_scores).sum() if mate >= 0 else -1)
+            assert row.tied == (scores == mate_scores).sum()
 
     def test_raw_scores_stay_where_they_are_asked_for(self, tmp_path):
         result, _, tables, where = written(tmp_path, "handover-2s", keep_scores=True)
@@ -447,10 +475,10 @@ class TestCells:
         gallery = json.loads(tables["about"]["about"][0].as_py())["gallery"]
         table, first = rows.to_pandas(), 0
         for number, search in enumerate(result.searches):
-            mine = table.iloc[first : first + len(search.mate)]
+            own = table.iloc[first : first + len(search.mate)]
             first += len(search.mate)
-            assert np.array_equal(np.stack(mine["scores"].to_list()), search.scores)
-            for source, mate in zip(mine["source"], mine["mate"], strict=True):
+            assert np.array_equal(np.stack(own["scores"].to_list()), search.scores)
+            for source, mate in zip(own["source"], own["mate"], strict=True):
                 assert mate < 0 or gallery[number][mate] == source
         assert first == len(table)
 
@@ -461,7 +489,10 @@ class TestCells:
             (tmp_path / "cells" / "cell.parquet").write_bytes(content)
         entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
         read_rows = partial(cell_files.read_rows, columns=["source"])
-        for read in (lambda out, one: cell_files.read_outcomes(out, [one]), read_rows):
+        for read in (
+            lambda out, manifest_entry: cell_files.read_outcomes(out, [manifest_entry]),
+            read_rows,
+        ):
             with pytest.raises(
                 DataError, match=r"cell\.parquet .*run the matrix again"
             ):
@@ -520,14 +551,14 @@ class TestRuns:
         )
 
     def test_the_file_says_what_every_cell_means(self, finished):
-        found = finished.linkability
-        assert list(found.columns) == linkability.COLUMNS
-        assert set(found["cohort"]) == {"all", "without_groups", "without_frozen"}
-        clean = found[(found["mechanism"] == "clean") & (found["cohort"] == "all")]
+        result = finished.linkability
+        assert list(result.columns) == linkability.COLUMNS
+        assert set(result["cohort"]) == {"all", "without_groups", "without_frozen"}
+        clean = result[(result["mechanism"] == "clean") & (result["cohort"] == "all")]
         assert (
             clean.loc[clean["consumer"] == "rerelease/shape", "outcome"] == "links"
         ).all()
-        assert (found["gallery_min"].dropna() >= 1).all()
+        assert (result["gallery_min"].dropna() >= 1).all()
         # Nothing is declared at the ceiling: noise leaks nothing.
         assert (
             clean.loc[clean["consumer"].str.startswith("handover"), "invalid"] == ""
@@ -545,13 +576,13 @@ class TestRuns:
         self, finished
     ):
         entries = [
-            one for one in finished.manifest["cells"] if one["kind"] == "windows"
+            cell for cell in finished.manifest["cells"] if cell["kind"] == "windows"
         ]
         mean = {}
-        for one in entries:
-            assert one["knowledge"] == ""
-            rows = cell_files.read_rows(finished.out, one, columns=["n_samples"])
-            mean[one["consumer"], one["spec"]] = rows["n_samples"].to_numpy().mean()
+        for entry in entries:
+            assert entry["knowledge"] == ""
+            rows = cell_files.read_rows(finished.out, entry, columns=["n_samples"])
+            mean[entry["consumer"], entry["spec"]] = rows["n_samples"].to_numpy().mean()
         assert len(mean) == len(entries) == 2 * 4
         for task in ("rerelease", "handover-2s"):
             clean, raw, few = (
@@ -574,9 +605,11 @@ class TestRuns:
             asked = replace(
                 settings, tasks=("rerelease",), attacks=attacks, mechanisms=("raw",)
             )
-            found = set(evaluation.run(asked, pictures=False).linkability["consumer"])
-            assert "rerelease/histogram" in found
-            assert ("rerelease/shape" in found) == ("shape" in attacks)
+            consumer = set(
+                evaluation.run(asked, pictures=False).linkability["consumer"]
+            )
+            assert "rerelease/histogram" in consumer
+            assert ("rerelease/shape" in consumer) == ("shape" in attacks)
 
     def test_a_presets_task_without_people_is_left_out_loudly(
         self, csv_recording, tmp_path, capsys
@@ -662,7 +695,10 @@ class TestAxes:
 
     @pytest.mark.parametrize("name", sorted(ADVERSARIES.keys() - USUAL))
     def test_who_is_asked_for_by_name_alone_does_something(self, name):
-        rows = {one.knowledge for one in axes(paper(adversaries=(name,))).consumers}
+        rows = {
+            consumer.knowledge
+            for consumer in axes(paper(adversaries=(name,))).consumers
+        }
         assert rows == {"", *USUAL, name}
 
     def test_who_is_in_every_run_adds_nothing_to_it_when_asked_for(self):
@@ -677,8 +713,8 @@ class TestAxes:
             ),  # it has no task of its own: it runs where it can
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
         ):
-            found = axes(Settings(attacks=(attack,), tasks=(task,)))
-            assert [(where.name, one.spec) for where, one in found.links] == [
+            result = axes(Settings(attacks=(attack,), tasks=(task,)))
+            assert [(where.name, link.spec) for where, link in result.links] == [
                 (task, spec)
             ]
 
@@ -687,9 +723,9 @@ class TestAxes:
     ):
         crossed = axes(Settings(preset="quick", attacks=("radial_rts", "averaging")))
         rows = {
-            (one.spec, one.knowledge)
-            for one in crossed.consumers
-            if one.kind == "attack"
+            (consumer.spec, consumer.knowledge)
+            for consumer in crossed.consumers
+            if consumer.kind == "attack"
         }
         assert {knowledge for spec, knowledge in rows if spec == "radial_rts"} == {
             "blind",
@@ -697,14 +733,14 @@ class TestAxes:
         }
         assert ("averaging", "oracle") in rows
         asked = axes(Settings(preset="quick", adversaries=("oracle",))).consumers
-        assert "oracle" in {one.knowledge for one in asked}
+        assert "oracle" in {item.knowledge for item in asked}
 
     def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(
         self,
     ):
-        found = axes(paper())
-        assert {task.name for task in found.tasks} == TASKS.keys()
-        linkers = {one.plugin.name for _, one in found.links}
+        result = axes(paper())
+        assert {task.name for task in result.tasks} == TASKS.keys()
+        linkers = {link.plugin.name for _, link in result.links}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
         known |= {
             "likelihood_ratio",
@@ -712,14 +748,14 @@ class TestAxes:
             "mean_distance",
         }
         assert linkers == known
-        assert found.ceiling.spec == "clean"
+        assert result.ceiling.spec == "clean"
         nothing = axes(Settings(tasks=()))
         assert (nothing.links, nothing.ceiling) == ((), None)
 
 
 def entry(consumer, mechanism, p_value, low=1.0):
     """An entry of a manifest, and what was achieved there."""
-    of = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
+    result = Estimate(value=0.1, ci_low=0.0, ci_high=0.2, n=5)
     numbers = defaultdict(
         int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0]
     )
@@ -732,7 +768,7 @@ def entry(consumer, mechanism, p_value, low=1.0):
     }
     where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
     return where, cell_files.LinkageOutcome(
-        {"rank1": of, "chance": of}, numbers, cohorts={}
+        {"rank1": result, "chance": result}, numbers, cohorts={}
     )
 
 
@@ -751,11 +787,11 @@ class TestOutcomes:
             *(("rerelease/x", by, 0.2) for by in LEVELS),
         )
         frame = linkability.linkability(
-            [entry(*one) for one in entries], dataset="here"
+            [entry(*item) for item in entries], dataset="here"
         )
-        found = frame.set_index(["consumer", "mechanism"])
+        result = frame.set_index(["consumer", "mechanism"])
         assert (
-            found.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
+            result.loc[("split/control-duration", "fixed"), "outcome"] == "beats chance"
         )
         for task, by, invalid, said in (
             ("split", "fixed", "duration", "no link detected"),
@@ -763,7 +799,7 @@ class TestOutcomes:
             ("split", "clean", "", "links"),
             *(("rerelease", by, "", "attack too weak") for by in LEVELS),
         ):
-            row = found.loc[(f"{task}/x", by)]
+            row = result.loc[(f"{task}/x", by)]
             assert (row["invalid"], row["outcome"]) == (invalid, said)
 
     def test_the_noise_level_makes_cells_invalid_only_where_the_channel_is_another_one(
@@ -785,36 +821,36 @@ class TestOutcomes:
         ]
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
-        assert linkability.dataset_of("new_traversal/x", dataset="here") != "here"
-        assert linkability.dataset_of("split/x", dataset="here") == "here"
-        assert linkability.dataset_of("least_squares", dataset="here") == "here"
+        assert linkability.row_dataset("new_traversal/x", dataset="here") != "here"
+        assert linkability.row_dataset("split/x", dataset="here") == "here"
+        assert linkability.row_dataset("least_squares", dataset="here") == "here"
 
 
 def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
-    sessions = sessions_of("cross_session", tracks=runs())
+    sessions = make_sessions("cross_session", tracks=runs())
     spy = Linker(requires=frozenset({Knowledge.TRAIN}))
-    found, level = linked(sessions, "clean", spy, controls=True)
-    (result,) = (one for (spec, _), one in found.items() if "control" not in spec)
-    (pairing,) = level.known.searches.values()
+    results, level = linked(sessions, "clean", spy, controls=True)
+    (result,) = (cell for (spec, _), cell in results.items() if "control" not in spec)
+    (pairing,) = level.setup.searches.values()
     assert pairing.probe.tolist() == list(range(10))
     for person, (context, probe, gallery) in enumerate(spy.seen):
         assert (len(probe), len(gallery)) == (1, 10)
         train = context.train
         # Their own walk is neither in what is learnt from nor a candidate there.
         assert (len(train.probe), len(train.gallery)) == (9, 9)
-        ways = [np.hypot(*one.xy[0]) for one in train.probe]
+        ways = [np.hypot(*item.xy[0]) for item in train.probe]
         assert np.hypot(*probe[0].xy[0]) not in ways
         assert np.array_equal(
             result.searches[0].scores[person], np.float32(by_length(probe, gallery)[0])
         )
-    rank1 = result.scored.estimates["rank1"]
+    rank1 = result.scorecard.estimates["rank1"]
     hits = round(10 * rank1.value)
     exact = binomtest(hits, 10).proportion_ci(method="exact")
     np.testing.assert_allclose([rank1.ci_low, rank1.ci_high], exact, rtol=1e-9)
     # A control sees its circumstance alone: there are 20 people in either session, at
     # any time.
-    crowd = found["cross_session/control-run_density", ""].searches[0]
+    crowd = results["cross_session/control-run_density", ""].searches[0]
     assert (crowd.scores == 0).all()
-    times = found["cross_session/control-run_time", ""].searches[0].scores
+    times = results["cross_session/control-run_time", ""].searches[0].scores
     gap = np.subtract.outer(sessions.probe.about[:, 4], sessions.gallery.about[:, 4])
     assert (np.argsort(-np.abs(gap), axis=1) == np.argsort(times, axis=1)).all()

@@ -4,19 +4,25 @@ import pytest
 
 from evaluation.api import run
 from evaluation.compute import loops
-from evaluation.compute.loops import COMPILED, COMPILING, LOADED, loops_of, prepare_loop
+from evaluation.compute.loops import (
+    COMPILED,
+    COMPILING,
+    LOADED,
+    list_loops,
+    prepare_loop,
+)
 from evaluation.plan.axes import axes
 from evaluation.plan.settings import Settings
 from isac_track import compiling
 
 
-def cells_of(crossed):
+def crossed_cells(crossed):
     """Every level of some axes with each of its consumers, those of tasks included."""
-    linked = [one for task in crossed.tasks for one in crossed.readers(task)]
+    linked = [reader for task in crossed.tasks for reader in crossed.readers(task)]
     return [
-        (level, one)
+        (level, item)
         for level in crossed.mechanisms
-        for one in (*crossed.consumers, *linked)
+        for item in (*crossed.consumers, *linked)
     ]
 
 
@@ -35,23 +41,25 @@ def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(
         dataset=str(csv_recording), scenes=8, mechanisms=levels, tasks=(), jobs=1
     )
     run(settings, out=tmp_path / "run", progress=False, pictures=False)
-    assert called <= {*loops_of(cells_of(axes(settings)))}
+    assert called <= {*list_loops(crossed_cells(axes(settings)))}
 
 
 def test_the_slowest_to_compile_begin():
-    names = [name.partition(":")[2] for name in loops_of(cells_of(axes(Settings())))]
+    names = [
+        name.partition(":")[2] for name in list_loops(crossed_cells(axes(Settings())))
+    ]
     assert names[:3] == ["read_scores", "ratios", "described"]
     assert len(set(names)) == len(names)
 
 
 def test_every_listed_loop_is_there():
     listed = {loops.GAIN, *loops._DESCRIPTORS, *loops._SCORECARD}
-    for some in (*loops._OF_PLUGIN.values(), *loops._BEHIND_SLOW_ERROR.values()):
+    for some in (*loops._PLUGIN_LOOPS.values(), *loops._BEHIND_SLOW_ERROR.values()):
         listed.update(some)
     for name in listed:
         module, _, loop = name.partition(":")
-        found = compiling.loops_in(compiling.import_module(module))
-        assert loop in {one.function.__name__ for one in found}, name
+        result = compiling.loops_in(compiling.import_module(module))
+        assert loop in {item.function.__name__ for item in result}, name
 
 
 @pytest.mark.parametrize(
@@ -67,7 +75,7 @@ def test_a_loop_says_whether_it_is_compiled(
 ):
     monkeypatch.setattr(compiling, "is_cached", lambda _: is_cached)
     monkeypatch.setattr(
-        compiling, "prepared", lambda _, *, quietly: fills_cache and quietly
+        compiling, "prepare_loop", lambda _, *, quietly: fills_cache and quietly
     )
     assert [*prepare_loop(loops.GAIN)] == states
 

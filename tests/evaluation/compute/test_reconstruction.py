@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from helpers.bad_plugins import spoilt
 from helpers.cells import EPSILON_M, SlowSpy, Spy, World, parsed, plugin
-from helpers.runs import rows_of
+from helpers.runs import stored_rows
 from helpers.small_runs import smoke
 
 import evaluation
@@ -25,7 +25,7 @@ from isac_track.sharing import Clean, Fixed, Raw
 from isac_track.types import Knowledge, Reconstruction, Sensed
 
 N_SCENES = 12
-ONE_PASS = 3
+SINGLE_PASS = 3
 """Scenes whose four agents each are the twelve people, once."""
 MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
     Knowledge[name] for name in ("MECHANISM", "SIGMA", "TRAIN", "SCENE", "REPEATS")
@@ -33,15 +33,17 @@ MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
 
 
 def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None):
-    """Rows of every cell of some scenes by (mechanism, consumer, adversary), blocks in a list."""
-    attacks = tuple(parsed("attacks", one) for one in attacks)
+    """Rows of every cell of scenes by (mechanism, consumer, adversary), in blocks."""
+    attacks = tuple(parsed("attacks", attack) for attack in attacks)
     consumers = Axes(mechanisms=(), predictors=(), attacks=attacks).consumers
-    found = {}
-    for by, one, rows in World(tracks, n_scenes=n_scenes).cells(
+    result = {}
+    for level, consumer, rows in World(tracks, n_scenes=n_scenes).cells(
         mechanisms, consumers, size=size
     ):
-        found.setdefault((by.spec, one.spec, one.knowledge), []).append(rows)
-    return found
+        result.setdefault((level.spec, consumer.spec, consumer.knowledge), []).append(
+            rows
+        )
+    return result
 
 
 def assert_same(a, b, rows=slice(None)):
@@ -64,11 +66,9 @@ def lengths(xy, offsets):
 def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
     groups = tuple(f"g{row // 3}" for row in range(33))
     half = folds(groups, seed=0)
-    of_group = {group: set(half[np.array(groups) == group]) for group in groups}
-    assert all(len(halves) == 1 for halves in of_group.values())
-    n_groups = [
-        sum(halves == {fold} for halves in of_group.values()) for fold in (0, 1)
-    ]
+    members = {group: set(half[np.array(groups) == group]) for group in groups}
+    assert all(len(halves) == 1 for halves in members.values())
+    n_groups = [sum(halves == {fold} for halves in members.values()) for fold in (0, 1)]
     assert sorted(n_groups) == [5, 6]
     order = stream(0, "test", "order").permutation(
         33
@@ -83,7 +83,7 @@ class TestBlock:
     def test_an_overlap_or_a_walk_that_is_twice_in_a_pass_stops_the_run(
         self, tracks, monkeypatch
     ):
-        world = World(tracks, n_scenes=ONE_PASS)
+        world = World(tracks, n_scenes=SINGLE_PASS)
         track = np.roll(world.scenes.track, 1)
         track[0] = track[1]
         world.scenes = replace(world.scenes, track=track)
@@ -93,7 +93,7 @@ class TestBlock:
         # enough.
         monkeypatch.setattr(
             reconstruction,
-            "_people",
+            "_training_people",
             lambda half, *, fold, seed: np.flatnonzero(half == 1 - fold)[-1:],  # noqa: ARG005 - called so
         )
         for n_groups in (12, 4):
@@ -105,14 +105,14 @@ class TestBlock:
 
     def test_the_walks_are_sensed_anew_for_repeats_alone(self, tracks):
         world = World(tracks, n_scenes=N_SCENES)
-        assert world.attacked().again == ()
-        again = world.attacked(repeats=True).again
+        assert world.attacked().sensed_again == ()
+        again = world.attacked(repeats=True).sensed_again
         assert len(again) == 2
-        for one in again:
-            truth = one.xy - one.sigma_raw[:, None] * one.unit_error
+        for item in again:
+            truth = item.xy - item.sigma_raw[:, None] * item.unit_error
             np.testing.assert_allclose(truth, world.scenes.xy, rtol=0, atol=1e-9)
-            np.testing.assert_array_equal(one.t, world.scenes.t)
-        errors = [one.unit_error[:, 0] for one in (world.sensed, *again)]
+            np.testing.assert_array_equal(item.t, world.scenes.t)
+        errors = [item.unit_error[:, 0] for item in (world.sensed, *again)]
         apart = np.corrcoef(errors)[np.triu_indices(len(errors), k=1)]
         assert np.abs(apart).max() < 5 / np.sqrt(errors[0].size)
 
@@ -120,11 +120,13 @@ class TestBlock:
 class TestIdentity:
     def test_its_rows_are_those_as_shared_to_the_last_bit(self, tracks):
         specs = ("raw", "clean", "fid:100", "fixed:0.5", "fixed:0.5,adding=independent")
-        found = computed(tracks, "identity", mechanisms=specs, n_scenes=2 * ONE_PASS)
+        result = computed(
+            tracks, "identity", mechanisms=specs, n_scenes=2 * SINGLE_PASS
+        )
         for spec in specs:
             (shared,), (attacked,) = (
-                found[spec, "shared", ""],
-                found[spec, "identity", "blind"],
+                result[spec, "shared", ""],
+                result[spec, "identity", "blind"],
             )
             assert {"plr", "ael_s", "mse_m2", "track", "scene"} <= shared.keys()
             assert shared.pop("speed_mps").shape == shared["plr"].shape  # of the truth
@@ -139,14 +141,14 @@ class TestWhatIsShown:
         spy = (SlowSpy if slow else Spy)(
             requires=frozenset(requires), uses=frozenset(granted)
         )
-        computed(tracks, plugin(spy), mechanisms=(mechanism,), n_scenes=ONE_PASS)
+        computed(tracks, plugin(spy), mechanisms=(mechanism,), n_scenes=SINGLE_PASS)
         seen = [
-            one
-            for one in spy.seen
-            if one[0].granted == frozenset((*granted, *requires))
+            item
+            for item in spy.seen
+            if item[0].granted == frozenset((*granted, *requires))
         ]
         assert len(seen) == 2
-        return World(tracks, mechanism=mechanism, n_scenes=ONE_PASS), seen
+        return World(tracks, mechanism=mechanism, n_scenes=SINGLE_PASS), seen
 
     @pytest.mark.parametrize("granted", [(), (SCENE,), (SIGMA,), (SCENE, SIGMA)])
     def test_scene_and_sigma_show_what_they_say_and_no_more(self, tracks, granted):
@@ -177,7 +179,9 @@ class TestWhatIsShown:
             assert np.hypot(*(release.xy - xy).T).min() > 1.0
             assert abs(release.t[0] - t[0]) > 1.0
             last = release.offsets[1] - 1
-            shown, true = (complex(*(one[last] - one[0])) for one in (release.xy, xy))
+            shown, true = (
+                complex(*(item[last] - item[0])) for item in (release.xy, xy)
+            )
             assert abs(np.angle(shown / true)) > 0.01
 
     @pytest.mark.parametrize("slow", [False, True])
@@ -190,10 +194,10 @@ class TestWhatIsShown:
             assert not train.truth.flags.writeable
             taught = [
                 row
-                for one in lengths(train.truth, train.release.offsets)
+                for length in lengths(train.truth, train.release.offsets)
                 for row, other in enumerate(known)
-                if one.shape == other.shape
-                and np.allclose(one, other, rtol=0, atol=1e-9)
+                if length.shape == other.shape
+                and np.allclose(length, other, rtol=0, atol=1e-9)
             ]
             assert sorted(taught) == np.flatnonzero(world.half != fold).tolist()
             # Under clean sharing it is shared as it is, in a frame that is not the
@@ -230,7 +234,7 @@ class TestWhatIsShown:
     def test_the_mechanism_is_the_very_object(self, tracks):
         spy = Spy(uses=frozenset({MECHANISM}))
         fixed = Plugin("mine", 0.5, "mine:0.5", "here:Mine", Fixed(0.5))
-        computed(tracks, plugin(spy), mechanisms=(fixed,), n_scenes=ONE_PASS)
+        computed(tracks, plugin(spy), mechanisms=(fixed,), n_scenes=SINGLE_PASS)
         granted = [context for context, *_ in spy.seen if MECHANISM in context.granted]
         assert len(granted) == 2
         assert all(context.mechanism is fixed.instance for context in granted)
@@ -245,29 +249,31 @@ class TestWhatIsShown:
             tracks, requires=granted, mechanism="fixed:9,adding=independent"
         )
         for fold, (context, release, _) in enumerate(seen):
-            all_of_them = (release, *context.repeats)
+            releases = (release, *context.repeats)
             assert len(context.repeats) == 2
-            for one in context.repeats:
+            for repeat in context.repeats:
                 np.testing.assert_allclose(
-                    np.diff(one.t), np.diff(release.t), rtol=0, atol=1e-9
+                    np.diff(repeat.t), np.diff(release.t), rtol=0, atol=1e-9
                 )
-                np.testing.assert_array_equal(one.offsets, release.offsets)
-                assert one.sigma is None
-                assert set(one.pseudonym).isdisjoint(release.pseudonym)
-            clocks = {round(one.t[0], 3) for one in all_of_them}
+                np.testing.assert_array_equal(repeat.offsets, release.offsets)
+                assert repeat.sigma is None
+                assert set(repeat.pseudonym).isdisjoint(release.pseudonym)
+            clocks = {round(item.t[0], 3) for item in releases}
             assert len(clocks) == (
                 1 if SCENE in granted else 3
             )  # or each has one of its own
             if SCENE in granted:
-                assert all(np.array_equal(one.t, release.t) for one in context.repeats)
+                assert all(
+                    np.array_equal(repeat.t, release.t) for repeat in context.repeats
+                )
                 truth = world.scenes.xy[world.samples(fold)]
-                errors = [(one.xy - truth)[:, 0] for one in all_of_them]
+                errors = [(item.xy - truth)[:, 0] for item in releases]
                 assert np.abs(np.corrcoef(errors)[np.triu_indices(3, k=1)]).max() < 0.1
 
     def test_its_random_numbers_are_its_own_whatever_else_runs(self, tracks):
         alone, among = (Spy(uses=frozenset({MECHANISM})) for _ in range(2))
         computed(
-            tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"), n_scenes=ONE_PASS
+            tracks, plugin(alone), mechanisms=("raw", "fixed:0.5"), n_scenes=SINGLE_PASS
         )
         others = (
             "moving_average",
@@ -276,13 +282,13 @@ class TestWhatIsShown:
         )
         mechanisms = ("clean", "fixed:0.5", "raw")
         computed(
-            tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=ONE_PASS
+            tracks, *others, plugin(among), mechanisms=mechanisms, n_scenes=SINGLE_PASS
         )
         # The release's first clock, a frame's own, names the level and the half.
         first, second = (
             {
-                (one.granted, release.t[0].round(3)): tuple(drawn)
-                for one, release, drawn in spy.seen
+                (context.granted, release.t[0].round(3)): tuple(drawn)
+                for context, release, drawn in spy.seen
             }
             for spy in (alone, among)
         )
@@ -320,7 +326,7 @@ class Vandal:
 
 
 class TestStrangers:
-    """Who is not one of the project's own gets each walk once a release, and copies of it."""
+    """A user's attack gets each walk once per release, and copies of it."""
 
     def test_no_release_shows_a_walk_twice(self, tracks):
         # Four passes over 12 people: a copy would have the sampling instants of its
@@ -330,7 +336,7 @@ class TestStrangers:
         for _, release, _ in spy.seen:
             rhythms = [tuple(np.diff(track.t).round(9)) for track in release]
             assert len(set(rhythms)) == len(rhythms)
-        assert len(spy.seen) == 2 * N_SCENES / ONE_PASS
+        assert len(spy.seen) == 2 * N_SCENES / SINGLE_PASS
         assert sum(len(release) for _, release, _ in spy.seen) == 4 * N_SCENES
         assert len({round(release.t[0], 3) for _, release, _ in spy.seen}) == len(
             spy.seen
@@ -342,15 +348,17 @@ class TestStrangers:
     ):
         own = parsed("attacks", name)
         mechanisms = ("fid:1000,adding=independent",)
-        found = computed(
+        result = computed(
             tracks, own, plugin(own.instance, "foreign"), mechanisms=mechanisms
         )
         compared = 0
-        for (mechanism, consumer, knowledge), (rows,) in found.items():
+        for (mechanism, consumer, knowledge), (rows,) in result.items():
             if consumer == "foreign":
-                (mine,) = found[mechanism, name, knowledge]
-                np.testing.assert_allclose(rows["mse_m2"], mine["mse_m2"], rtol=1e-6)
-                np.testing.assert_array_equal(rows["plr"], mine["plr"])
+                (own_rows,) = result[mechanism, name, knowledge]
+                np.testing.assert_allclose(
+                    rows["mse_m2"], own_rows["mse_m2"], rtol=1e-6
+                )
+                np.testing.assert_array_equal(rows["plr"], own_rows["plr"])
                 compared += 1
         assert compared == len(grants(own.instance))
 
@@ -366,7 +374,7 @@ class TestStrangers:
 
 
 def test_positions_elsewhere_in_its_frame_are_found_there_in_the_true_one(tracks):
-    """Every other sample backwards through each half: a turn the wrong way round would show."""
+    """Every other sample backwards through each half: a wrong turn would show."""
 
     def move(xy):
         is_odd = np.arange(len(xy))[:, None] % 2 == 1
@@ -376,24 +384,26 @@ def test_positions_elsewhere_in_its_frame_are_found_there_in_the_true_one(tracks
     # distance.
     spec = "fixed:0.3"
     rows = computed(
-        tracks, plugin(Spy(move=move)), mechanisms=(spec,), n_scenes=ONE_PASS
+        tracks, plugin(Spy(move=move)), mechanisms=(spec,), n_scenes=SINGLE_PASS
     )
     (rows,) = rows[spec, "spy", "blind"]
-    world = World(tracks, mechanism=spec, n_scenes=ONE_PASS)
+    world = World(tracks, mechanism=spec, n_scenes=SINGLE_PASS)
     for fold in (0, 1):
-        own, mine = world.samples(fold), world.rows(fold)
+        own, half_tracks = world.samples(fold), world.rows(fold)
         square = ((move(world.release.xy[own]) - world.scenes.xy[own]) ** 2).sum(axis=1)
-        parts = np.split(square, np.cumsum(np.diff(world.scenes.offsets)[mine])[:-1])
-        np.testing.assert_allclose(
-            rows["mse_m2"][mine], [one.mean() for one in parts], rtol=1e-9
+        parts = np.split(
+            square, np.cumsum(np.diff(world.scenes.offsets)[half_tracks])[:-1]
         )
-        leaked = [np.mean(one < EPSILON_M**2) for one in parts]
-        np.testing.assert_allclose(rows["plr"][mine], leaked, rtol=1e-9)
+        np.testing.assert_allclose(
+            rows["mse_m2"][half_tracks], [part.mean() for part in parts], rtol=1e-9
+        )
+        leaked = [np.mean(part < EPSILON_M**2) for part in parts]
+        np.testing.assert_allclose(rows["plr"][half_tracks], leaked, rtol=1e-9)
         assert 0 < np.mean(leaked) < 0.6
 
 
 @pytest.fixture(scope="module")
-def found(tracks):
+def slow_and_quick(tracks):
     """Rows of a slow and of a quick attack, block by block."""
     # 12 people on 4 * 4 seats, two blocks: the second has 4 of them for the first time.
     slow, quick = plugin(SlowSpy(), "slow"), plugin(Spy(), "quick")
@@ -402,22 +412,27 @@ def found(tracks):
 
 
 class TestSlowAttacks:
-    def test_they_see_one_release_of_each_source_track(self, found):
-        slow, quick = found
-        assert [len(one["track"]) for one in slow] == [8, 4]
-        assert sorted(np.concatenate([one["track"] for one in slow])) == list(range(12))
-        assert [len(one["track"]) for one in quick] == [8, 8]
+    def test_they_see_one_release_of_each_source_track(self, slow_and_quick):
+        slow, quick = slow_and_quick
+        assert [len(item["track"]) for item in slow] == [8, 4]
+        assert sorted(np.concatenate([item["track"] for item in slow])) == list(
+            range(12)
+        )
+        assert [len(item["track"]) for item in quick] == [8, 8]
 
-    def test_their_rows_are_those_of_the_same_walks_in_a_quick_attack(self, found):
-        for few, all_of in zip(*found, strict=True):
-            place = list(zip(all_of["scene"], all_of["agent"], strict=True))
+    def test_their_rows_are_those_of_the_same_walks_in_a_quick_attack(
+        self, slow_and_quick
+    ):
+        for few, all_rows in zip(*slow_and_quick, strict=True):
+            place = list(zip(all_rows["scene"], all_rows["agent"], strict=True))
             rows = [
-                place.index(one) for one in zip(few["scene"], few["agent"], strict=True)
+                place.index(item)
+                for item in zip(few["scene"], few["agent"], strict=True)
             ]
-            assert_same(all_of, few, rows)
+            assert_same(all_rows, few, rows)
 
 
-def expected_of(
+def expected_benchmark(
     mechanism, *, n_samples=1, sigma_raw=0.3, law="radial", step_s=0.1, name="mine"
 ):
     """What the benchmark expects of one track at the origin: squared error and PLR."""
@@ -458,7 +473,7 @@ class TestBenchmark:
         ],
     )
     def test_of_one_sample_it_is_the_error_itself(self, mechanism, law, variance):
-        mse, plr = expected_of(mechanism, law=law)
+        mse, plr = expected_benchmark(mechanism, law=law)
         assert mse == pytest.approx(2 * variance, rel=1e-4)
         assert plr == pytest.approx(1 - np.exp(-(0.3**2) / (2 * variance)), rel=1e-4)
 
@@ -466,27 +481,27 @@ class TestBenchmark:
         # A line through n samples of variance r: r / n at its middle, 4 r / n at its
         # ends, 2 r / n on average. Per axis r is 2 m^2, on two axes 4; in 0.5 s nobody
         # turns by as much.
-        mse, _ = expected_of(Raw(), n_samples=50, step_s=0.01, sigma_raw=2.0)
+        mse, _ = expected_benchmark(Raw(), n_samples=50, step_s=0.01, sigma_raw=2.0)
         assert mse == pytest.approx(4.0 * 2 / 50, rel=0.05)
 
     @pytest.mark.parametrize("name", ["clean", "here:Clean"])
     def test_what_takes_error_away_is_judged_by_what_it_left_whatever_its_name(
         self, name
     ):
-        mse, plr = expected_of(Clean(), n_samples=5, name=name)
+        mse, plr = expected_benchmark(Clean(), n_samples=5, name=name)
         assert mse < 1e-10
         assert plr == 1.0
 
     def test_it_is_the_same_whatever_was_drawn(self, tracks):
-        found = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))
-        of = [
-            rows for key, (rows,) in found.items() if key[1] not in {"shared", "bound"}
+        result = computed(tracks, "identity", "kalman_rts", mechanisms=("raw",))
+        results = [
+            rows for key, (rows,) in result.items() if key[1] not in {"shared", "bound"}
         ]
-        for rows in of[1:]:
+        for rows in results[1:]:
             np.testing.assert_array_equal(
-                rows["benchmark_mse_m2"], of[0]["benchmark_mse_m2"]
+                rows["benchmark_mse_m2"], results[0]["benchmark_mse_m2"]
             )
-        assert (of[0]["benchmark_mse_m2"] < of[0]["mse_m2"]).all()
+        assert (results[0]["benchmark_mse_m2"] < results[0]["mse_m2"]).all()
 
 
 @dataclass(frozen=True)
@@ -504,23 +519,32 @@ class Bad:
         (lambda _: 1 / 0, "failed: ZeroDivisionError: division by zero"),
         (lambda _: sys.exit(3), "failed: SystemExit: 3"),
         (lambda _: None, "failed: TypeError: 'NoneType' object is not callable"),
-        (lambda _: lambda one: one.xy, "must return a Reconstruction with xy .* got"),
+        (
+            lambda _: lambda release: release.xy,
+            "must return a Reconstruction with xy .* got",
+        ),
         (
             lambda _: lambda _: None,
             "must return a Reconstruction with xy .* got NoneType",
         ),
-        (lambda _: lambda one: Reconstruction(one.xy[1:]), "must return .* with xy"),
         (
-            lambda _: lambda one: Reconstruction(one.xy * np.nan),
+            lambda _: lambda release: Reconstruction(release.xy[1:]),
+            "must return .* with xy",
+        ),
+        (
+            lambda _: lambda release: Reconstruction(release.xy * np.nan),
             "failed: ValueError: a reconstructed position is not finite",
         ),
         (
             lambda context: context.train.truth,
             "failed: KnowledgeDenied: TRAIN was not granted",
         ),
-        (lambda _: lambda one: one.xy + one.sigma[:, None], "failed: TypeError"),
         (
-            lambda _: lambda one: one.xy.__setitem__(0, 0),
+            lambda _: lambda release: release.xy + release.sigma[:, None],
+            "failed: TypeError",
+        ),
+        (
+            lambda _: lambda release: release.xy.__setitem__(0, 0),
             "failed: ValueError: assignment dest",
         ),
     ],
@@ -535,7 +559,7 @@ def test_an_attack_that_breaks_its_contract_is_named_with_its_adversary(
         with pytest.raises(
             PluginError, match=rf"attack mine \({knowledge}\) {message}"
         ):
-            computed(tracks, plugin(Bad(bad), "mine"), n_scenes=ONE_PASS)
+            computed(tracks, plugin(Bad(bad), "mine"), n_scenes=SINGLE_PASS)
 
 
 def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks):
@@ -547,9 +571,9 @@ def test_of_one_group_an_attack_that_learns_is_refused_and_the_others_run(tracks
         DataError, match=r"'kalman_rts' needs other people .* leave the attack out"
     ):
         computed(crowd, "kalman_rts")
-    found = computed(crowd, "identity", "averaging")
+    result = computed(crowd, "identity", "averaging")
     for key in (("raw", "identity", "blind"), ("raw", "averaging", "oracle")):
-        assert len(found[key][0]["plr"]) == 4 * N_SCENES
+        assert len(result[key][0]["plr"]) == 4 * N_SCENES
 
 
 METRICS = ("mse_m2", "plr")
@@ -575,15 +599,17 @@ class TestRuns:
         numbers = ["value", "ci_low", "ci_high", "n"]
         assert len(shared) == 3 * 7
         assert attacked.loc[shared.index, numbers].equals(shared[numbers])
-        entries = [one for one in results.manifest["cells"] if one["kind"] == "attack"]
+        entries = [
+            cell for cell in results.manifest["cells"] if cell["kind"] == "attack"
+        ]
         assert len(entries) == 3 * (1 + 3 + 1)
         for entry in entries:
-            rows = rows_of(
+            rows = stored_rows(
                 results.out, entry["spec"], entry["consumer"], entry["knowledge"]
             )
             said = table[entry["mechanism"], entry["consumer"], entry["knowledge"]]
             mse, plr = (
-                rows[of].sum() / rows[f"benchmark_{of}"].sum() for of in METRICS
+                rows[item].sum() / rows[f"benchmark_{item}"].sum() for item in METRICS
             )
             assert said["rmse_over_benchmark"] == pytest.approx(np.sqrt(mse))
             assert said["plr_over_benchmark"] == pytest.approx(plr)

@@ -1,4 +1,4 @@
-"""The gallery of tracks: whose they are, what leaks, and that the run folder gives it back."""
+"""The gallery of tracks: its people, their leaks, and its file in the run folder."""
 
 import numpy as np
 import pandas as pd
@@ -13,24 +13,24 @@ from isac_track import plugins
 from isac_track.errors import DataError
 
 
-def gallery(ready, *specs):
+def gallery_table(ready, *specs):
     mechanisms = plugins.parse_all("mechanisms", specs)
-    of = {
+    options = {
         "tracks": ready.tracks,
         "attacks": (),
         "stages": ready.settings.stages,
         "seed": 0,
     }
     rows = [
-        sample_tracks.gallery_rows(one, **of)
-        for one in sample_tracks.chosen(mechanisms)
+        sample_tracks.gallery_rows(mechanism, **options)
+        for mechanism in sample_tracks.gallery_mechanisms(mechanisms)
     ]
     return pa.concat_tables(rows)
 
 
 @pytest.fixture(scope="module")
-def found(ready):
-    return gallery(
+def gallery(ready):
+    return gallery_table(
         ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8"
     ).to_pandas()
 
@@ -43,32 +43,34 @@ def ready():
 
 
 class TestTheGallery:
-    def test_four_people_under_three_mechanisms(self, found):
-        assert list(found.columns) == sample_tracks.COLUMNS
-        assert list(found["mechanism"].unique()) == ["raw", "fid:1", "fixed:0.8"]
-        assert found["track"].nunique() == 4
-        assert set(found["attack"]) == {"radial_rts"}
+    def test_four_people_under_three_mechanisms(self, gallery):
+        assert list(gallery.columns) == sample_tracks.COLUMNS
+        assert list(gallery["mechanism"].unique()) == ["raw", "fid:1", "fixed:0.8"]
+        assert gallery["track"].nunique() == 4
+        assert set(gallery["attack"]) == {"radial_rts"}
 
-    def test_a_leak_is_a_place_within_epsilon_of_the_truth(self, found):
-        for what in ("shared", "rec"):
+    def test_a_leak_is_a_place_within_epsilon_of_the_truth(self, gallery):
+        for item in ("shared", "rec"):
             x_m, y_m = (
-                found[f"{axis}_{what}"] - found[f"{axis}_true"] for axis in "xy"
+                gallery[f"{axis}_{item}"] - gallery[f"{axis}_true"] for axis in "xy"
             )
             distance = np.hypot(x_m, y_m)
             sure = abs(distance - 0.3) > 0.002  # positions are kept in millimetres
             np.testing.assert_array_equal(
-                (distance < 0.3)[sure], found[f"leaked_{what}"][sure]
+                (distance < 0.3)[sure], gallery[f"leaked_{item}"][sure]
             )
 
-    def test_the_truth_is_the_same_whatever_is_shared(self, found):
-        raw, fid = (found[found["mechanism"] == name] for name in ("raw", "fid:1"))
+    def test_the_truth_is_the_same_whatever_is_shared(self, gallery):
+        raw, fid = (gallery[gallery["mechanism"] == name] for name in ("raw", "fid:1"))
         np.testing.assert_array_equal(raw[["t", "x_true"]], fid[["t", "x_true"]])
         assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
 
     def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(
         self, ready
     ):
-        whole, thin = (gallery(ready, spec).to_pandas() for spec in ("clean", "thin:4"))
+        whole, thin = (
+            gallery_table(ready, spec).to_pandas() for spec in ("clean", "thin:4")
+        )
         assert whole["leaked_shared"].all()
         np.testing.assert_array_equal(whole["x_shared"], whole["x_true"])
         assert 0.2 < len(thin) / len(whole) < 0.3
@@ -76,9 +78,9 @@ class TestTheGallery:
         # What is shared lies about the truth of its own instant, not of another one.
         assert np.hypot(thin["x_shared"] - thin["x_true"], 0).median() < 1.0
 
-    def test_it_is_kept_and_read_again(self, found, tmp_path):
-        gallery_file.write_gallery([pa.Table.from_pandas(found)], out=tmp_path)
-        pd.testing.assert_frame_equal(gallery_file.read_gallery(tmp_path), found)
+    def test_it_is_kept_and_read_again(self, gallery, tmp_path):
+        gallery_file.write_gallery([pa.Table.from_pandas(gallery)], out=tmp_path)
+        pd.testing.assert_frame_equal(gallery_file.read_gallery(tmp_path), gallery)
         assert gallery_file.read_gallery(tmp_path / "other") is None
 
     @pytest.mark.parametrize("content", [b"no parquet", None])

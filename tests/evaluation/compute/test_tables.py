@@ -36,10 +36,10 @@ print("pandas" in sys.modules)
 def test_a_column_is_what_pyarrow_makes(values):
     kind = pa.string() if isinstance(values, list) else None
     expected = pa.array(values, type=kind)
-    found = column(values)
-    found.validate(full=True)
-    assert found.type == expected.type
-    assert str(found) == str(expected)  # NaN is there, too
+    result = column(values)
+    result.validate(full=True)
+    assert result.type == expected.type
+    assert str(result) == str(expected)  # NaN is there, too
     assert table({"a": values}).column_names == ["a"]
 
 

@@ -1,16 +1,16 @@
-"""What levels have in common is computed once, and is what computing each would give."""
+"""Tables that levels share are computed once, and equal those computed for each."""
 
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from helpers.cells import STAGES, Spy, World, parsed, plugin, sessions_of
+from helpers.cells import STAGES, Spy, World, make_sessions, parsed, plugin
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.compute import work as work_module
 from evaluation.compute.sharing import guarded, handed
-from evaluation.compute.work import LinkWork, cells
+from evaluation.compute.work import LinkWork, compute_cells
 from evaluation.plan.axes import axes
 from evaluation.plan.settings import Settings
 from isac_track.scenes import cut
@@ -24,23 +24,29 @@ def piece(tracks):
     levels = tuple(
         (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
     )
-    return LinkWork(sessions_of(task.name), (), levels), known
+    return LinkWork(make_sessions(task.name), (), levels), known
 
 
 def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypatch):
     work, tracks = piece
-    once = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
+    once = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
     monkeypatch.setattr(work_module.linkage, "sees_times_alone", lambda *_: False)
-    each = list(cells(work, tracks=tracks, stages=STAGES, seed=0))
-    first = {one.label: tables for _, by, one, tables in once if by.spec == "fid:1"}
+    each = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
+    first = {
+        consumer.label: tables
+        for _, level, consumer, tables in once
+        if level.spec == "fid:1"
+    }
     n_shared = 0
-    for (*_, by, one, tables), (*_, apart) in zip(once, each, strict=True):
+    for (*_, level, consumer, tables), (*_, apart) in zip(once, each, strict=True):
         assert tables.keys() == apart.keys()
         for name, table in tables.items():
             assert table.to_pandas().equals(apart[name].to_pandas())
-        same = tables is first[one.label] and by.spec != "fid:1"
-        times_only = one.kind == "control" and CONTROLS[one.control].sees_times_only
-        assert same == (times_only and by.spec != "fid:1")
+        same = tables is first[consumer.label] and level.spec != "fid:1"
+        times_only = (
+            consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
+        )
+        assert same == (times_only and level.spec != "fid:1")
         n_shared += same
     assert n_shared > 1
 

@@ -1,4 +1,4 @@
-"""The best robot without the bias of its choice: planted robots, and loops over weights."""
+"""The best robot without the bias of its choice: planted robots, loops over weights."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from evaluation.estimates.decisions import curve
 from evaluation.estimates.keys import Key
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
-from evaluation.estimates.summary import weights_of
+from evaluation.estimates.summary import Scored, bootstrap_weights
 from isac_track.intervals import FEW_CLUSTERS, Estimate, jackknife_interval
 from isac_track.rng import stream
 
@@ -16,14 +16,14 @@ LEVELS = (("raw", None), ("ou", 0.4))
 ALL, FUTURE = BEST[EQUAL_ALARMS], BEST[FUTURE_EQUAL_ALARMS]
 
 
-def manifest_of(n_people, *, seed=0):
-    """What a run says of its people."""
+def make_manifest(n_people, *, seed=0):
+    """The entries of a manifest about people."""
     names = [f"person {number}" for number in range(n_people)]
     return {"groups": names, "identity": {"seed": seed}}
 
 
 def planted(noises, *, n_people, rng, scenes_each=6, levels=LEVELS):
-    """Robots that foresee the separation with errors of these sizes, by name; as `scored`."""
+    """Robots that predict the separation with errors of these sizes, by name."""
     n_scenes = n_people * scenes_each
     cluster = np.repeat(np.arange(n_people), scenes_each)
     separation = rng.uniform(0.0, 1.8, n_scenes)
@@ -40,7 +40,7 @@ def planted(noises, *, n_people, rng, scenes_each=6, levels=LEVELS):
                 "predicted_separation_m": foreseen,
             }
             entry = {"mechanism": mechanism, "level": level, "consumer": name}
-            scored.append((entry, cluster, columns))
+            scored.append(Scored(entry, cluster, columns))
     return scored
 
 
@@ -50,26 +50,31 @@ def at(best, consumer, metric, where=LEVELS[1]):
 
 def missed_by_hand(scored, name, people, weight, where, *, future=False):
     """Misses of a robot by some people at the false-alarm rate that it has at raw."""
-    by_where = {(one[0]["mechanism"], one[0]["level"]): one for one in scored if
-                one[0]["consumer"] == name}  # fmt: skip
+    by_where = {
+        (robot.entry["mechanism"], robot.entry["level"]): robot
+        for robot in scored
+        if robot.entry["consumer"] == name
+    }
     _, cluster, raw = by_where["raw", None]
     free = ~raw["conflict"] & people[cluster]
     mass = weight[cluster]
     rate = (mass * (free & raw["predicted"])).sum() / (mass * free).sum()
-    columns = by_where[where][2]
-    some = people[cluster] & ~(columns["conflict"] & columns["inside_now"] & future)
+    columns = by_where[where].columns
+    in_question = people[cluster] & ~(
+        columns["conflict"] & columns["inside_now"] & future
+    )
     rates = curve(
-        score=-columns["predicted_separation_m"][some],
-        conflict=columns["conflict"][some],
-        cluster=cluster[some],
+        score=-columns["predicted_separation_m"][in_question],
+        conflict=columns["conflict"][in_question],
+        cluster=cluster[in_question],
         weights=weight[None],
     )
-    conflicts = (mass * (columns["conflict"] & some)).sum()
+    conflicts = (mass * (columns["conflict"] & in_question)).sum()
     return rates.missed_at(np.full(2, rate))[1], conflicts
 
 
 def best_by_hand(scored, names, is_first, weight, *, future=False):
-    """The misses of the best robot at the second level, and the choices of either half."""
+    """The best robot's misses at the second level, and the choices of either half."""
     choices = []
     for half in (is_first, ~is_first):
         means = [
@@ -91,7 +96,7 @@ def test_every_replicate_and_every_deletion_chooses_anew(n_people, future):
     names = ["a", "b", "c"]
     rng = stream(3, "test", "robots", n_people)
     scored = planted(dict.fromkeys(names, 0.4), n_people=n_people, rng=rng)
-    manifest = manifest_of(n_people)
+    manifest = make_manifest(n_people)
     is_first = first_half(tuple(manifest["groups"]))
     best = best_robots(scored, manifest, {}, among={"raw", "ou"})
     consumer, metric = (FUTURE, FUTURE_EQUAL_ALARMS) if future else (ALL, EQUAL_ALARMS)
@@ -102,9 +107,9 @@ def test_every_replicate_and_every_deletion_chooses_anew(n_people, future):
 
     value, choices = by_hand(np.ones(n_people))
     assert (estimate.value, best.choices[consumer]) == (pytest.approx(value), choices)
-    some = weights_of(manifest)[:20]
+    weights = bootstrap_weights(manifest)[:20]
     # Replicates are all moved by one step, which does not hide how they differ.
-    moved = estimate.replicates[:20] - [by_hand(weight)[0] for weight in some]
+    moved = estimate.replicates[:20] - [by_hand(weight)[0] for weight in weights]
     assert moved == pytest.approx(np.full(20, moved[0]))
     if estimate.effective < FEW_CLUSTERS:
         deleted = [by_hand(row) for row in 1.0 - np.eye(n_people)]
@@ -121,17 +126,16 @@ def test_every_replicate_and_every_deletion_chooses_anew(n_people, future):
 def test_the_best_of_equal_robots_is_not_better_than_they_are():
     names = [f"robot {number}" for number in range(6)]
     naive, crossed, covered = [], [], []
-    truth = np.mean(
-        [
-            missed_by_hand(scored, "a", np.ones(2000, bool), np.ones(2000), LEVELS[1])[0]
-            for scored in (planted({"a": 0.4}, n_people=2000, rng=stream(1, "truth", number))
-                           for number in range(10))
-        ]
-    )  # fmt: skip
+    everybody = np.ones(2000, bool), np.ones(2000), LEVELS[1]
+    worlds = (
+        planted({"a": 0.4}, n_people=2000, rng=stream(1, "truth", number))
+        for number in range(10)
+    )
+    truth = np.mean([missed_by_hand(scored, "a", *everybody)[0] for scored in worlds])
     for number in range(60):
         rng = stream(number, "test", "equal robots")
         scored = planted(dict.fromkeys(names, 0.4), n_people=30, rng=rng)
-        best = best_robots(scored, manifest_of(30), {}, among={"raw", "ou"})
+        best = best_robots(scored, make_manifest(30), {}, among={"raw", "ou"})
         estimate = at(best, ALL, EQUAL_ALARMS)
         everybody = np.ones(30, bool), np.ones(30), LEVELS[1]
         naive.append(min(missed_by_hand(scored, name, *everybody)[0] for name in names))
@@ -146,50 +150,55 @@ def test_the_best_of_equal_robots_is_not_better_than_they_are():
 def test_the_robot_that_is_clearly_better_is_chosen_by_both_halves():
     noises = {"poor": 0.6, "good": 0.1, "worse": 0.9}
     scored = planted(noises, n_people=80, rng=stream(0, "test", "better robot"))
-    best = best_robots(scored, manifest_of(80), {}, among={"raw", "ou"})
+    best = best_robots(scored, make_manifest(80), {}, among={"raw", "ou"})
     assert best.choices == {ALL: ("good", "good"), FUTURE: ("good", "good")}
     estimate = at(best, ALL, EQUAL_ALARMS)
     whole = missed_by_hand(scored, "good", np.ones(80, bool), np.ones(80), LEVELS[1])[0]
-    # A half has a threshold of its own: the same but for what is left of that.
+    # Each half has its own threshold, hence a small difference.
     assert estimate.value == pytest.approx(whole, abs=0.01)
     assert estimate.ci_low < whole < estimate.ci_high
     good = next(
-        one for one in scored if one[0]["consumer"] == "good" and one[0]["level"] == 0.4
+        robot.columns
+        for robot in scored
+        if robot.entry["consumer"] == "good" and robot.entry["level"] == 0.4
     )
-    false = (good[2]["predicted"] & ~good[2]["conflict"]).sum() / (
-        ~good[2]["conflict"]
-    ).sum()
-    assert at(best, ALL, FALSE_ALARMS).value == pytest.approx(false)
+    is_free = ~good["conflict"]
+    false_alarm = (good["predicted"] & is_free).sum() / is_free.sum()
+    assert at(best, ALL, FALSE_ALARMS).value == pytest.approx(false_alarm)
 
 
-def test_a_robot_that_misses_levels_is_no_rival_and_others_choose_on_levels_of_the_site():
+def test_a_robot_that_lacks_levels_is_no_rival_and_others_choose_on_shared_levels():
     scored = planted({"a": 0.4}, n_people=40, rng=stream(0, "test", "rivals"))
     scored += planted(
         {"b": 0.1}, n_people=40, rng=stream(0, "test", "rivals"), levels=LEVELS[:1]
     )
-    found = {Key("ou", 0.4, "a", EQUAL_ALARMS): Estimate(0.25, 0.2, 0.3, 9)}
-    found[Key("ou", 0.4, "b", EQUAL_ALARMS)] = Estimate(0.1, 0.05, 0.15, 9)
-    alone = best_robots(scored, manifest_of(40), found, among={"raw", "ou"})
+    known = {Key("ou", 0.4, "a", EQUAL_ALARMS): Estimate(0.25, 0.2, 0.3, 9)}
+    known[Key("ou", 0.4, "b", EQUAL_ALARMS)] = Estimate(0.1, 0.05, 0.15, 9)
+    alone = best_robots(scored, make_manifest(40), known, among={"raw", "ou"})
     # Nothing is chosen, nothing is halved.
     assert alone.choices[ALL] == ("a", "a")
     assert alone.estimates == {
-        Key("ou", 0.4, ALL, EQUAL_ALARMS): found["ou", 0.4, "a", EQUAL_ALARMS, ""]
+        Key("ou", 0.4, ALL, EQUAL_ALARMS): known["ou", 0.4, "a", EQUAL_ALARMS, ""]
     }
-    at_raw = best_robots(scored, manifest_of(40), found, among={"raw"})
+    at_raw = best_robots(scored, make_manifest(40), known, among={"raw"})
     assert at_raw.choices[ALL] == ("b", "b")
     assert {key.where for key in at_raw.estimates} == {("raw", None)}
 
 
 def test_a_half_weighs_the_same_whoever_is_chosen():
-    """A costly robot is judged in fewer scenes; where it is chosen its half counts in full."""
+    """A costly robot is judged in fewer scenes; its half still counts in full."""
     scored = planted(
         dict.fromkeys("ab", 0.4), n_people=60, rng=stream(0, "test", "fewer scenes")
     )
     few = [
-        (about, cluster[::3], {name: values[::3] for name, values in columns.items()})
-        for about, cluster, columns in scored[2:]
+        Scored(
+            robot.entry,
+            robot.cluster[::3],
+            {name: values[::3] for name, values in robot.columns.items()},
+        )
+        for robot in scored[2:]
     ]
-    manifest = manifest_of(60)
+    manifest = make_manifest(60)
     is_first = first_half(tuple(manifest["groups"]))
     halves = is_first, ~is_first
     best = best_robots([*scored[:2], *few], manifest, {}, among={"raw", "ou"})
@@ -207,5 +216,5 @@ def test_a_half_weighs_the_same_whoever_is_chosen():
 
 def test_without_raw_there_is_none():
     scored = planted({"a": 0.4, "b": 0.5}, n_people=40, rng=stream(0, "test", "rivals"))
-    best = best_robots(scored, manifest_of(40), {}, among={"ou"})
+    best = best_robots(scored, make_manifest(40), {}, among={"ou"})
     assert (best.estimates, best.choices) == ({}, {})

@@ -15,7 +15,7 @@ from evaluation.reporting.bounds import bound_table, gap_text, linked_bound_tabl
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate
 
-ONE = Estimate(1.0, 1.0, 1.0)
+CERTAIN = Estimate(1.0, 1.0, 1.0)
 
 
 def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
@@ -32,17 +32,20 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, model)
     usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model")
-    found = run(usual, pictures=False)
+    results = run(usual, pictures=False)
     plain = replace(usual, mechanisms=("raw", "fixed:0.5"), out=tmp_path / "a")
     alone = run(plain, pictures=False)
-    own = found.summary[found.summary["dataset"] == found.dataset].reset_index(
+    own = results.summary[results.summary["dataset"] == results.dataset].reset_index(
         drop=True
     )
     pd.testing.assert_frame_equal(own, alone.summary, check_exact=True)
     keys = ["dataset", "consumer", "knowledge", "metric"]
-    rows = found.summary.fillna({"knowledge": ""}).set_index(keys)["value"].to_dict()
-    radial, isotropic = f"{found.dataset}:model", f"{found.dataset}:model,law=isotropic"
-    assert {world for world, *_ in rows} == {found.dataset, radial, isotropic}
+    rows = results.summary.fillna({"knowledge": ""}).set_index(keys)["value"].to_dict()
+    radial, isotropic = (
+        f"{results.dataset}:model",
+        f"{results.dataset}:model,law=isotropic",
+    )
+    assert {world for world, *_ in rows} == {results.dataset, radial, isotropic}
     # Only of Gaussian errors the genie's is the exact posterior.
     assert (radial, "bound", "", "plr_optimum") not in rows
     ceiling = {
@@ -60,10 +63,12 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
         assert (world, "averaging", "oracle", "plr") in rows
         assert (world, "averaging", "oracle", "plr_gap") not in rows
     assert abs(gap[isotropic]) < gap[radial]
-    assert len(bound_table(found).rows) == 2
-    assert [one.where for one in gaps(found.summary)] == [("fixed", 0.5)] * 2
-    assert {one.attack.consumer for one in gaps(found.summary)} == {"kalman_rts"}
-    assert gap_text(gaps(found.summary), ("fixed", 0.5)).startswith(
+    assert len(bound_table(results).rows) == 2
+    assert [gap_row.where for gap_row in gaps(results.summary)] == [("fixed", 0.5)] * 2
+    assert {gap_row.attack.consumer for gap_row in gaps(results.summary)} == {
+        "kalman_rts"
+    }
+    assert gap_text(gaps(results.summary), ("fixed", 0.5)).startswith(
         "In the model world the closest attack lacks at most "
     )
 
@@ -77,51 +82,55 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
         "predictors": (),
     }
     axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
-    both = {"model": ("fixed:0.5",), "model_linked": ("fixed:0.5",), "model_people": 40}
+    model = {
+        "model": ("fixed:0.5",),
+        "model_linked": ("fixed:0.5",),
+        "model_people": 40,
+    }
     monkeypatch.setitem(
-        PRESETS, DEFAULT, replace(PRESETS["paper"], scenes=4, **axes, **both)
+        PRESETS, DEFAULT, replace(PRESETS["paper"], scenes=4, **axes, **model)
     )
     stages = StageSettings().changed({"linkage.most_people": 60})
-    found = run(
+    results = run(
         Settings(dataset="plaza", jobs=1, out=tmp_path / "model", stages=stages)
     )
-    rows = found.summary.fillna({"knowledge": ""})
-    of = rows[rows["dataset"] == "plaza:model,law=isotropic"]
-    of = of.set_index(["consumer", "knowledge", "metric"])[
+    rows = results.summary.fillna({"knowledge": ""})
+    linked = rows[rows["dataset"] == "plaza:model,law=isotropic"]
+    linked = linked.set_index(["consumer", "knowledge", "metric"])[
         ["value", "ci_low", "ci_high"]
     ]
     best, gap = (
-        of.loc[at]
+        linked.loc[at]
         for at in (
             ("rerelease/bound", "", "rank1_optimum"),
             ("rerelease/shape", "blind", "rank1_gap"),
         )
     )
-    reached = of.loc["rerelease/shape", "blind", "rank1"]["value"]
+    reached = linked.loc["rerelease/shape", "blind", "rank1"]["value"]
     assert gap["value"] == pytest.approx(best["value"] - reached)
     assert gap["ci_low"] < gap["value"] < gap["ci_high"]
     assert gap["ci_high"] > 0.0  # nobody surely beats the optimum
     assert not (
         rows["dataset"] == "plaza:model"
     ).any()  # nobody rebuilds, and these are radial
-    said = gap_text(gaps(found.summary), ("fixed", 0.5), "rerelease")
+    text = gap_text(gaps(results.summary), ("fixed", 0.5), "rerelease")
     # Of the adversaries that of whom the optimum is closest.
     closest = min(
-        of.loc["rerelease/shape", who, "rank1_gap"]["value"]
-        for who in ("blind", "informed")
+        linked.loc["rerelease/shape", knowledge, "rank1_gap"]["value"]
+        for knowledge in ("blind", "informed")
     )
     assert (
-        said
+        text
         == f"In the model world the closest attack lacks {max(100 * closest, 0):.1f} of"
         " 100 people of the optimum."
     )
-    table = linked_bound_table(found)
+    table = linked_bound_table(results)
     assert len(table.rows) == 1
-    page = (found.out / "report.html").read_text(encoding="utf-8")
+    page = (results.out / "report.html").read_text(encoding="utf-8")
     assert page.count(f'aria-label="Table: {table.title}"') == 1
     # What a person sees of the recording has none of it.
-    assert set(found.linkability["consumer"]) >= {"rerelease/shape"}
-    assert not found.linkability["consumer"].str.contains("bound").any()
+    assert set(results.linkability["consumer"]) >= {"rerelease/shape"}
+    assert not results.linkability["consumer"].str.contains("bound").any()
 
 
 def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
@@ -132,7 +141,7 @@ def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
             Source(name, "blind"),
             Estimate(0.6, 0.5, 0.7),
             gap,
-            ONE,
+            CERTAIN,
             True,
         )
         for name, gap in (

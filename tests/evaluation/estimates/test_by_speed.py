@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.runs import rows_of
+from helpers.runs import stored_rows
 from helpers.small_runs import smoke, write_walks
 
 from evaluation.api import load, run
@@ -32,9 +32,9 @@ def test_every_bin_is_the_mean_of_its_people(finished):
     speeds = finished.speeds
     assert set(speeds["mechanism"]) == {"raw", "fixed"}
     assert set(speeds["level"].dropna()) == {1.0}  # not 0.7
-    shared = rows_of(finished.out, "raw", "shared")
+    shared = stored_rows(finished.out, "raw", "shared")
     speed_by_source = dict(zip(shared["source"], shared["speed_mps"], strict=True))
-    rows = rows_of(finished.out, "fixed:1", *finished.strongest[""])
+    rows = stored_rows(finished.out, "fixed:1", *finished.strongest[""])
     own = rows["source"].map(speed_by_source).astype(float)
     known = speeds[(speeds["mechanism"] == "fixed") & (speeds["knowledge"] != "")]
     assert len(known) > 1
@@ -48,8 +48,8 @@ def test_every_bin_is_the_mean_of_its_people(finished):
 
 
 def test_net_speed_is_that_of_the_true_history(finished):
-    shared = rows_of(finished.out, "raw", "shared")
-    noisy = rows_of(finished.out, "fixed:1", "shared")
+    shared = stored_rows(finished.out, "raw", "shared")
+    noisy = stored_rows(finished.out, "fixed:1", "shared")
     assert np.allclose(shared["speed_mps"], noisy["speed_mps"], rtol=1e-5)
     speeds = shared.groupby("source")["speed_mps"]
     assert np.allclose(
@@ -69,7 +69,7 @@ def test_a_run_without_these_levels_has_no_row(finished):
         finished.out,
         read_manifest(finished.out) | {"cells": []},
         {},
-        known=finished.families,
+        families=finished.families,
         best={},
     )
     assert table.empty
@@ -80,7 +80,7 @@ def test_the_summary_has_the_worst_off_tenth_of_what_was_shared_and_attacked(fin
     summary = finished.summary[finished.summary["metric"] == "plr_worst_tenth"]
     cells = {("shared", ""), ("radial_rts", "blind"), ("radial_rts", "informed")}
     assert set(zip(summary["consumer"], summary["knowledge"], strict=True)) >= cells
-    rows = rows_of(finished.out, "fixed:1", *finished.strongest[""])
+    rows = stored_rows(finished.out, "fixed:1", *finished.strongest[""])
     halves = []
     for _, releases in rows.groupby("source", observed=True):
         by_scene = releases.sort_values("scene")["plr"].to_numpy()

@@ -1,4 +1,4 @@
-"""The best of many rivals without the bias of its choice: planted cases, and brute force."""
+"""The best of many rivals without the bias of its choice: planted, and brute force."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from isac_track.intervals import cluster_weights, jackknife_interval, ratio_esti
 
 
 def planted(rates, *, n, n_levels, rng):
-    """Return hits and trials, (K, L, 2, C), of rivals that succeed at these rates, (K,)."""
+    """Return hits and trials, (K, L, 2, C), of rivals with success rates, (K,)."""
     trials = np.full(n, 3.0)
     hits = (
         rng.binomial(3, np.asarray(rates)[:, None, None], (len(rates), n_levels, n))
@@ -19,7 +19,7 @@ def planted(rates, *, n, n_levels, rng):
 
 
 def fitted(sums, weights, **options):
-    """Return the estimates and choices of rivals that are chosen by what they are scored by."""
+    """Return estimates and choices of rivals, chosen and scored by the same number."""
     names = tuple(f"person {number}" for number in range(sums.shape[-1]))
     return cross_fit(
         choosing=sums,
@@ -60,7 +60,7 @@ def test_who_is_clearly_better_is_chosen_by_both_halves_and_keeps_the_number():
     rng = np.random.default_rng(2)
     weights = cluster_weights(n_clusters=80, n_replicates=300, seed=0)
     sums = planted([0.2, 0.8, 0.3], n=80, n_levels=2, rng=rng)
-    found, choices = fitted(sums, weights)
+    estimates, choices = fitted(sums, weights)
     assert choices == (1, 1)
     alone = ratio_estimates(
         numerator=sums[1, :, 0],
@@ -68,7 +68,7 @@ def test_who_is_clearly_better_is_chosen_by_both_halves_and_keeps_the_number():
         weights=weights,
         is_share=[True, True],
     )
-    for estimate, expected in zip(found, alone, strict=True):
+    for estimate, expected in zip(estimates, alone, strict=True):
         assert estimate.value == pytest.approx(expected.value)
         assert estimate.replicates == pytest.approx(expected.replicates)
         assert (estimate.ci_low, estimate.ci_high) == pytest.approx(
@@ -78,7 +78,7 @@ def test_who_is_clearly_better_is_chosen_by_both_halves_and_keeps_the_number():
 
 
 def test_every_replicate_and_every_deletion_chooses_anew():
-    """Against loops over rows of weights, with few clusters that the jackknife is for."""
+    """Against loops over rows of weights, with few clusters (jackknife)."""
     rng = np.random.default_rng(3)
     sums = planted([0.5] * 8, n=24, n_levels=3, rng=rng)
     sums[..., 0, :] += rng.random((*sums.shape[:2], 24))  # so that no two are equal
@@ -96,7 +96,7 @@ def test_every_replicate_and_every_deletion_chooses_anew():
             chosen.append(best)
         return total[:, 0] / total[:, 1], chosen
 
-    found, choices = fitted(sums, weights)
+    estimates, choices = fitted(sums, weights)
     value, (by_second, by_first) = by_hand(np.ones(24))
     assert choices == (by_first, by_second)
     every = np.array([by_hand(weight)[0] for weight in weights])
@@ -104,7 +104,7 @@ def test_every_replicate_and_every_deletion_chooses_anew():
     fixed = (joined[:, 0] @ weights.T) / (joined[:, 1] @ weights.T)
     raised = every.T - every.mean(axis=0)[:, None] + fixed.mean(axis=1)[:, None]
     without = np.array([by_hand(row)[0] for row in 1.0 - np.eye(24)])
-    for place, estimate in enumerate(found):
+    for place, estimate in enumerate(estimates):
         assert estimate.value == pytest.approx(value[place])
         assert estimate.replicates == pytest.approx(raised[place])
         ends = jackknife_interval(

@@ -23,15 +23,15 @@ WEIGHTS = cluster_weights(n_clusters=20, n_replicates=30, seed=0)
 
 def test_few_scores_are_sklearns_curve_and_area():
     score, conflict, cluster = cases(90)
-    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
+    result = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
     alarm, hit, _ = roc_curve(conflict, score, drop_intermediate=False)
-    assert np.allclose(found.false_alarm[0], alarm)
-    assert np.allclose(found.missed[0], 1 - hit)
+    assert np.allclose(result.false_alarm[0], alarm)
+    assert np.allclose(result.missed[0], 1 - hit)
     # The ends are never and always.
-    for rates, ends in ((found.missed, [1, 0]), (found.false_alarm, [0, 1])):
+    for rates, ends in ((result.missed, [1, 0]), (result.false_alarm, [0, 1])):
         assert np.allclose(rates[:, [0, -1]], ends)
-    assert (np.diff(found.missed, axis=1) <= 1e-12).all()
-    areas = found.areas()
+    assert (np.diff(result.missed, axis=1) <= 1e-12).all()
+    areas = result.areas()
     assert areas[0] == pytest.approx(1 - roc_auc_score(conflict, score))
     for row in range(5):  # a replicate is the weighted curve
         weight = WEIGHTS[row][cluster]
@@ -41,25 +41,25 @@ def test_few_scores_are_sklearns_curve_and_area():
 
 def test_many_scores_are_binned_without_moving_the_area():
     score, conflict, cluster = cases(6000, decimals=9)
-    found = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
-    assert found.missed.shape[1] <= N_BINS + 1
-    assert found.areas()[0] == pytest.approx(
+    result = curve(score=score, conflict=conflict, cluster=cluster, weights=WEIGHTS)
+    assert result.missed.shape[1] <= N_BINS + 1
+    assert result.areas()[0] == pytest.approx(
         1 - roc_auc_score(conflict, score), abs=5e-4
     )
 
 
 def test_missed_at_by_hand():
     # Scores 4 3 2 1 with labels conflict, none, conflict, none.
-    found = curve(
+    result = curve(
         score=np.array([4.0, 3.0, 2.0, 1.0]),
         conflict=np.array([True, False, True, False]),
         cluster=np.zeros(4, dtype=int),
         weights=np.ones((1, 1)),
     )
-    assert found.false_alarm[0].tolist() == [0, 0, 0.5, 0.5, 1]
-    assert found.missed[0].tolist() == [1, 0.5, 0.5, 0, 0]
+    assert result.false_alarm[0].tolist() == [0, 0, 0.5, 0.5, 1]
+    assert result.missed[0].tolist() == [1, 0.5, 0.5, 0, 0]
     for at, expected in ((0.0, 0.5), (0.25, 0.5), (0.5, 0.0), (0.75, 0.0), (1.0, 0.0)):
-        assert found.missed_at(np.full(2, at)).tolist() == [expected, expected]
+        assert result.missed_at(np.full(2, at)).tolist() == [expected, expected]
 
 
 def test_one_label_alone_has_no_curve_and_nan_is_refused():

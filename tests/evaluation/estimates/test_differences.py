@@ -13,9 +13,9 @@ from isac_track.intervals import Estimate, cluster_weights, wilson
 WEIGHTS = cluster_weights(n_clusters=40, n_replicates=1000, seed=3)
 
 
-def estimate(values, **how):
+def estimate(values, **options):
     return ratio_estimate(
-        numerator=values, denominator=np.ones(values.shape), weights=WEIGHTS, **how
+        numerator=values, denominator=np.ones(values.shape), weights=WEIGHTS, **options
     )
 
 
@@ -24,61 +24,63 @@ class TestDifference:
         rng = np.random.default_rng(1)
         person = rng.normal(0, 3, 40)
         a, b = person + rng.normal(0, 1, 40), person + 0.5 + rng.normal(0, 1, 40)
-        found = difference(estimate(a), estimate(b), paired=True, metric="ael")
+        result = difference(estimate(a), estimate(b), paired=True, metric="ael")
         expected = ttest_rel(b, a)
-        assert found.difference == pytest.approx((b - a).mean())
-        assert found.t == pytest.approx(expected.statistic, rel=0.08)
+        assert result.difference == pytest.approx((b - a).mean())
+        assert result.t == pytest.approx(expected.statistic, rel=0.08)
         interval = expected.confidence_interval()
-        assert [found.ci_low, found.ci_high] == pytest.approx(list(interval), abs=0.08)
+        assert [result.ci_low, result.ci_high] == pytest.approx(
+            list(interval), abs=0.08
+        )
 
     def test_not_paired_the_ends_agree_with_the_p_value(self):
         rng = np.random.default_rng(4)
         a, b = (estimate(rng.normal(mean, 1, 40)) for mean in (0.0, 0.4))
-        found = difference(a, b, paired=False, metric="ael")
-        assert found.difference / (found.difference - found.ci_low) * norm.ppf(
+        result = difference(a, b, paired=False, metric="ael")
+        assert result.difference / (result.difference - result.ci_low) * norm.ppf(
             0.975
-        ) == pytest.approx(found.t)
+        ) == pytest.approx(result.t)
         back = difference(b, a, paired=False, metric="ael")
-        assert back.t == pytest.approx(-found.t)
+        assert back.t == pytest.approx(-result.t)
         assert [back.ci_low, back.ci_high] == pytest.approx(
-            [-found.ci_high, -found.ci_low]
+            [-result.ci_high, -result.ci_low]
         )
 
     def test_a_share_of_zero_is_not_taken_for_certain(self):
         never = estimate(np.zeros(40), is_share=True)
         seldom = estimate(np.eye(40)[0], is_share=True)
-        found = difference(never, seldom, paired=True, metric="missed_conflict_rate")
-        assert found.difference == pytest.approx(1 / 40)
+        result = difference(never, seldom, paired=True, metric="missed_conflict_rate")
+        assert result.difference == pytest.approx(1 / 40)
         up = wilson(hits=0, n=40)[1]
-        assert found.ci_low == pytest.approx(
+        assert result.ci_low == pytest.approx(
             1 / 40 - np.hypot(1 / 40 - seldom.ci_low, up)
         )
-        assert found.p_value > 0.3
+        assert result.p_value > 0.3
 
     def test_score_metrics_have_fewer_replicates(self):
         rng = np.random.default_rng(5)
         a, b = (estimate(rng.normal(size=40)) for _ in range(2))
         short = replace(b, replicates=b.replicates[:200])
-        found = difference(a, short, paired=True, metric="auc")
+        result = difference(a, short, paired=True, metric="auc")
         drawn = b.replicates[:200] - a.replicates[:200]
         ends = np.quantile(drawn, [0.025, 0.975])
-        assert [found.ci_low, found.ci_high] == pytest.approx(ends)
+        assert [result.ci_low, result.ci_high] == pytest.approx(ends)
         mirrored = difference(a, short, paired=True, metric="eer")
         assert [mirrored.ci_low, mirrored.ci_high] == pytest.approx(
-            2 * found.difference - ends[::-1]
+            2 * result.difference - ends[::-1]
         )
 
     @pytest.mark.parametrize(("n", "n_replicates"), [(0, 1000), (1, 1000), (40, 0)])
     def test_one_person_or_no_replicate_gives_no_interval(self, n, n_replicates):
         lonely = Estimate(0.5, np.nan, np.nan, n, np.full(n_replicates, 0.5))
         crowd = estimate(np.arange(40) / 40)
-        found = difference(lonely, crowd, paired=True, metric="plr")
-        assert found.difference == pytest.approx(crowd.value - 0.5)
-        assert np.isnan([found.ci_low, found.ci_high, found.t, found.p_value]).all()
+        result = difference(lonely, crowd, paired=True, metric="plr")
+        assert result.difference == pytest.approx(crowd.value - 0.5)
+        assert np.isnan([result.ci_low, result.ci_high, result.t, result.p_value]).all()
 
     def test_the_same_step_for_everybody_is_certain(self):
         values = np.arange(40) / 8
         a, b = (estimate(values + step) for step in (0.0, 0.25))
-        found = difference(a, b, paired=True, metric="ael")
-        assert found.difference == pytest.approx(0.25)
-        assert found.p_value < 1e-12
+        result = difference(a, b, paired=True, metric="ael")
+        assert result.difference == pytest.approx(0.25)
+        assert result.p_value < 1e-12

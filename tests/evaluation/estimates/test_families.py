@@ -1,4 +1,4 @@
-"""Of which family a mechanism is, and under which rule it adds: asked, never read off its name."""
+"""Family and adding rule of a mechanism: asked, never read off its name."""
 
 import numpy as np
 import pandas as pd
@@ -31,10 +31,10 @@ def test_a_mechanism_says_of_which_family_it_is_and_how_it_adds(
 ):
     (plugin,) = parse("mechanisms", spec)
     assert (plugin.family, plugin.adding) == (family, adding)
-    one = Family(plugin.name, plugin.family, plugin.adding)
-    assert one.parameters == rest
-    assert one.rules == ((adding,) if adding else ("linear", "independent"))
-    assert one.is_added == (family not in ("raw", "clean"))
+    mechanism = Family(plugin.name, plugin.family, plugin.adding)
+    assert mechanism.parameters == rest
+    assert mechanism.rules == ((adding,) if adding else ("linear", "independent"))
+    assert mechanism.is_added == (family not in ("raw", "clean"))
 
 
 def test_one_that_cannot_say_is_refused_by_name():
@@ -55,7 +55,7 @@ def test_the_paper_s_mechanism_is_the_one_with_nothing_else_changed():
     }
 
 
-@pytest.mark.usefixtures("undrawn", "one_process")
+@pytest.mark.usefixtures("undrawn", "single_process")
 def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(
     csv_recording, tmp_path, capsys
 ):
@@ -79,16 +79,16 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(
         ]
     )
     assert code == 0
-    said = capsys.readouterr().err
-    assert said.count("has no `adding` attribute") == 1
-    assert "helpers.mechanisms:Twice has no" in said
+    messages = capsys.readouterr().err
+    assert messages.count("has no `adding` attribute") == 1
+    assert "helpers.mechanisms:Twice has no" in messages
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
     assert list(summary.columns[-2:]) == ["family", "adding"]
-    told = (
+    names = (
         summary[["mechanism", "family", "adding"]].drop_duplicates().to_numpy().tolist()
     )
     twice = "helpers.mechanisms:Twice"
-    assert told == [
+    assert names == [
         ["raw", "raw", ""],
         ["fixed", "fixed", "linear"],
         [twice, twice, ""],

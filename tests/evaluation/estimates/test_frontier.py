@@ -1,10 +1,10 @@
-"""What is left at a price: the front against brute force, levels and values in closed form."""
+"""Privacy at a price: the front against brute force, values in closed form."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.mechanisms import RULE, sweeps_of
+from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import PREDICTORS, run
 from hypothesis import given
 from hypothesis import strategies as st
@@ -13,7 +13,7 @@ from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, front, fronti
 from evaluation.estimates.keys import Source
 from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
 from evaluation.estimates.strongest import first_half
-from evaluation.store.cell_files import Summed
+from evaluation.store.cell_files import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
 SHARE = st.integers(0, 6).map(float) | st.just(np.nan)
@@ -27,12 +27,12 @@ def test_the_front_is_what_no_other_point_beats(points):
         for a, b in points
     ]
     x, y = np.array(points, dtype=float).reshape(-1, 2).T
-    assert front(x, y).tolist() == [not one for one in beaten]
+    assert front(x, y).tolist() == [not is_beaten for is_beaten in beaten]
 
 
-def table(found, **sums):
+def table(estimates, **sums):
     return frontier(
-        sweeps_of(found), predictors=PREDICTORS, dataset="students03", **sums
+        make_sweeps(estimates), predictors=PREDICTORS, dataset="students03", **sums
     )
 
 
@@ -55,13 +55,15 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
         ("kalman_rts", "mel", 10 * np.exp(-0.5 - noise)),
         ("rerelease/shape", "rank1", 0.7 - 0.3 * noise),
     ):
-        of = rows(at, consumer=consumer)
+        consumer_rows = rows(at, consumer=consumer)
         for mechanism in ("fid", "fixed", f"fid{RULE}", f"fixed{RULE}"):
-            one = rows(of, mechanism=mechanism, metric=metric)
-            assert one["target"].tolist() == list(TARGETS)
-            assert one["value"].to_numpy() == pytest.approx(expected, rel=2e-3)
+            mechanism_rows = rows(consumer_rows, mechanism=mechanism, metric=metric)
+            assert mechanism_rows["target"].tolist() == list(TARGETS)
+            assert mechanism_rows["value"].to_numpy() == pytest.approx(
+                expected, rel=2e-3
+            )
         sigma, eta = (
-            rows(of, mechanism=name, metric=metric)["level"]
+            rows(consumer_rows, mechanism=name, metric=metric)["level"]
             for name in ("fixed", "fid")
         )
         assert sigma.to_numpy() == pytest.approx(noise, rel=1e-6)
@@ -70,14 +72,14 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
 
 
 def test_intervals_white_noise_and_who_is_beaten():
-    found = run(advantage=0.1)
-    found |= {
-        key._replace(mechanism=WHITE): one
-        for key, one in found.items()
+    estimates = run(advantage=0.1)
+    estimates |= {
+        key._replace(mechanism=WHITE): estimate
+        for key, estimate in estimates.items()
         if key.mechanism == f"fixed{RULE}"
     }
     frame = rows(
-        table(found),
+        table(estimates),
         robot=PREDICTORS[0],
         criterion="missed",
         consumer="kalman_rts",
@@ -101,8 +103,8 @@ def test_intervals_white_noise_and_who_is_beaten():
 
 def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
     sparse = {
-        key: one
-        for key, one in run(advantage=0.1).items()
+        key: estimate
+        for key, estimate in run(advantage=0.1).items()
         if key.mechanism != f"fixed{RULE}" or key.level > 0.2
     }
     # A level that misses less than raw is noise, of raw as of the level: raw moves for
@@ -115,70 +117,71 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
         table(sparse), robot=PREDICTORS[0], criterion="missed", consumer="kalman_rts"
     )
     frame = rows(frame, metric="plr")
-    of_few, of_many = (rows(frame, mechanism=name) for name in (f"fixed{RULE}", "fid"))
+    few, many = (rows(frame, mechanism=name) for name in (f"fixed{RULE}", "fid"))
     ends = ["ci_low", "ci_high", "level_low", "level_high"]
-    has = of_few["target"] > 0.09
-    assert of_few["value"].notna().all()
-    assert of_few[ends].notna().all(axis=1).tolist() == has.tolist()
-    assert of_few["dominated"].notna().tolist() == has.tolist()
-    assert of_many[ends[:2]].notna().all(axis=None)
+    has = few["target"] > 0.09
+    assert few["value"].notna().all()
+    assert few[ends].notna().all(axis=1).tolist() == has.tolist()
+    assert few["dominated"].notna().tolist() == has.tolist()
+    assert many[ends[:2]].notna().all(axis=None)
     # (0.1 + 0.04) / 2 instead of 0.1: the same rise is reached with less noise.
-    eta = np.log10(of_many["level"].to_numpy()[1:])
+    eta = np.log10(many["level"].to_numpy()[1:])
     assert eta == pytest.approx(
         (0.8 - (np.array(TARGETS[1:]) - 0.03) / 0.2) / 0.05, abs=0.05
     )
 
 
-def test_the_strongest_is_that_of_each_mechanism_chosen_on_one_half_and_scored_on_the_other():
+def test_the_strongest_on_each_mechanism_is_cross_fitted():
     """Two attacks, each better against one mechanism; the choice is scored by hand."""
     n, first, second = 60, Source("kalman_rts", "blind"), Source("ou_rts", "informed")
     weights = cluster_weights(n_clusters=n, n_replicates=200, seed=0)
-    rng, found, sums = np.random.default_rng(0), run(), {}
+    rng, estimates, sums = np.random.default_rng(0), run(), {}
     people = rng.random((2, n))
-    for key in [key for key in found if key.consumer == "kalman_rts"]:
+    for key in [key for key in estimates if key.consumer == "kalman_rts"]:
         # The second is the better one against FID, and about as good, by chance,
         # against fixed.
-        gain, left = 0.2 * (key.mechanism == "fid"), found[key].value
+        gain, left = 0.2 * (key.mechanism == "fid"), estimates[key].value
         for source, own in ((first, people[0]), (second, people[1] + gain)):
             at = source.measure(key.metric).at(*key.where)
             over = np.stack([(0.5 + own) * left, np.ones(n)])
-            sums[at] = Summed(over, weights)
+            sums[at] = ClusterSums(over, weights)
             value, drawn = over[0].mean(), weights @ over[0] / n
-            found[at] = Estimate(value, value, value, n, drawn)
-    frame = rows(table(found, sums=sums), robot=PREDICTORS[0], metric="plr")
+            estimates[at] = Estimate(value, value, value, n, drawn)
+    frame = rows(table(estimates, sums=sums), robot=PREDICTORS[0], metric="plr")
     at = rows(frame, criterion="missed", target=0.05).set_index("mechanism")
     assert at.loc["fid"]["consumer"].tolist() == ["shared", "ou_rts"]
     is_first = first_half(tuple(map(str, range(n))))
-    of = [people[0], people[1]]
+    shares = [people[0], people[1]]
     choice = [
-        int(of[1][half].mean() > of[0][half].mean()) for half in (is_first, ~is_first)
+        int(shares[1][half].mean() > shares[0][half].mean())
+        for half in (is_first, ~is_first)
     ]
-    scored = np.where(is_first, of[choice[1]], of[choice[0]]).mean()
+    scored = np.where(is_first, shares[choice[1]], shares[choice[0]]).mean()
     shared = at.loc["fixed"]["value"].iloc[0]
     assert at.loc["fixed"]["value"].iloc[1] == pytest.approx(
         2 * shared * (0.5 + scored)
     )
 
 
-def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_where_it_is_known():
-    found = run()
-    found |= {
-        key._replace(metric=SUCCESS_OF_100): one
-        for key, one in found.items()
+def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_known():
+    estimates = run()
+    estimates |= {
+        key._replace(metric=SUCCESS_OF_100): item
+        for key, item in estimates.items()
         if key.metric == "rank1"
     }
     few = {
-        key: one
-        for key, one in found.items()
+        key: item
+        for key, item in estimates.items()
         if key.mechanism in ("raw", "fixed") and (key.level or 0.0) < 0.3
     }
     frame = rows(table(few), robot=PREDICTORS[0], criterion="missed")
     assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {SUCCESS_OF_100}
-    for _, one in frame.groupby(["consumer", "metric"]):
-        assert one["target"].tolist() == list(TARGETS)
-        assert one["level"].notna().tolist() == [True, True, False, False]
-        assert one["dominated"].isna().tolist() == [False, False, True, True]
-        assert one["vs_white"].isna().all()
+    for _, item in frame.groupby(["consumer", "metric"]):
+        assert item["target"].tolist() == list(TARGETS)
+        assert item["level"].notna().tolist() == [True, True, False, False]
+        assert item["dominated"].isna().tolist() == [False, False, True, True]
+        assert item["vs_white"].isna().all()
     assert table(
-        {key: one for key, one in found.items() if key.mechanism == "raw"}
+        {key: item for key, item in estimates.items() if key.mechanism == "raw"}
     ).empty

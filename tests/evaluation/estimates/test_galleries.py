@@ -1,4 +1,4 @@
-"""`gallery.csv`: measured as brute force has it, predicted with an error that is honest."""
+"""`gallery.csv`: measured as by brute force, predicted with an honest error."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from isac_track.intervals import Estimate
 LINKER = Source("rerelease/histogram", "informed")
 
 
-def probes_of(above, candidates):
+def make_probes(above, candidates):
     n = above.size
     counts = np.stack([above, np.ones(n, dtype=int), np.full(n, candidates)])
     nothing = np.zeros(n)
@@ -31,9 +31,9 @@ def probes_of(above, candidates):
     )
 
 
-def table_of(above, candidates):
+def make_table(above, candidates):
     tpr = {LINKER.measure("tpr_at_fpr_1pct").at("raw", None): Estimate(0.5, 0.4, 0.6)}
-    probes = {"rerelease": [probes_of(above, candidates)], "split": []}
+    probes = {"rerelease": [make_probes(above, candidates)], "split": []}
     return galleries(probes, tpr, dataset="hall", seed=0)
 
 
@@ -47,21 +47,21 @@ def world(rng, *, n, centre, spread):
 def test_measured_is_what_drawn_galleries_give():
     rng = np.random.default_rng(0)
     above = rng.integers(0, 40, size=60)
-    found = table_of(above, 60)
-    assert list(found.columns) == COLUMNS
-    assert {*found["gallery"]} == {10, 30, 60, 100}  # as far as the step could be tried
-    assert found[found["predicted"]]["gallery"].unique().tolist() == [100]
-    rank1 = found[found["metric"] == "rank1"].set_index("gallery")["value"]
+    table = make_table(above, 60)
+    assert list(table.columns) == COLUMNS
+    assert {*table["gallery"]} == {10, 30, 60, 100}  # as far as the step could be tried
+    assert table[table["predicted"]]["gallery"].unique().tolist() == [100]
+    rank1 = table[table["metric"] == "rank1"].set_index("gallery")["value"]
     ahead = [
         rng.permuted(np.tile(np.arange(59) < m, (4000, 1)), axis=1)[:, :9]
         for m in above
     ]
-    brute = np.mean([~one.any(axis=1) for one in ahead])
+    brute = np.mean([~draws.any(axis=1) for draws in ahead])
     assert rank1[10] == pytest.approx(brute, abs=0.01)
     assert rank1[60] == pytest.approx((above == 0).mean())
-    rank = found[found["metric"] == "expected_rank"].set_index("gallery")["value"]
+    rank = table[table["metric"] == "expected_rank"].set_index("gallery")["value"]
     assert rank[60] == pytest.approx(1.0 + above.mean())
-    tpr = found[found["metric"] == "tpr_at_fpr_1pct"]
+    tpr = table[table["metric"] == "tpr_at_fpr_1pct"]
     assert (tpr[["value", "ci_low", "ci_high"]] == [0.5, 0.4, 0.6]).all(axis=None)
 
 
@@ -72,8 +72,8 @@ def test_the_interval_of_what_is_predicted_holds_the_truth_as_often_as_it_says()
     for centre, spread in ((2.0, 1.0), (3.0, 0.5), (2.5, 2.0), (1.5, 1.5)):
         for _ in range(25):
             above, truth = world(rng, n=1000, centre=centre, spread=spread)
-            found = table_of(above, 1000)
-            rank1 = found[(found["metric"] == "rank1") & found["predicted"]].set_index(
+            table = make_table(above, 1000)
+            rank1 = table[(table["metric"] == "rank1") & table["predicted"]].set_index(
                 "gallery"
             )
             assert rank1.index.tolist() == [3000, 7545]
@@ -83,6 +83,6 @@ def test_the_interval_of_what_is_predicted_holds_the_truth_as_often_as_it_says()
 
 
 def test_nothing_is_said_of_galleries_out_of_reach():
-    found = table_of(np.zeros(20, dtype=int), 20)
-    assert found["gallery"].max() == 20
-    assert not found["predicted"].any()
+    table = make_table(np.zeros(20, dtype=int), 20)
+    assert table["gallery"].max() == 20
+    assert not table["predicted"].any()

@@ -1,9 +1,9 @@
-"""What a level gives and costs: whose rows are there, and linkage as a paired share of raw's."""
+"""Costs and privacy of a level: its rows, and linkage as a paired share of raw's."""
 
 import numpy as np
 import pytest
 from helpers.finished_runs import make_linkability
-from helpers.mechanisms import families_of
+from helpers.mechanisms import make_families
 from scipy.special import expit
 
 from evaluation.estimates.best_robot import BEST, BestRobots
@@ -12,7 +12,7 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.keys import Key
 from evaluation.estimates.levels import COLUMNS, levels, linked_share
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
-from evaluation.estimates.strongest_table import ONE_RELEASE, strongest_on_each
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_on_each
 from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
@@ -64,11 +64,11 @@ def test_where_raw_does_not_link_or_people_are_few_there_is_no_interval(raw, eff
 
 @pytest.mark.parametrize("n_people", [20, 50])
 def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
-    """Planted people, three linkers of whom two are nearly equal; rank 1 of two walks each."""
+    """Planted people, three linkers, two nearly equal; rank 1 of two walks each."""
     chance, skills = 0.025, (0.0, -0.1, -0.8)
     spread = 0.8 * stream(0, "people").standard_normal(200_000)
-    of_raw, of_mechanism = (expit(shift + spread).mean() for shift in (1.2, -1.0))
-    truth = (of_mechanism - chance) / (of_raw - chance)
+    raw_rate, mechanism_rate = (expit(shift + spread).mean() for shift in (1.2, -1.0))
+    truth = (mechanism_rate - chance) / (raw_rate - chance)
     weights = cluster_weights(n_clusters=n_people, n_replicates=200, seed=0)
     covered, above = [], []
     for number in range(120):
@@ -102,16 +102,19 @@ def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
 
 def run():
     """Estimates of three mechanisms, and what is linked."""
-    found, horizon = {}, {}
+    estimates, horizon = {}, {}
     for name, level, plr in (
         ("raw", None, 0.9),
         ("ou", 0.4, 0.3),
         ("offset", 0.3, 0.4),
     ):
         for consumer, knowledge, factor in (
-            ("shared", "", 0.5), ("radial_rts", "blind", 0.8), ("ou_rts", "informed", 1.0),
-            ("ou_rts", "oracle", 1.05), ("ou_rts", "anchor", 1.1),
-        ):  # fmt: skip
+            ("shared", "", 0.5),
+            ("radial_rts", "blind", 0.8),
+            ("ou_rts", "informed", 1.0),
+            ("ou_rts", "oracle", 1.05),
+            ("ou_rts", "anchor", 1.1),
+        ):
             for metric, value in (
                 ("plr", plr),
                 ("plr_wide", 1.01 * plr),
@@ -120,14 +123,16 @@ def run():
                 # Beyond epsilon another attack is the stronger.
                 lift = 1.5 if (metric, consumer) == ("plr_wide", "radial_rts") else 1.0
                 key = Key(name, level, consumer, metric, knowledge)
-                found[key] = Estimate(lift * factor * value, 0.0, 1.0, 55)
+                estimates[key] = Estimate(lift * factor * value, 0.0, 1.0, 55)
         for metric, value in (("rank1", plr), ("chance", 0.02)):
-            found[Key(name, level, LINKER, metric, "informed")] = drawn([value] * 5)
-        found[Key(name, level, "kalman_cv", EQUAL_ALARMS)] = Estimate(0.1, 0.0, 0.2, 55)
+            estimates[Key(name, level, LINKER, metric, "informed")] = drawn([value] * 5)
+        estimates[Key(name, level, "kalman_cv", EQUAL_ALARMS)] = Estimate(
+            0.1, 0.0, 0.2, 55
+        )
         horizon[Key(name, level, "kalman_cv", FUTURE_EQUAL_ALARMS)] = Estimate(
             0.2, 0.1, 0.3, 55
         )
-    known = families_of(found) | {
+    known = make_families(estimates) | {
         "offset": Family("offset", "offset", "", protects=False)
     }
     at = [("clean", np.nan), ("raw", np.nan), ("ou", 0.4), ("offset", 0.3)]
@@ -143,15 +148,15 @@ def run():
         },
         {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
     )
-    attacks = strongest_on_each(found, {}, known)
+    attacks = strongest_on_each(estimates, {}, known)
     about = {
         "attacks": attacks,
         "horizons": {"horizon=3s": horizon},
         "linked": linked,
         "best": {"horizon=3s": best},
-        "known": known,
+        "families": known,
     }
-    return levels(found, **about, dataset="walks")
+    return levels(estimates, **about, dataset="walks")
 
 
 def test_raw_and_what_claims_to_protect_are_there():
@@ -168,7 +173,7 @@ def test_raw_and_what_claims_to_protect_are_there():
 
 def test_each_group_of_adversaries_has_its_strongest_by_what_is_told():
     table = run().query("mechanism == 'ou'").set_index(["adversary", "metric"])
-    plr, wide = (table.loc[(ONE_RELEASE, metric)] for metric in ("plr", "plr_wide"))
+    plr, wide = (table.loc[(SINGLE_RELEASE, metric)] for metric in ("plr", "plr_wide"))
     assert (plr["consumer"], plr["knowledge"], plr["value"]) == (
         "ou_rts",
         "informed",

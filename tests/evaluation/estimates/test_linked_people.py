@@ -1,8 +1,8 @@
-"""Who is linked, read once from the cells: against the summary and the rows of each cell."""
+"""Linked people, read once: against the summary and the rows of each cell."""
 
 import numpy as np
 import pytest
-from helpers.runs import rows_of
+from helpers.runs import stored_rows
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
@@ -36,7 +36,7 @@ def run(tmp_path_factory):
         mechanisms=tuple(SPECS.values()),
     )
     results = evaluation.run(settings, pictures=False)
-    found = {
+    result = {
         Key(
             row.mechanism,
             None if np.isnan(row.level) else row.level,
@@ -47,60 +47,64 @@ def run(tmp_path_factory):
         for row in results.summary.fillna({"knowledge": ""}).itertuples()
     }
     manifest = read_manifest(settings.out)
-    sweeps = Sweeps(found, families_in(manifest["cells"]))
+    sweeps = Sweeps(result, families_in(manifest["cells"]))
     return (
-        found,
+        result,
         settings.out,
         read_probes(settings.out, manifest, sweeps, strongest=TASKS),
     )
 
 
 def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run):
-    found, out, probes = run
+    numbers, out, probes = run
     for task in by_cluster(probes):
         assert task.gallery is None  # of thirty people
-        assert [(one.mechanism, one.level) for one in task.levels] == list(SPECS)
-        for one in task.levels:
-            for name, sums in (("rank1", one.success), ("chance", one.chance)):
-                expected = found[
+        assert [(item.mechanism, item.level) for item in task.levels] == list(SPECS)
+        for item in task.levels:
+            for name, sums in (("rank1", item.success), ("chance", item.chance)):
+                expected = numbers[
                     Key(
-                        one.mechanism,
-                        one.level,
-                        one.linker.consumer,
+                        item.mechanism,
+                        item.level,
+                        item.linker.consumer,
                         name,
-                        one.linker.knowledge,
+                        item.linker.knowledge,
                     )
                 ]
-                assert sums.sum() / one.probes.sum() == pytest.approx(expected.value)
-            spec = SPECS[one.mechanism, one.level]
-            rows = rows_of(out, spec, *one.linker)
+                assert sums.sum() / item.probes.sum() == pytest.approx(expected.value)
+            spec = SPECS[item.mechanism, item.level]
+            rows = stored_rows(out, spec, *item.linker)
             linked = rows[rows["above"] >= 0]
-            windows = rows_of(out, spec, f"{task.task}/windows")
-            mine = windows.merge(linked[["search", "source"]], on=["search", "source"])
-            assert len(mine) == 2 * len(linked) == 2 * one.probes.sum()
-            total, n = one.descriptors["ael"]
-            own = mine.groupby("group", observed=True)["ael_s"].agg(["sum", "count"])
+            windows = stored_rows(out, spec, f"{task.task}/windows")
+            own_windows = windows.merge(
+                linked[["search", "source"]], on=["search", "source"]
+            )
+            assert len(own_windows) == 2 * len(linked) == 2 * item.probes.sum()
+            total, n = item.descriptors["ael"]
+            own = own_windows.groupby("group", observed=True)["ael_s"].agg(
+                ["sum", "count"]
+            )
             assert list(own.index) == list(task.clusters)
             assert total == pytest.approx(own["sum"].to_numpy())
             assert n.tolist() == own["count"].tolist()
 
 
 def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
-    found, _, probes = run
+    numbers, _, probes = run
     for task, linker in TASKS.items():
-        who = {one.mechanism: one.linker for one in probes[task]}
+        linkers = {item.mechanism: item.linker for item in probes[task]}
         rivals = {}
         for rule in (
             "rank1",
             "rank1_assigned",
         ):  # a linker counts by the better of both
-            for key, one in found.items():
+            for key, item in numbers.items():
                 is_linker = key.knowledge and key.measure.source.task == task
                 if key.mechanism == "offset" and key.metric == rule and is_linker:
                     source = key.measure.source
-                    rivals[source] = max(one.value, rivals.get(source, 0.0))
+                    rivals[source] = max(item.value, rivals.get(source, 0.0))
         assert len(rivals) > 1
-        assert who == {
+        assert linkers == {
             "raw": linker,
             "fixed": linker,
             "offset": max(rivals, key=rivals.get),
@@ -113,7 +117,7 @@ def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
 def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
     hit, chance = np.array([1.0, 1.0, 0.0]), np.full(3, 1 / 120)
     shown = np.array([[0.1, np.nan], [0.2, 0.4], [np.nan, np.nan]])
-    one = LinkedProbes(
+    result = LinkedProbes(
         "raw",
         None,
         TASKS["split"],
@@ -126,7 +130,7 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
         np.zeros((3, 1)),
         np.ones((3, 3), dtype=int),
     )
-    (task,) = by_cluster({"split": [one]})
+    (task,) = by_cluster({"split": [result]})
     (level,) = task.levels
     assert (task.gallery, task.clusters) == (gallery, ("a", "b"))
     assert level.success.tolist() == ([1.5, 0.0] if gallery else [2.0, 0.0])
@@ -138,16 +142,16 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
 
 
 def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
-    found, out, _ = run
+    numbers, out, _ = run
     manifest = read_manifest(out)
-    sweeps = Sweeps(found, families_in(manifest["cells"]))
+    sweeps = Sweeps(numbers, families_in(manifest["cells"]))
     linker, other = TASKS["rerelease"], Source("rerelease/profile", "blind")
     pair = [linker.measure("rank1"), other.measure("rank1_assigned")]
     choices = {("rerelease", ""): {"rank1": pair}}
     read = read_probes(out, manifest, sweeps, strongest=TASKS, choices=choices)
     for level in read["rerelease"][:2]:
         spec = SPECS[level.mechanism, level.level]
-        first, second = (rows_of(out, spec, *source) for source in (linker, other))
+        first, second = (stored_rows(out, spec, *source) for source in (linker, other))
         is_first = first_half(level.clusters)[level.cluster]
         by_rank = np.where(first["above"] == 0, 1.0 / first["tied"].clip(lower=1), 0.0)
         joint = (second["assigned"] == "mate").to_numpy() * 1.0

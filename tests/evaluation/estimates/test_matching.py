@@ -1,10 +1,10 @@
-"""Curves over levels: monotone, interpolated, never extrapolated; and where they are matched."""
+"""Curves over levels: monotone, interpolated, never extrapolated; matched points."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.mechanisms import RULE, sweeps_of
+from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import FID, FIXED, PREDICTORS, run
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -62,19 +62,19 @@ def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(
             steps[start + row, start - 1 : start + row] = sign
     design = np.column_stack([np.ones(n), steps])
     target = np.concatenate([a[0, -1:], a[0, -2::-1], b[0, -2::-1]])
-    found = lsq_linear(
+    solution = lsq_linear(
         design, target, bounds=([-np.inf] + [0.0] * (n - 1), np.inf), method="bvls"
     )
-    expected = design @ found.x
+    expected = design @ solution.x
     ours = np.concatenate([first[0, ::-1], second[0, -2::-1]])
     assert ours == pytest.approx(expected, abs=1e-12)
 
 
 def test_a_row_of_unknowns_stays_unknown():
     values = np.array([[1.0, np.nan, 2.0], [3.0, 1.0, 2.0]])
-    found = rising(values)
-    assert np.isnan(found[0]).any()
-    assert found[1].tolist() == [2.0, 2.0, 2.0]
+    result = rising(values)
+    assert np.isnan(result[0]).any()
+    assert result[1].tolist() == [2.0, 2.0, 2.0]
 
 
 @settings(max_examples=200, deadline=None)
@@ -85,24 +85,24 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
     change -= change[:, -1:]
     values = np.sort(rng.random((3, 6)), axis=1) + 0.1
     at = rng.random(7)
-    found = interpolated(places(at, change), values, log=log)
+    result = interpolated(places(at, change), values, log=log)
     for row in range(3):
         y = np.log(values[row]) if log else values[row]
         expected = np.interp(at - 1e-9, change[row, ::-1], y[::-1], right=np.nan)
         assert np.allclose(
-            found[row], np.exp(expected) if log else expected, equal_nan=True
+            result[row], np.exp(expected) if log else expected, equal_nan=True
         )
 
 
 def test_rows_may_be_read_at_places_of_their_own():
     change = np.array([[1.0, 0.0], [2.0, 0.0]])
     values = np.array([[0.0, 1.0], [0.0, 1.0]])
-    found = interpolated(places(np.array([[0.5], [0.5]]), change), values, log=False)
-    assert found[:, 0] == pytest.approx([0.5, 0.75])
+    result = interpolated(places(np.array([[0.5], [0.5]]), change), values, log=False)
+    assert result[:, 0] == pytest.approx([0.5, 0.75])
 
 
 def test_levels_run_from_the_noisiest():
-    sweeps = sweeps_of(run(stranger=0.1))
+    sweeps = make_sweeps(run(stranger=0.1))
     assert sweeps.levels("fid") == list(FID)
     assert sweeps.levels("fixed" + RULE) == list(FIXED)[::-1]
     assert sweeps.levels("mine:Ou") == [2.0 - level for level in FIXED][::-1]
@@ -113,19 +113,25 @@ def test_levels_run_from_the_noisiest():
 
 
 def test_a_curve_ends_at_raw_and_without_it_or_with_one_level_there_is_none():
-    found = run()
+    estimates = run()
     both = dict.fromkeys(("fid", "raw"), Measure(SHARED, "plr"))
-    curve = sweeps_of(found).together(both)["fid"]
+    curve = make_sweeps(estimates).together(both)["fid"]
     assert curve.shape == (201, len(FID) + 1)
-    assert curve[0, -1] == pytest.approx(found[Key("raw", None, SHARED, "plr")].value)
-    no_raw = {key: one for key, one in found.items() if key.mechanism != "raw"}
-    assert sweeps_of(no_raw).together(both) == {}
-    one_level = {key: one for key, one in found.items() if key.level in (None, 1.0)}
-    assert sweeps_of(one_level).together(both) == {}
+    assert curve[0, -1] == pytest.approx(
+        estimates[Key("raw", None, SHARED, "plr")].value
+    )
+    no_raw = {
+        key: estimate for key, estimate in estimates.items() if key.mechanism != "raw"
+    }
+    assert make_sweeps(no_raw).together(both) == {}
+    single_level = {
+        key: estimate for key, estimate in estimates.items() if key.level in (None, 1.0)
+    }
+    assert make_sweeps(single_level).together(both) == {}
 
 
-def frame(found):
-    return matched(sweeps_of(found), predictors=PREDICTORS, dataset="students03")
+def frame(estimates):
+    return matched(make_sweeps(estimates), predictors=PREDICTORS, dataset="students03")
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +170,7 @@ def test_at_equal_plr_the_linkers_are_compared(better):
 
 
 def test_what_is_compared_for_whom(table):
-    """Every predictor as shared and the first for attacks; no control; each in its data set."""
+    """Every predictor as shared, the first for attacks; no control; own data sets."""
     rates = table[table["criterion"] == MISSED]
     shared = rates["consumer"] == SHARED
     assert set(rates[shared]["predictor"]) == set(PREDICTORS)
@@ -198,10 +204,10 @@ def test_nothing_is_extrapolated(table):
 
 
 def test_a_point_that_few_replicates_reach_has_no_interval():
-    found = run()
-    one = found[Key("fid", 1.0, PREDICTORS[0], "missed_conflict_rate")]
-    one.replicates[::2] = 0.1  # half of the replicates end early
-    table = frame(found)
+    estimates = run()
+    missed = estimates[Key("fid", 1.0, PREDICTORS[0], "missed_conflict_rate")]
+    missed.replicates[::2] = 0.1  # half of the replicates end early
+    table = frame(estimates)
     last = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
     last = last[(last["adding"] == "linear") & (last["at"] == last["at"].max())]
     assert (last["defined"] < 0.6).all()
@@ -216,7 +222,7 @@ LINKED = Measure("rerelease/shape", "rank1", "blind")
 
 def test_unequal_numbers_of_replicates_are_paired_with_the_first():
     by, rank1 = Measure(PREDICTORS[0], "missed_conflict_rate"), LINKED
-    curves = sweeps_of(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
+    curves = make_sweeps(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
     ((_, ours, theirs),) = at_changes(curves, by, [rank1], at=np.array([0.05]))
     # Replicates of rank 1 are 100 of 200: paired with the others there would be a
     # spread.
@@ -225,20 +231,20 @@ def test_unequal_numbers_of_replicates_are_paired_with_the_first():
 
 
 def test_each_replicate_is_read_at_its_own_raw_rate():
-    """Rates that move together from replicate to replicate leave the difference as it is."""
-    found = run(advantage=0.1)
+    """Rates that move together over replicates do not change the difference."""
+    estimates = run(advantage=0.1)
     shift = np.linspace(-0.03, 0.03, 200)
     moved = {
         key: (
-            replace(one, replicates=one.value + shift)
+            replace(item, replicates=item.value + shift)
             if key.metric == "missed_conflict_rate"
-            else replace(one, replicates=np.full(200, one.value))
+            else replace(item, replicates=np.full(200, item.value))
         )
-        for key, one in found.items()
+        for key, item in estimates.items()
     }
     table, still = (
-        one[(one["criterion"] == MISSED) & (one["consumer"] == SHARED)]
-        for one in (frame(moved), frame(found))
+        item[(item["criterion"] == MISSED) & (item["consumer"] == SHARED)]
+        for item in (frame(moved), frame(estimates))
     )
     assert np.allclose(table["difference"], still["difference"])
     assert np.allclose(table["ci_low"], table["difference"], atol=1e-9)
@@ -246,15 +252,15 @@ def test_each_replicate_is_read_at_its_own_raw_rate():
 
 
 def test_without_fid_raw_or_the_predictor_nothing_is_matched():
-    found = run()
+    estimates = run()
     for left_out in ("raw", "fid"):
         some = {
-            key: one
-            for key, one in found.items()
+            key: estimate
+            for key, estimate in estimates.items()
             if not key.mechanism.startswith(left_out)
         }
         assert frame(some).empty
-    assert matched(sweeps_of({}), predictors=["another"], dataset="students03").empty
+    assert matched(make_sweeps({}), predictors=["another"], dataset="students03").empty
 
 
 def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_rules(
@@ -270,9 +276,9 @@ def test_a_mechanism_of_somebody_elses_is_matched_with_fixed_noise_under_both_ru
         ("mine:Ou", "mine:Ou", "linear"),
         ("mine:Ou", "mine:Ou", "independent"),
     }
-    mine = table[(table["family"] == "mine:Ou") & (table["consumer"] == SHARED)]
-    inner = mine[
-        (mine["criterion"] == MISSED) & (mine["at"] > 0.03) & (mine["defined"] >= 0.975)
+    own = table[(table["family"] == "mine:Ou") & (table["consumer"] == SHARED)]
+    inner = own[
+        (own["criterion"] == MISSED) & (own["at"] > 0.03) & (own["defined"] >= 0.975)
     ]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.2, atol=0.002)
     assert table[table["family"] == "fid"].reset_index(drop=True).equals(better)

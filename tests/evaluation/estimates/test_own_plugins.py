@@ -1,4 +1,4 @@
-"""A user's plug-in beside the built-in ones: differences that can be computed by hand."""
+"""A user's plug-in beside built-in ones: differences computed by hand."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.keys import AS_SHARED, Measure, Source
 from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.strongest_table import strongest_on_each
-from evaluation.store.cell_files import Summed
+from evaluation.store.cell_files import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 
 N_PEOPLE = 60
@@ -26,24 +26,26 @@ EASY = np.linspace(
 
 def summed(rate):
     """Sums of one trial a person."""
-    return Summed(np.stack([rate + EASY, np.ones(N_PEOPLE)]), WEIGHTS)
+    return ClusterSums(np.stack([rate + EASY, np.ones(N_PEOPLE)]), WEIGHTS)
 
 
-def estimated(one, *, is_share=True):
-    over, under = one.whole()[:, None]
-    (found,) = ratio_estimates(
+def estimated(sums, *, is_share=True):
+    over, under = sums.whole()[:, None]
+    (estimate,) = ratio_estimates(
         numerator=over, denominator=under, weights=WEIGHTS, is_share=[is_share]
     )
-    return found
+    return estimate
 
 
-def run_of(rates, *, knowledge="blind", task="", metric="plr", more=(), later=()):
+def make_run(rates, *, knowledge="blind", task="", metric="plr", more=(), later=()):
     sums = {}
     for attack, by_level in rates.items():
         consumer = f"{task}/{attack}" if task else attack
         for where, rate in zip(LEVELS, by_level, strict=True):
             sums[Source(consumer, knowledge).measure(metric).at(*where)] = summed(rate)
-    own = {key: estimated(one) for key, one in sums.items()} | dict(more)
+    own = {key: estimated(summed_rates) for key, summed_rates in sums.items()} | dict(
+        more
+    )
     return Estimates(
         own, dict(later), sums, KNOWN, strongest_on_each(own, sums, KNOWN), task
     )
@@ -58,7 +60,7 @@ def missed(rates, *, metric="missed_future_rate"):
 
 
 def test_an_attack_is_compared_with_the_strongest_built_in_over_all_levels():
-    (record,) = plugin_records({"attacks": ["mine"]}, run_of(PLR))
+    (record,) = plugin_records({"attacks": ["mine"]}, make_run(PLR))
     assert (record["kind"], record["plugin"], record["rival"]) == (
         "attack",
         "mine",
@@ -73,7 +75,7 @@ def test_an_attack_is_compared_with_the_strongest_built_in_over_all_levels():
 def test_the_difference_is_paired_by_person():
     # Who is easily rebuilt by either attack tells them not apart: the interval has no
     # width.
-    (record,) = plugin_records({"attacks": ["mine"]}, run_of(PLR))
+    (record,) = plugin_records({"attacks": ["mine"]}, make_run(PLR))
     own, gap = record["own"], record["difference"]
     assert own["ci_high"] - own["ci_low"] > 0.01
     assert gap["ci_high"] - gap["ci_low"] < 1e-9
@@ -81,13 +83,13 @@ def test_the_difference_is_paired_by_person():
 
 def test_the_strongest_of_the_users_own_is_no_built_in():
     strong = PLR | {"mine_too": (0.95, 0.95, 0.95)}
-    records = plugin_records({"attacks": ["mine", "mine_too"]}, run_of(strong))
+    records = plugin_records({"attacks": ["mine", "mine_too"]}, make_run(strong))
     assert [record["rival"] for record in records] == ["radial_rts"] * 2
     assert records[1]["difference"]["value"] == pytest.approx(0.15)
 
 
 def test_what_takes_positions_as_they_are_is_no_rival():
-    run = run_of({"mine": PLR["mine"], "identity": (0.9, 0.9, 0.9)})
+    run = make_run({"mine": PLR["mine"], "identity": (0.9, 0.9, 0.9)})
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert record["rival"] == ""
     assert (
@@ -99,7 +101,7 @@ def test_what_takes_positions_as_they_are_is_no_rival():
 
 
 def test_a_linker_is_compared_in_its_leading_task():
-    run = run_of(PLR, task="handover-1s", metric="rank1")
+    run = make_run(PLR, task="handover-1s", metric="rank1")
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert (record["kind"], record["task"]) == ("linker", "handover-1s")
     assert record["difference"]["value"] == pytest.approx(-0.3)
@@ -107,8 +109,8 @@ def test_a_linker_is_compared_in_its_leading_task():
 
 def test_an_attack_that_only_the_oracle_can_run_is_still_compared():
     usual, oracle = (
-        run_of({"radial_rts": PLR["radial_rts"]}),
-        run_of({"mine": PLR["mine"]}, knowledge="oracle"),
+        make_run({"radial_rts": PLR["radial_rts"]}),
+        make_run({"mine": PLR["mine"]}, knowledge="oracle"),
     )
     run = Estimates(
         {**usual.own, **oracle.own},
@@ -136,7 +138,7 @@ def test_a_predictor_is_compared_at_the_further_horizon_with_who_misses_least():
     }
     own = missed(dict.fromkeys(rates, (0.8, 0.8, 0.8)))
     (record,) = plugin_records(
-        {"predictors": ["mine"]}, run_of({}, more=own, later=later)
+        {"predictors": ["mine"]}, make_run({}, more=own, later=later)
     )
     assert (record["horizon_s"], record["rival"]) == (3.0, "kalman_cv")
     assert record["difference"]["value"] == pytest.approx(0.1)
@@ -145,7 +147,7 @@ def test_a_predictor_is_compared_at_the_further_horizon_with_who_misses_least():
 
 
 def test_a_predictor_alone_has_no_rival():
-    run = run_of({}, more=missed({"mine": (0.3, 0.4, 0.5)}))
+    run = make_run({}, more=missed({"mine": (0.3, 0.4, 0.5)}))
     (record,) = plugin_records({"predictors": ["mine"]}, run)
     assert (record["horizon_s"], record["rival"]) == (None, "")
     assert record["rival_alarms"]["value"] is None
@@ -154,7 +156,7 @@ def test_a_predictor_alone_has_no_rival():
 def test_a_mechanism_has_its_numbers_at_every_level():
     shared = {AS_SHARED.measure("plr").at(*where): Estimate(0.2) for where in LEVELS}
     robots = missed({"kalman_cv": (0.1, 0.2, 0.3), "line": (0.4, 0.4, 0.4)})
-    run = run_of(PLR, more=shared | robots)
+    run = make_run(PLR, more=shared | robots)
     records = plugin_records({"mechanisms": ["fixed"]}, run)
     assert [record["level"] for record in records] == [0.7, 1.0]
     for record, missed_share, plr in zip(records, (0.2, 0.3), (0.8, 0.7), strict=True):
@@ -167,15 +169,15 @@ def test_a_mechanism_has_its_numbers_at_every_level():
 def test_fewer_than_fifteen_people_have_no_interval():
     few = np.zeros(N_PEOPLE)
     few[:10] = 1.0
-    run = run_of({})
+    run = make_run({})
     sums = {
-        Source(name, "blind").measure("plr").at(*where): Summed(
+        Source(name, "blind").measure("plr").at(*where): ClusterSums(
             np.stack([rate * few, few]), WEIGHTS
         )
         for name, rate in (("mine", 0.5), ("radial_rts", 0.7))
         for where in LEVELS
     }
-    own = {key: estimated(one) for key, one in sums.items()}
+    own = {key: estimated(summed_rates) for key, summed_rates in sums.items()}
     run = Estimates(own, {}, sums, KNOWN, (), "")
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert record["difference"]["value"] == pytest.approx(-0.2)
@@ -184,5 +186,6 @@ def test_fewer_than_fifteen_people_have_no_interval():
 
 def test_what_the_run_has_no_number_of_is_left_out():
     assert (
-        plugin_records({"attacks": ["gone"], "predictors": ["gone"]}, run_of(PLR)) == []
+        plugin_records({"attacks": ["gone"], "predictors": ["gone"]}, make_run(PLR))
+        == []
     )

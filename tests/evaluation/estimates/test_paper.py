@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.mechanisms import sweeps_of
+from helpers.mechanisms import make_sweeps
 
 from evaluation.estimates import matching, paper
 from evaluation.estimates.keys import Key
@@ -18,18 +18,20 @@ ETAS = (1.0, 10.0, 100.0, 1000.0)
 ERRORS = (0.1, 0.2, 0.5, 1.0)
 
 
-def matched(found, *, dataset, predictors):
+def matched(estimates, *, dataset, predictors):
     """Return the matched points at equal missed rate, descriptors as shared."""
-    table = matching.matched(sweeps_of(found), predictors=predictors, dataset=dataset)
+    table = matching.matched(
+        make_sweeps(estimates), predictors=predictors, dataset=dataset
+    )
     return table[
         (table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")
     ]
 
 
-def claims(found, *, dataset="students03", points=366.0, interval_s=0.0834):
-    at = matched(found, dataset=dataset, predictors=[PREDICTOR])
+def claims(estimates, *, dataset="students03", points=366.0, interval_s=0.0834):
+    at = matched(estimates, dataset=dataset, predictors=[PREDICTOR])
     history = {"points": points, "interval_s": interval_s}
-    return paper.claims(sweeps_of(found), at, dataset=dataset, history=history)
+    return paper.claims(make_sweeps(estimates), at, dataset=dataset, history=history)
 
 
 def estimate(value, spread=0.0, n=50):
@@ -40,16 +42,16 @@ def estimate(value, spread=0.0, n=50):
 
 
 def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
-    """FID and fixed noise on one exponential trade-off; FID's lies `advantage` (log) lower."""
-    found = {}
+    """FID and fixed noise on exponential curves; FID's lies `advantage` (log) lower."""
+    result = {}
 
     def add(mechanism, level, rate, lower):
-        found[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(
+        result[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(
             rate, spread
         )
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 3.0)):
             value = scale * np.exp(-4.0 * rate - lower)
-            found[Key(mechanism, level, SHARED, metric)] = estimate(value, spread)
+            result[Key(mechanism, level, SHARED, metric)] = estimate(value, spread)
 
     add("raw", None, 0.10, 0.0)
     for level, rate in zip(ETAS, (0.34, 0.30, 0.25, 0.15), strict=True):
@@ -58,17 +60,17 @@ def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
         ERRORS, rate_of_error or (0.11, 0.12, 0.20, 0.40), strict=True
     ):
         add(f"fixed{suffix}", level, rate, 0.0)
-    return found
+    return result
 
 
-def claim(found, text, adding="linear", **history):
-    table = claims(found, **history)
+def claim(estimates, text, adding="linear", **history):
+    table = claims(estimates, **history)
     rows = table[(table["adding"] == adding) & table["claim"].str.contains(text)]
     return rows.iloc[0]
 
 
 def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history():
-    few = {key: replace(one, n=8) for key, one in results(advantage=0.05).items()}
+    few = {key: replace(number, n=8) for key, number in results(advantage=0.05).items()}
     table = claims(few, dataset="plaza", points=350.0)
     assert len(table) > 5
     assert set(table["answer"]) == {"not testable"}
@@ -81,9 +83,9 @@ def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history
     [(0.05, "holds"), (-0.05, "does not hold"), (0.0, "between")],
 )
 def test_better_at_every_rate_under_either_rule(advantage, answer):
-    found = results() | results(suffix=":adding=independent", advantage=advantage)
-    assert claim(found, "lower PLR", adding="independent")["answer"] == answer
-    assert claim(found, "lower PLR", adding="linear")["answer"] == "between"
+    result = results() | results(suffix=":adding=independent", advantage=advantage)
+    assert claim(result, "lower PLR", adding="independent")["answer"] == answer
+    assert claim(result, "lower PLR", adding="linear")["answer"] == "between"
 
 
 @pytest.mark.parametrize(("rate", "answer"), [(0.12, "holds"), (0.19, "does not hold")])
@@ -93,16 +95,16 @@ def test_close_to_raw(rate, answer):
 
 
 def test_monotone_holds_fails_and_stays_between():
-    found = results()
-    assert claim(found, "rate falls")["answer"] == "holds"
-    assert claim(found, "MEL rises")["answer"] == "holds"
+    result = results()
+    assert claim(result, "rate falls")["answer"] == "holds"
+    assert claim(result, "MEL rises")["answer"] == "holds"
     bump = {
         Key("fid", 100.0, SHARED, "plr"): estimate(0.1, 0.001)
     }  # below its neighbours
-    row = claim(found | bump, "PLR rises")
+    row = claim(result | bump, "PLR rises")
     assert row["answer"] == "does not hold"
     assert "1 beyond their interval" in row["evidence"]
-    flat = dict(found)
+    flat = dict(result)
     for level in ETAS:
         values = np.random.default_rng(int(level)).normal(0.3, 0.05, N)
         flat[Key("fid", level, SHARED, "plr")] = Estimate(0.3, 0.2, 0.4, 50, values)
@@ -120,15 +122,17 @@ def test_the_history_claim(history, holds):
 
 @pytest.mark.parametrize("spread", [0.001, 0.01])
 def test_the_paper_table_says_within_only_for_the_papers_recording(spread):
-    found = results()
-    found[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, spread)
-    ours = paper.paper_table(sweeps_of(found), dataset="students03")
+    result = results()
+    result[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, spread)
+    ours = paper.paper_table(make_sweeps(result), dataset="students03")
     raw = ours[
         (ours["mechanism"] == "raw") & (ours["metric"] == "missed_conflict_rate")
     ].iloc[0]
     assert (raw["paper"], raw["ours"]) == (0.105, 0.10)
     assert raw["within"] == (spread == 0.01)
-    assert paper.paper_table(sweeps_of(found), dataset="plaza")["within"].isna().all()
+    assert (
+        paper.paper_table(make_sweeps(result), dataset="plaza")["within"].isna().all()
+    )
 
 
 def test_published_numbers_are_those_of_the_reference():
@@ -197,11 +201,11 @@ def test_a_difference_is_judged_by_the_errors_of_both(metric, ours, is_far):
     [(0.0, "holds"), (0.15, "does not hold"), (-0.12, "does not hold")],
 )
 def test_some_eta_gives_the_rate_that_is_said_without_one(shift, answer):
-    found = results()
+    result = results()
     for level in ETAS:
         key = Key("fid", level, PREDICTOR, "missed_conflict_rate")
-        found[key] = estimate(found[key].value + shift, 0.001)
-    row = claim(found, "approximately 27 %")
+        result[key] = estimate(result[key].value + shift, 0.001)
+    row = claim(result, "approximately 27 %")
     assert row["answer"] == answer
     if not shift:
         assert row["effect"] == pytest.approx(-0.02)  # 25 %, at eta = 100

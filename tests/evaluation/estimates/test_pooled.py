@@ -42,20 +42,20 @@ def test_pooled_as_paule_and_mandel_and_hartung_and_knapp_wrote_it():
     w = 1 / (v + tau2)
     mean = w @ y / w.sum()
     error = np.sqrt(w @ (y - mean) ** 2 / ((y.size - 1) * w.sum()))
-    found = pool(VALUES, ERRORS)
-    assert found.tau2 == pytest.approx(tau2, rel=1e-3)
-    assert found.value == pytest.approx(mean, rel=1e-4)
-    assert found.ci_high - found.value == pytest.approx(
+    result = pool(VALUES, ERRORS)
+    assert result.tau2 == pytest.approx(tau2, rel=1e-3)
+    assert result.value == pytest.approx(mean, rel=1e-4)
+    assert result.ci_high - result.value == pytest.approx(
         t.ppf(0.975, 4) * error, rel=1e-3
     )
-    assert found.predicted_low < found.ci_low
-    assert found.predicted_high > found.ci_high
+    assert result.predicted_low < result.ci_low
+    assert result.predicted_high > result.ci_high
 
 
 def test_never_narrower_than_a_fixed_effect():
-    found = pool([0.2, 0.2001, 0.1999], [0.1, 0.1, 0.1])
-    assert found.tau2 == pytest.approx(0.0, abs=1e-9)
-    assert found.ci_high - found.value == pytest.approx(
+    result = pool([0.2, 0.2001, 0.1999], [0.1, 0.1, 0.1])
+    assert result.tau2 == pytest.approx(0.0, abs=1e-9)
+    assert result.ci_high - result.value == pytest.approx(
         norm.ppf(0.975) * 0.1 / np.sqrt(3)
     )
 
@@ -68,9 +68,9 @@ def test_too_few_or_without_an_error_are_not_pooled(errors):
 
 def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
     rows = [row("a", 0.1, seed="0"), row("a", 0.2, seed="1"), row("plaza", -0.9)]
-    (one,) = answered(rows, simulated=frozenset({"plaza"}))
-    assert [r["recording"] for r in one.rows] == ["a", "plaza"]
-    mean = one.rows[0]
+    (answer,) = answered(rows, simulated=frozenset({"plaza"}))
+    assert [r["recording"] for r in answer.rows] == ["a", "plaza"]
+    mean = answer.rows[0]
     assert (mean["value"], mean["seed"]) == (pytest.approx(0.15), "mean")
     # People 0.02 / 1.96 and, of two seeds, a variance of 0.005 over 2: Student's t of
     # few degrees.
@@ -79,32 +79,32 @@ def test_seeds_are_averaged_and_their_intervals_do_not_shrink():
     half = t.ppf(0.975, freedom) * np.sqrt(people + between)
     assert mean["ci_high"] - mean["value"] == pytest.approx(half)
     assert mean["value"] - mean["ci_low"] == pytest.approx(half)
-    assert one.sentence.startswith("One real recording, a: +15.0 points")
-    assert one.pooled is None
+    assert answer.sentence.startswith("One real recording, a: +15.0 points")
+    assert answer.pooled is None
 
 
 def test_seeds_that_agree_have_the_interval_of_any_of_them():
     rows = [row("a", 0.1, seed=seed) for seed in "012"]
-    (one,) = answered(rows, simulated=frozenset())
-    ends = one.rows[0]["ci_low"], one.rows[0]["ci_high"]
+    (answer,) = answered(rows, simulated=frozenset())
+    ends = answer.rows[0]["ci_low"], answer.rows[0]["ci_high"]
     assert ends == pytest.approx((0.08, 0.12))
-    assert one.sentence == "One real recording, a: +10.0 points; significant at 5 %."
+    assert answer.sentence == "One real recording, a: +10.0 points; significant at 5 %."
 
 
 def test_seeds_that_differ_weigh_less_in_the_pool():
-    """A recording whose seeds disagree has a larger error; the pool leans to the others."""
+    """A recording with unlike seeds has a larger error; the pool leans to others."""
     steady = [
         row(name, value)
         for name, value in zip("abcd", (0.1, 0.1, 0.11, 0.09), strict=True)
     ]
-    alike = [*steady, *(row("e", 0.5, seed=seed, half=0.3) for seed in "01")]
+    equal = [*steady, *(row("e", 0.5, seed=seed, half=0.3) for seed in "01")]
     apart = [
         *steady,
         row("e", 0.2, seed="0", half=0.3),
         row("e", 0.8, seed="1", half=0.3),
     ]
     (first,), (second,) = (
-        answered(rows, simulated=frozenset()) for rows in (alike, apart)
+        answered(rows, simulated=frozenset()) for rows in (equal, apart)
     )
     assert first.pooled.value > second.pooled.value > 0.09
 
@@ -141,7 +141,7 @@ def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
 
 def test_signs_that_differ_are_counted():
     rows = [row("a", 0.1), row("b", -0.1), row("c", 0.01)]
-    (one,) = answered(rows, simulated=frozenset())
-    assert one.sentence.startswith(
+    (answer,) = answered(rows, simulated=frozenset())
+    assert answer.sentence.startswith(
         "Same sign in 2 of 3 real recordings; least -10.0 points (b)"
     )

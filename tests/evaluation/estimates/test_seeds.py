@@ -17,7 +17,7 @@ N_PEOPLE, N_TRIALS = 40, 10
 
 
 def world(number, *, n_seeds=3, people_spread=0.6, seed_spread=0.0):
-    """Hits and trials of people with shares of their own, under seeds that shift all of them."""
+    """Hits and trials of people with their own shares, under seeds that shift all."""
     rng = stream(number, "world")
     people = people_spread * rng.standard_normal(N_PEOPLE)
     seeds = seed_spread * rng.standard_normal((n_seeds, 1))
@@ -27,7 +27,7 @@ def world(number, *, n_seeds=3, people_spread=0.6, seed_spread=0.0):
 
 
 def leave_one_out(values, n):
-    """Variance of the delete-one jackknife of numbers without each in turn, and with all first."""
+    """Delete-one jackknife variance; the first value is that of all."""
     return (n - 1) / n * sum((value - values[0]) ** 2 for value in values[1:])
 
 
@@ -116,7 +116,10 @@ def test_without_sums_the_ends_of_intervals_are_taken():
 
 @pytest.mark.parametrize("n_seeds", [2, 3])
 def test_few_seeds_that_differ_cover_the_mean_over_people_and_seeds(n_seeds):
-    """Of numbers that are no ratio: people 1, their draws 0.5, seeds 1; the ends' mean is short."""
+    """Numbers that are no ratio: people 1, their draws 0.5, seeds 1.
+
+    The mean of the runs' ends is too short.
+    """
     rng = stream(n_seeds, "seeds")
     half = 1.96 * np.hypot(1.0, 0.5)
     covered, by_ends = [], []

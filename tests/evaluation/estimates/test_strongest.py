@@ -2,30 +2,30 @@
 
 import numpy as np
 import pytest
-from helpers.mechanisms import families_of
+from helpers.mechanisms import make_families
 
 from evaluation.estimates.keys import Source
 from evaluation.estimates.strongest import (
+    choose_strongest,
     cross_fitted,
     first_half,
-    rules_of,
+    naming_rules,
     strongest,
-    strongest_of,
 )
-from evaluation.store.cell_files import Summed
+from evaluation.store.cell_files import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
 
 
-def values(by, *, metric="rank1", levels=LEVELS):
-    """Return what each attack achieves at each level: a number for all, or one for each."""
+def values(by_source, *, metric="rank1", levels=LEVELS):
+    """Return each attack's success by level: a number for all, or a number for each."""
     return {
         source.measure(metric).at(*where): Estimate(achieved)
-        for source, found in by.items()
+        for source, successes in by_source.items()
         for where, achieved in zip(
-            levels, np.broadcast_to(found, len(levels)), strict=True
+            levels, np.broadcast_to(successes, len(levels)), strict=True
         )
         if np.isfinite(achieved) or metric == "plr"
     }
@@ -42,7 +42,7 @@ AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
 
 
 @pytest.mark.parametrize(
-    ("found", "expected"),
+    ("estimates", "expected"),
     [
         # The highest mean over raw, fixed noise and FID; of equals the first of the
         # run.
@@ -62,17 +62,17 @@ AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
         (ALONE | values({SHAPE: 0.5, DTW: 0.4}), {"rerelease": SHAPE}),
     ],
 )
-def test_which_it_is(found, expected):
-    assert strongest(found, families_of(found)) == expected
+def test_which_it_is(estimates, expected):
+    assert strongest(estimates, make_families(estimates)) == expected
 
 
 def test_its_mean_is_a_number():
-    assert strongest_of([{SHAPE: 0.3, DTW: np.nan}]) == SHAPE
-    assert strongest_of([]) is None
+    assert choose_strongest([{SHAPE: 0.3, DTW: np.nan}]) == SHAPE
+    assert choose_strongest([]) is None
 
 
 def test_what_one_half_chose_is_scored_on_the_other():
-    """Against sums by hand: who is good on one half of the people is not that good on the other."""
+    """Against sums by hand: an attack good on one half is not as good on the other."""
     rng = np.random.default_rng(0)
     n, first, second = 60, Source("kalman_rts", "blind"), Source("radial_rts", "blind")
     weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
@@ -88,9 +88,12 @@ def test_what_one_half_chose_is_scored_on_the_other():
         for source, share in shares.items()
         for metric in ("plr", "mel")
     }
-    sums = {key: Summed(one[:, used], weights, used) for key, one in every.items()}
-    crossed = cross_fitted(sums, known := families_of(sums), first)
-    found = crossed.estimates
+    sums = {
+        key: ClusterSums(summed[:, used], weights, used)
+        for key, summed in every.items()
+    }
+    crossed = cross_fitted(sums, known := make_families(sums), first)
+    result = crossed.estimates
     assert crossed.choices == {"plr": [first.measure("plr"), second.measure("plr")]}
     for key in (
         first.measure(metric).at(*where)
@@ -99,13 +102,15 @@ def test_what_one_half_chose_is_scored_on_the_other():
     ):
         theirs = every[second.measure(key.metric).at(*key.where)][0]
         scored = np.where(is_first, theirs, every[key][0])
-        assert found[key].value == pytest.approx(scored.sum() / tracks.sum())
-        assert found[key].replicates == pytest.approx(
+        assert result[key].value == pytest.approx(scored.sum() / tracks.sum())
+        assert result[key].replicates == pytest.approx(
             weights @ scored / (weights @ tracks), abs=1e-6
         )
-    assert found[first.measure("plr").at("raw", None)].value < 0.2
+    assert result[first.measure("plr").at("raw", None)].value < 0.2
     # Where both halves choose the headline its own numbers stand.
-    alone = {key: one for key, one in sums.items() if key.consumer == "kalman_rts"}
+    alone = {
+        key: summed for key, summed in sums.items() if key.consumer == "kalman_rts"
+    }
     crossed = cross_fitted(alone, known, first)
     assert crossed.choices == {"plr": [first.measure("plr")] * 2}
     for key in alone:
@@ -126,19 +131,21 @@ def test_a_linker_counts_by_the_better_way_to_name_mates():
         DTW.measure("rank1_g100"): 0.2,
     }
     sums = {
-        measure.at(*where): Summed(np.stack([np.full(n, rate), np.ones(n)]), weights)
+        measure.at(*where): ClusterSums(
+            np.stack([np.full(n, rate), np.ones(n)]), weights
+        )
         for measure, rate in rates.items()
         for where in LEVELS
     }
-    known = families_of(sums)
+    known = make_families(sums)
     crossed = cross_fitted(sums, known, SHAPE, by="rank1")
     joint, per_probe = DTW.measure("rank1_assigned"), SHAPE.measure("rank1_g100")
     assert crossed.choices == {"rank1": [joint] * 2, "rank1_g100": [per_probe] * 2}
     assert joint.label == "rerelease/dtw (informed), joint"
     for where in LEVELS:
-        of_all = crossed.estimates[SHAPE.measure("rank1").at(*where)]
-        of_100 = crossed.estimates[SHAPE.measure("rank1_g100").at(*where)]
-        assert (of_all.value, of_100.value) == pytest.approx((0.8, 0.3))
-    found = {key: Estimate(one.sums[0].mean()) for key, one in sums.items()}
-    assert strongest(found, known) == {"rerelease": DTW}
-    assert rules_of(found)[DTW] == "rank1_assigned"
+        among_all = crossed.estimates[SHAPE.measure("rank1").at(*where)]
+        among_100 = crossed.estimates[SHAPE.measure("rank1_g100").at(*where)]
+        assert (among_all.value, among_100.value) == pytest.approx((0.8, 0.3))
+    result = {key: Estimate(summed.sums[0].mean()) for key, summed in sums.items()}
+    assert strongest(result, known) == {"rerelease": DTW}
+    assert naming_rules(result)[DTW] == "rank1_assigned"

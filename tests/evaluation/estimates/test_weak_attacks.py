@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.small_runs import one_process, smoke, write_walks
+from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
 from evaluation.estimates import weak_attacks as flags
@@ -24,33 +24,33 @@ def estimate(value, *, spread=0.03, own=0.0, n=50):
     return Estimate(value, *percentile_interval(replicates), n, replicates)
 
 
-def run_of(plr, *, level=1.0, mechanism="fixed", shared=0.2, rmse=1.5):
+def make_run(plr, *, level=1.0, mechanism="fixed", shared=0.2, rmse=1.5):
     """One level with PLR by attack and adversary."""
-    found = {
+    estimates = {
         Key(mechanism, level, "shared", "plr"): estimate(shared),
         Key(mechanism, level, "shared", "rmse"): estimate(rmse),
     }
     for (attack, knowledge), value in plr.items():
-        one = value if isinstance(value, Estimate) else estimate(value)
-        found[Key(mechanism, level, attack, "plr", knowledge)] = one
-    return found
+        number = value if isinstance(value, Estimate) else estimate(value)
+        estimates[Key(mechanism, level, attack, "plr", knowledge)] = number
+    return estimates
 
 
-def of(text):
+def parse_plr(text):
     """PLR by attack and adversary, from `savgol blind .7, mine informed .6`."""
-    words = [one.split() for one in text.split(", ")]
+    words = [word.split() for word in text.split(", ")]
     return {(attack, knowledge): float(value) for attack, knowledge, value in words}
 
 
 def beaten(plr, attack=None):
     """Who is beaten, or whether one attack is, and by whom."""
-    rows = flags.flags(run_of(plr))[0]
+    rows = flags.flags(make_run(plr))[0]
     rows = rows[
         (rows["kind"] == "beaten")
-        & rows["attack"].isin([attack or one for one, _ in plr])
+        & rows["attack"].isin([attack or name for name, _ in plr])
     ]
     names = rows[["attack", "knowledge", "by", "by_knowledge"]].to_numpy().tolist()
-    return ["{} {} < {} {}".format(*one) for one in names]
+    return ["{} {} < {} {}".format(*name) for name in names]
 
 
 @pytest.mark.parametrize(
@@ -81,7 +81,7 @@ def beaten(plr, attack=None):
     ],
 )
 def test_who_should_win_and_does_not_is_beaten(plr, expected):
-    assert ", ".join(beaten(of(plr))) == expected
+    assert ", ".join(beaten(parse_plr(plr))) == expected
 
 
 @pytest.mark.parametrize(
@@ -95,10 +95,10 @@ def test_who_should_win_and_does_not_is_beaten(plr, expected):
     ],
 )
 def test_an_attack_is_held_against_all_simpler_ones(name, simpler):
-    others = {(one, BLIND): 0.7 for one in flags.SIMPLER if one != name}
+    others = {(simple, BLIND): 0.7 for simple in flags.SIMPLER if simple != name}
     assert beaten(others | {(name, BLIND): 0.8}, name) == []
     worse = beaten(others | {(name, BLIND): 0.6}, name)
-    assert worse == [f"{name} blind < {one} blind" for one in simpler]
+    assert worse == [f"{name} blind < {simple} blind" for simple in simpler]
 
 
 def test_the_interval_of_the_difference_decides_not_those_of_the_values():
@@ -110,11 +110,11 @@ def test_the_interval_of_the_difference_decides_not_those_of_the_values():
 
 
 def test_a_flag_says_how_much_and_how_often_was_looked():
-    found = run_of({("identity", BLIND): 0.3, ("savgol", BLIND): 0.25}, level=1.0)
-    found |= run_of(
+    estimates = make_run({("identity", BLIND): 0.3, ("savgol", BLIND): 0.25}, level=1.0)
+    estimates |= make_run(
         {("identity", BLIND): 0.3, ("savgol", BLIND): 0.6}, level=0.5, rmse=1.0
     )
-    (row,) = flags.flags(found)[0].to_dict("records")
+    (row,) = flags.flags(estimates)[0].to_dict("records")
     assert list(row) == COLUMNS
     assert (row["mechanism"], row["level"], row["compared"]) == ("fixed", 1.0, 2)
     assert row["difference"] == pytest.approx(0.05)
@@ -129,9 +129,9 @@ def test_a_flag_says_how_much_and_how_often_was_looked():
 def ends(quiet, noisy, *, rmse=(0.5, 1.5), shared=(0.5, 0.2), mechanism="fid"):
     """Raw and one level of a mechanism: PLR of one attack at either."""
     attack = ("kalman_rts", BLIND)
-    return run_of(
+    return make_run(
         {attack: quiet}, mechanism="raw", level=None, shared=shared[0], rmse=rmse[0]
-    ) | run_of(
+    ) | make_run(
         {attack: noisy}, mechanism=mechanism, level=7.0, shared=shared[1], rmse=rmse[1]
     )
 
@@ -157,39 +157,41 @@ def test_a_fall_within_its_interval_is_none(noisy, falls):
 
 
 def leaking(mechanism):
-    """A level where nothing is hidden, and an attack that is a little worse than none."""
+    """A level that hides nothing, and an attack that is a little worse than none."""
     plr = {("identity", BLIND): 1.0, ("kalman_rts", BLIND): 0.99}
-    return run_of(plr, mechanism=mechanism, level=None, shared=1.0, rmse=0.0)
+    return make_run(plr, mechanism=mechanism, level=None, shared=1.0, rmse=0.0)
 
 
 FEW = {("savgol", BLIND): estimate(0.7, n=19), ("kalman_rts", BLIND): 0.6}
-SLOW = of("kalman_rts blind .7, slow_one blind .6")
+SLOW = parse_plr("kalman_rts blind .7, slow_one blind .6")
 
 
 @pytest.mark.parametrize(
-    ("found", "why"),
+    ("estimates", "why"),
     [
         (leaking("clean"), "all that is shared leaks already"),
         (leaking("mine"), "all that is shared leaks already"),
-        (run_of(FEW), "fewer than 20 clusters"),
+        (make_run(FEW), "fewer than 20 clusters"),
         (ends(0.7, 0.8, rmse=(1.0, 1.09)), "the noise hardly rises"),
         (ends(0.7, 0.8, shared=(0.5, 0.5)), "PLR as shared does not fall either"),
-        (run_of(SLOW), "a slow attack, without the others on the same tracks"),
+        (make_run(SLOW), "a slow attack, without the others on the same tracks"),
         (ends(0.7, 0.8, mechanism="clean"), None),
-        (run_of(of("kalman_rts blind .5")), None),
+        (make_run(parse_plr("kalman_rts blind .5")), None),
     ],
 )
-def test_what_is_no_test_is_left_out_and_told(found, why):
-    rows, looked = flags.flags(found, slow={"slow_one"})
+def test_what_is_no_test_is_left_out_and_told(estimates, why):
+    rows, looked = flags.flags(estimates, slow={"slow_one"})
     assert rows.empty
     assert looked["left_out"] == ({} if why is None else {why: 1})
     assert not any(looked["comparisons"].values())
 
 
 def test_the_noisiest_level_is_that_of_the_largest_error_whatever_its_number():
-    found = ends(0.9, 0.8)
-    found |= run_of({("kalman_rts", BLIND): 0.95}, mechanism="fid", level=0.1, rmse=3.0)
-    (row,) = flags.flags(found)[0].to_dict("records")
+    estimates = ends(0.9, 0.8)
+    estimates |= make_run(
+        {("kalman_rts", BLIND): 0.95}, mechanism="fid", level=0.1, rmse=3.0
+    )
+    (row,) = flags.flags(estimates)[0].to_dict("records")
     assert row["level"] == 0.1
 
 
@@ -204,23 +206,23 @@ def test_the_file_explains_itself_and_has_a_list_even_if_it_is_empty():
     assert "not adjusted" in content["intervals"]
     content = json.loads(flags.to_json(*flags.flags(ends(0.7, 0.8, mechanism="mine"))))
     assert list(content["flags"][0]) == COLUMNS
-    raw = run_of(
+    raw = make_run(
         {("identity", BLIND): 0.7, ("a", BLIND): 0.6}, mechanism="raw", level=None
     )
     assert json.loads(flags.to_json(*flags.flags(raw)))["flags"][0]["level"] is None
 
 
 def test_lines_are_few_and_say_how_many_levels():
-    found = {}
+    estimates = {}
     for level in (0.1, 0.2, 0.3):
         savgol = {("savgol", BLIND): 0.7, ("savgol", INFORMED): 0.71}
         # At 0.1 the two are equal but for rounding.
-        mine = {("mine", INFORMED): 0.7 - level, ("mine", BLIND): 0.5 + level}
-        found |= run_of(savgol | mine, level=level, rmse=1.0)
+        own = {("mine", INFORMED): 0.7 - level, ("mine", BLIND): 0.5 + level}
+        estimates |= make_run(savgol | own, level=level, rmse=1.0)
     is_beaten = "flag: mine ({}) is beaten by {} levels, by up to {} points: flags.json"
-    assert flags.lines(flags.flags(found)[0]) == [
-        is_beaten.format(*one)
-        for one in (
+    assert flags.lines(flags.flags(estimates)[0]) == [
+        is_beaten.format(*parts)
+        for parts in (
             (INFORMED, "savgol (blind, informed) at 3 of 3", "31.0 [31.0, 31.0]"),
             (BLIND, "savgol (blind) at 1 of 3", "10.0 [10.0, 10.0]"),
             (INFORMED, "mine (blind) at 2 of 3", "40.0 [40.0, 40.0]"),
@@ -245,7 +247,7 @@ def results(tmp_path_factory):
         "attacks": ("identity", "kalman_rts", BAD),
     }
     settings = smoke(walks, folder / "run", scenes=18, predictors=(), **axes)
-    with one_process():
+    with single_process():
         return evaluation.run(settings, pictures=False)
 
 

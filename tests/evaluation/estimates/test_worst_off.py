@@ -21,7 +21,7 @@ N_PEOPLE, N_RELEASES = 60, 18
 
 
 def planted(shares, *, n_releases=N_RELEASES, name="planted", spread=4.0):
-    """Rows of people whose releases leak by shares of their own: values, scenes and clusters."""
+    """Values, scenes and clusters of people whose releases leak by their own shares."""
     rng, shares = stream(5, name), np.asarray(shares)
     values = rng.beta(spread * shares, spread * (1 - shares), (n_releases, shares.size))
     cluster = np.tile(np.arange(shares.size), n_releases)
@@ -36,7 +36,7 @@ def estimated(rows, *, n_clusters=N_PEOPLE, n_replicates=50):
 
 
 def slow_tail(values, chosen_by):
-    """Mean of the tenth by a loop: from the largest on, equals have a place's share each."""
+    """Mean of the tenth by a loop: from the largest on, equals share their places."""
     left = places = 0.1 * len(values)
     total = 0.0
     for level in sorted(set(chosen_by), reverse=True):

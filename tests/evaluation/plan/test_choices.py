@@ -1,4 +1,4 @@
-"""A + on an axis adds to the preset's values, on the command line, in a file and in a notebook."""
+"""A + on an axis adds to the preset: on the command line, in a file, in a notebook."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -15,7 +15,7 @@ from isac_track.types import Knowledge, Reconstruction
 
 
 @dataclass(frozen=True)
-class Mine:
+class OwnAttack:
     """Return the positions as they were shared."""
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -41,7 +41,7 @@ def typed(*words):
 
 
 @pytest.mark.parametrize(
-    ("axis", "spec", "of"),
+    ("axis", "spec", "options"),
     [
         ("mechanism", "laplace:0.3", "mechanisms"),
         ("predictor", "kalman_cv:0.5", "predictors"),
@@ -49,7 +49,7 @@ def typed(*words):
     ],
 )
 @pytest.mark.parametrize("preset", ["smoke", "paper"])
-def test_what_is_added_comes_after_the_preset(preset, axis, spec, of, tmp_path):
+def test_what_is_added_comes_after_the_preset(preset, axis, spec, options, tmp_path):
     usual, path = specs(Settings(preset=preset)), tmp_path / "run.toml"
     path.write_text(f"preset = '{preset}'\n{axis} = ['+{spec}']\n")
     for settings in (
@@ -57,29 +57,29 @@ def test_what_is_added_comes_after_the_preset(preset, axis, spec, of, tmp_path):
         typed("--config", str(path)),
         Settings(preset=preset, **{f"{axis}s": [f"+{spec}"]}),
     ):
-        found = specs(settings)
-        new = [one for one in found[of] if one not in usual[of]]
+        result = specs(settings)
+        new = [item for item in result[options] if item not in usual[options]]
         assert len(new) == 1
-        assert [one for one in found[of] if one not in new] == usual[of]
-        assert {name: found[name] for name in found if name != of} == {
-            name: usual[name] for name in usual if name != of
+        assert [item for item in result[options] if item not in new] == usual[options]
+        assert {name: result[name] for name in result if name != options} == {
+            name: usual[name] for name in usual if name != options
         }
 
 
 def test_a_linker_that_is_added_links_and_the_others_still_do():
-    usual, found = (
+    usual, linkers = (
         specs(Settings(preset="smoke", attacks=attacks))
         for attacks in (None, ["+shape@kalman_rts"])
     )
-    new = {*found["links"]} - {*usual["links"]}
+    new = {*linkers["links"]} - {*usual["links"]}
     assert ("rerelease", "shape@kalman_rts") in new
     assert {spec for _, spec in new} == {"shape@kalman_rts"}
-    assert {*usual["links"]} < {*found["links"]}
+    assert {*usual["links"]} < {*linkers["links"]}
 
 
 def test_a_task_that_is_added_is_linked():
-    found = axes(typed("--preset", "frontier", "--task", "+split"))
-    assert [task.name for task in found.tasks] == ["rerelease", "split"]
+    result = axes(typed("--preset", "frontier", "--task", "+split"))
+    assert [task.name for task in result.tasks] == ["rerelease", "split"]
 
 
 def test_all_that_a_preset_does_besides_its_axes_stays():
@@ -116,9 +116,9 @@ def test_twice_is_once():
 
 
 def test_an_object_follows_a_plus_of_its_own():
-    found = axes(Settings(preset="smoke", attacks=["+", Mine(), "savgol:0.4"]))
-    assert found.attacks[-2].instance == Mine()
-    assert len(found.attacks) == len(axes(Settings(preset="smoke")).attacks) + 2
+    result = axes(Settings(preset="smoke", attacks=["+", OwnAttack(), "savgol:0.4"]))
+    assert result.attacks[-2].instance == OwnAttack()
+    assert len(result.attacks) == len(axes(Settings(preset="smoke")).attacks) + 2
 
 
 @pytest.mark.parametrize("axis", AXES)

@@ -1,4 +1,4 @@
-"""What a cell depends on: the code of its stage and of its plug-ins, and nothing else."""
+"""A cell depends on the code of its stage and of its plug-ins, and on nothing else."""
 
 import sys
 
@@ -103,7 +103,7 @@ def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
 
 
 STAGES = (SHARING, RECONSTRUCTION, "rerelease")
-MADE_OF = {
+SOURCES = {
     STAGES: (
         "isac_track.sensing",
         "isac_track.datasets.read_table",
@@ -136,12 +136,13 @@ MADE_OF = {
 
 @pytest.mark.parametrize(
     ("module", "stages"),
-    [(one, stages) for stages, modules in MADE_OF.items() for one in modules],
+    [(module, stages) for stages, modules in SOURCES.items() for module in modules],
 )
 def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
     def digests():
         return {
-            stage: [source_digest(one) for one in sources(stage)] for stage in STAGES
+            stage: [source_digest(source) for source in sources(stage)]
+            for stage in STAGES
         }
 
     before = digests()
@@ -156,12 +157,12 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
     def keys():
         return {
-            one.label: consumer_key(
-                one,
-                code=[source_digest(name) for name in sources("", *one.plugins)],
+            consumer.label: consumer_key(
+                consumer,
+                code=[source_digest(name) for name in sources("", *consumer.plugins)],
                 keep_scores=False,
             )
-            for one in consumers
+            for consumer in consumers
         }
 
     before = keys()
@@ -176,6 +177,6 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 def test_raw_scores_are_another_thing_to_keep():
     crossed = axes(Settings(attacks=("savgol", "shape")))
-    for one in (*crossed.consumers, *crossed.readers(crossed.tasks[0])):
-        keys = {consumer_key(one, code=(), keep_scores=keep) for keep in (True, False)}
-        assert len(keys) == 1 + (one.kind in ("linkage", "control"))
+    for item in (*crossed.consumers, *crossed.readers(crossed.tasks[0])):
+        keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
+        assert len(keys) == 1 + (item.kind in ("linkage", "control"))

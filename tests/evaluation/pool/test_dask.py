@@ -1,4 +1,4 @@
-"""Runs on a Dask cluster: a real scheduler and real workers on loopback, some of them killed."""
+"""Runs on a Dask cluster: real scheduler and workers on loopback, some are killed."""
 
 import contextlib
 import json
@@ -20,8 +20,8 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
-from evaluation.compute.linkage import who_sees_alike
-from evaluation.compute.where import Failed
+from evaluation.compute.current_cell import Failure
+from evaluation.compute.linkage import view_key
 from evaluation.compute.work import Block, LinkWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import plan
@@ -30,16 +30,16 @@ from evaluation.pool import dask as on_cluster
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.pool.pieces import (
     Failures,
-    cells_of,
+    cell_name,
     cut_for_cluster,
-    pieces_of,
-    place_of,
+    cut_work,
+    planned_cells,
 )
 from isac_track import plugins
 from isac_track.errors import SettingsError
 
 distributed = pytest.importorskip("distributed")
-pytestmark = pytest.mark.usefixtures("one_process")  # what is not on a cluster
+pytestmark = pytest.mark.usefixtures("single_process")  # what is not on a cluster
 
 PLUGINS = """
 import os, time
@@ -77,7 +77,7 @@ class Cluster:
             return client.run_on_scheduler(question)
 
 
-def path_of(folder):
+def cell_path(folder):
     """Where a process finds its plug-ins, and this very project."""
     return os.pathsep.join([str(folder), str(ROOT), str(TESTS)])
 
@@ -90,7 +90,7 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
     def start(module, *arguments, modules=modules):
         process = subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
-            env=dict(os.environ, SLOW_S="0.3", PYTHONPATH=path_of(modules or folder)),
+            env=dict(os.environ, SLOW_S="0.3", PYTHONPATH=cell_path(modules or folder)),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
@@ -101,11 +101,11 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
 
     def start_worker(n_threads, modules=modules):
         words = f"--nthreads {n_threads} --no-dashboard --scheduler-file {file}".split()
-        scratch = ["--local-directory", str(mine / "scratch")]
+        scratch = ["--local-directory", str(own / "scratch")]
         return start("dask_worker", *words, *scratch, *options, modules=modules)
 
-    mine = Path(tempfile.mkdtemp(dir=folder))
-    file = mine / "scheduler.json"
+    own = Path(tempfile.mkdtemp(dir=folder))
+    file = own / "scheduler.json"
     try:
         words = ["--host=127.0.0.1", "--port=0", "--dashboard-address=127.0.0.1:0"]
         scheduler = start(
@@ -150,7 +150,7 @@ def settings(csv_recording, tmp_path):
 
 @pytest.fixture
 def slow(settings, monkeypatch, folder, tmp_path):
-    """Sixteen cells that take 0.3 s each in a worker, and the same run on this machine."""
+    """Sixteen cells of 0.3 s each in a worker, and the same run on this machine."""
     monkeypatch.syspath_prepend(str(folder))
     axes = {"mechanisms": (SLOW,), "predictors": ()}
     local = replace(settings, scenes=300, out=tmp_path / "local", **axes)
@@ -178,10 +178,10 @@ def assert_same_bits(run, other):
     for (
         name
     ) in names:  # as tables: how they are compressed is not the same in two local runs
-        one, two = (
+        first, two = (
             pd.read_parquet(where.out / "cells" / name) for where in (run, other)
         )
-        pd.testing.assert_frame_equal(one, two, check_exact=True, obj=name)
+        pd.testing.assert_frame_equal(first, two, check_exact=True, obj=name)
 
 
 class TestResults:
@@ -218,7 +218,7 @@ class TestWhatIsKilled:
     def run(self, there, *, at_third):
         """Run it, and do something as soon as three cells are finished."""
 
-        def tell(done, _total, _what):
+        def tell(done, _total, _cell):
             if done == 3:
                 at_third()
 
@@ -245,7 +245,7 @@ class TestWhatIsKilled:
             "--task=none",
         ]
         words += ["--executor=dask", "--scheduler", cluster.address, "--out", there.out]
-        with start(tmp_path, *words, changed={"PYTHONPATH": path_of(folder)}) as run:
+        with start(tmp_path, *words, changed={"PYTHONPATH": cell_path(folder)}) as run:
             wait_for(lambda: len(cells(there)) > 2, most_s=40)
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=30)
@@ -257,7 +257,7 @@ class TestWhatIsKilled:
 
     @pytest.mark.slow
     @pytest.mark.parametrize(
-        ("who", "signalled", "message"),
+        ("processes", "signalled", "message"),
         [
             ("workers", signal.SIGKILL, "has had no worker for 1 s; finished ce"),
             ("scheduler", signal.SIGSTOP, "is gone; finished cells"),
@@ -269,7 +269,7 @@ class TestWhatIsKilled:
         ],
     )
     def test_all_workers_or_the_scheduler_end_the_run_and_the_same_settings_continue(
-        self, slow, folder, monkeypatch, tmp_path, who, signalled, message
+        self, slow, folder, monkeypatch, tmp_path, processes, signalled, message
     ):
         for limit in ("_NO_WORKER_S", "_ANSWER_S"):
             monkeypatch.setattr(on_cluster, limit, 1.0)
@@ -277,16 +277,20 @@ class TestWhatIsKilled:
             there = sent(slow, own, out=tmp_path / "there")
 
             def end():
-                for process in own.workers if who == "workers" else [own.scheduler]:
+                for process in (
+                    own.workers if processes == "workers" else [own.scheduler]
+                ):
                     os.killpg(process.pid, signalled)
 
             with pytest.raises(SettingsError, match=f"{own.address} {message}"):
                 self.run(there, at_third=end)
-        kept = {path: path.stat().st_mtime_ns for path in cells(there)}
-        assert 1 <= len(kept) < 8
+        remaining = {path: path.stat().st_mtime_ns for path in cells(there)}
+        assert 1 <= len(remaining) < 8
         evaluation.run(replace(slow, out=there.out), pictures=False)
         assert_same_bits(there, slow)
-        assert all(path.stat().st_mtime_ns == stamp for path, stamp in kept.items())
+        assert all(
+            path.stat().st_mtime_ns == stamp for path, stamp in remaining.items()
+        )
 
     @pytest.mark.slow
     def test_workers_that_a_plugin_kills_cost_its_cells(
@@ -301,14 +305,14 @@ class TestWhatIsKilled:
         with started(folder, options=()) as own:  # with nannies, who start them again
             there = sent(changed, own, out=tmp_path / "there")
             with pytest.warns(FailedCellsWarning, match="its worker died"):
-                found = evaluation.run(there, pictures=False)
-        assert set(found.failed["consumer"]) == {"cluster_plugins:Killer"}
-        assert sorted(found.failed["spec"]) == ["fixed:0.7", "raw"]
+                result = evaluation.run(there, pictures=False)
+        assert set(result.failed["consumer"]) == {"cluster_plugins:Killer"}
+        assert sorted(result.failed["spec"]) == ["fixed:0.7", "raw"]
         without = replace(changed, predictors=("least_squares", "kalman_cv"))
         evaluation.run(without, pictures=False)
         # Files are named after all that was wanted of them; what they hold is the same.
-        one, two = (where.out / "summary.csv" for where in (there, without))
-        assert one.read_bytes() == two.read_bytes()
+        failure, two = (where.out / "summary.csv" for where in (there, without))
+        assert failure.read_bytes() == two.read_bytes()
 
 
 class TestWhatIsRefused:
@@ -388,7 +392,7 @@ class TestWhatIsRefused:
         with started(folder, threads=(1,)) as own:
             there = sent(slow, own, scenes=1500, out=tmp_path / "there")
 
-            def tell(done, _total, _what):
+            def tell(done, _total, _cell):
                 if done == 3:
                     own.start_worker(1, modules=tmp_path)
 
@@ -433,16 +437,18 @@ class TestADeathAtAnUnknownPlace:
         works = deque([self.block("raw", "fixed:0.5", "fixed:0.7")])
         while works:
             work = works.popleft()
-            names = [place_of(cell) for cell in cells_of(work)]
+            names = [cell_name(cell) for cell in planned_cells(work)]
             if (3, "fixed:0.5", "least_squares") in names:
                 tries += 1
                 works.extend(
-                    failures.rest(work, Failed((), "died", died=True), finished=set())
+                    failures.rest(
+                        work, Failure((), "died", worker_died=True), finished=set()
+                    )
                 )
             else:
                 finished += names
         ((cell, why),) = failures.cells
-        assert (*place_of(cell), why) == (3, "fixed:0.5", "least_squares", "died")
+        assert (*cell_name(cell), why) == (3, "fixed:0.5", "least_squares", "died")
         assert len(finished) == len(set(finished)) == 5
         assert tries == 2  # the work, the cell
 
@@ -458,18 +464,21 @@ def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(
     }
     walks = write_walks(tmp_path / "walks.csv")
     ready = plan(smoke(walks, tmp_path / "run", **axes))
-    works = deque(pieces_of(ready.units, ready))
-    before = sorted(place_of(cell) for work in works for cell in cells_of(work))
+    works = deque(cut_work(ready.units, ready))
+    before = sorted(cell_name(cell) for work in works for cell in planned_cells(work))
     cut_for_cluster(works)
-    assert sorted(place_of(cell) for work in works for cell in cells_of(work)) == before
+    assert (
+        sorted(cell_name(cell) for work in works for cell in planned_cells(work))
+        == before
+    )
     seen = [
-        {(cell[1].spec, *who_sees_alike(cell[2])) for cell in cells_of(work)}
+        {(cell[1].spec, *view_key(cell[2])) for cell in planned_cells(work)}
         for work in works
         if isinstance(work, LinkWork)
     ]
     every = set().union(*seen)
-    assert [len(one) for one in seen] == [1] * len(every)
+    assert [len(item) for item in seen] == [1] * len(every)
     assert len({spec for spec, *_ in every}) == 3
     assert (
-        len({one[1:] for one in every}) >= 4
+        len({item[1:] for item in every}) >= 4
     )  # As it is, and what three adversaries smooth.

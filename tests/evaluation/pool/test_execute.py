@@ -1,4 +1,4 @@
-"""Runs: the files they leave, what continues, what is refused, and on what numbers depend."""
+"""Runs: their files, how they continue, what they refuse, what numbers depend on."""
 
 import shutil
 from dataclasses import replace
@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from helpers.cells import World, parsed
 from helpers.recordings import write_csv
-from helpers.runs import change_code, held_by, rows_of
+from helpers.runs import change_code, stored_consumers, stored_rows
 from helpers.small_runs import smoke
 
 import evaluation
@@ -25,13 +25,13 @@ from isac_track.errors import DataError, PluginError, SettingsError
 KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
 
-def settings_of(dataset, out):
+def run_settings(dataset, out):
     return smoke(dataset, out, mechanisms=("raw", "fid:1000", "fixed:0.7"))
 
 
 @pytest.fixture
 def settings(csv_recording, tmp_path):
-    return settings_of(csv_recording, tmp_path / "run")
+    return run_settings(csv_recording, tmp_path / "run")
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,7 @@ def drawn(tracks, tmp_path_factory):
     """A run with pictures, as it was left."""
     folder = tmp_path_factory.mktemp("drawn")
     return evaluation.run(
-        settings_of(write_csv(folder / "walks.csv", tracks), folder / "run")
+        run_settings(write_csv(folder / "walks.csv", tracks), folder / "run")
     )
 
 
@@ -58,7 +58,7 @@ def stamps(out):
     return {path: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
 
 
-def assert_kept(before):
+def assert_unchanged(before):
     assert all(path.stat().st_mtime_ns == stamp for path, stamp in before.items())
 
 
@@ -79,9 +79,11 @@ def usual(tracks):
 
 def same(a, b):
     return all(
-        np.array_equal(one[name], other[name], equal_nan=one[name].dtype.kind == "f")
-        for one, other in zip(a, b, strict=True)
-        for name in one
+        np.array_equal(
+            first[name], other[name], equal_nan=first[name].dtype.kind == "f"
+        )
+        for first, other in zip(a, b, strict=True)
+        for name in first
     )
 
 
@@ -125,7 +127,7 @@ class TestWhatARunLeaves:
     def test_is_what_the_design_says(self, drawn):
         for name in ("manifest.json", "summary.csv", "paper_table.csv"):
             assert (drawn.out / name).is_file()
-        held = held_by(
+        held = stored_consumers(
             drawn.out
         )  # a level each: the descriptors as shared and the predictor
         assert list(held.values()) == [{"shared", "least_squares"}] * 3
@@ -183,17 +185,17 @@ class TestWhatARunLeaves:
 
     def test_the_summary_is_the_mean_over_the_rows_of_the_cells(self, drawn):
         table = drawn.summary.set_index(["mechanism", "consumer", "metric"])["value"]
-        rows = rows_of(drawn.out, "raw", "shared")
+        rows = stored_rows(drawn.out, "raw", "shared")
         assert len(rows) == 12 * 4
         for metric, column in {"plr": "plr", "mel": "mel_s", "ael": "ael_s"}.items():
             assert table["raw", "shared", metric] == pytest.approx(rows[column].mean())
         assert table["raw", "shared", "rmse"] == pytest.approx(
             np.sqrt(rows["mse_m2"].mean())
         )
-        rows = rows_of(drawn.out, "fixed:0.7", "least_squares")
+        rows = stored_rows(drawn.out, "fixed:0.7", "least_squares")
         assert len(rows) == 12
         missed, alarms = (
-            rows.loc[rows["conflict"] == one, "predicted"] for one in (True, False)
+            rows.loc[rows["conflict"] == item, "predicted"] for item in (True, False)
         )
         error = (rows["predicted_separation_m"] - rows["separation_m"]).abs()
         for metric, expected in {
@@ -238,7 +240,7 @@ def test_workers_who_share_out_a_block_by_levels_change_no_bit(settings, drawn):
 def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     csv_recording, tmp_path, monkeypatch
 ):
-    """The attacked ones are the first; of a preset's own predictors the cheap ones see all."""
+    """The attacked scenes are the first; a preset's cheap predictors see all."""
     specs = ("raw", "fid:1000", "correlated:0.75")
     predictors = ("least_squares", "kalman_cv", "kalman_ca")
     axes = {
@@ -252,49 +254,54 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     monkeypatch.setitem(PRESETS, DEFAULT, few)
     for name in ("plan.plan", "pool.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
-    one_horizon = {"conflict.horizons_s": ()}
+    own_horizon = {"conflict.horizons_s": ()}
     usual = Settings(
-        dataset=str(csv_recording), jobs=1, out=tmp_path / "more", stages=one_horizon
+        dataset=str(csv_recording), jobs=1, out=tmp_path / "more", stages=own_horizon
     )
     run(usual)
     run(usual, scenes=4, out=tmp_path / "few")
-    told = read_manifest(usual.out)
-    assert [told["settings"][name] for name in ("scenes", "scenes_utility")] == [4, 10]
-    for entry in told["cells"]:
+    message = read_manifest(usual.out)
+    assert [message["settings"][name] for name in ("scenes", "scenes_utility")] == [
+        4,
+        10,
+    ]
+    for entry in message["cells"]:
         place = entry["spec"], entry["consumer"], entry["knowledge"]
-        more, first = (rows_of(tmp_path / name, *place) for name in ("more", "few"))
+        more, first = (stored_rows(tmp_path / name, *place) for name in ("more", "few"))
         assert set(more["scene"]) == set(range(10 if place[1] in predictors[:2] else 4))
         attacked = more[more["scene"] < 4].reset_index(drop=True)
         pd.testing.assert_frame_equal(attacked, first, check_exact=True)
-    kept = stamps(usual.out)
+    remaining = stamps(usual.out)
     run(usual)
-    assert_kept(kept)
-    assert len(kept) == len(specs) * (
+    assert_unchanged(remaining)
+    assert len(remaining) == len(specs) * (
         2 + 2
     )  # sharing and reconstruction, and two blocks more
 
 
 class TestAnotherRunInTheSameFolder:
     def test_with_a_mechanism_more_computes_only_its_cells(self, finished, drawn):
-        kept = stamps(finished.out)
+        remaining = stamps(finished.out)
         after = run(
             finished, mechanisms=(*finished.mechanisms, "fixed:0.3", "clean")
         ).summary
         assert len(after) == len(drawn.summary) + 2 * 11
         common = after.merge(drawn.summary, on=list(drawn.summary.columns))
         assert len(common) == len(drawn.summary)
-        assert_kept(kept)
+        assert_unchanged(remaining)
 
     def test_with_consumers_more_leaves_further_files(self, finished):
-        kept = stamps(finished.out)
+        remaining = stamps(finished.out)
         wider = replace(
             finished, predictors=("least_squares", "kalman_cv"), attacks=("identity",)
         )
         after = run(wider).summary
-        assert_kept(kept)
-        names = {path.name for path in kept}
+        assert_unchanged(remaining)
+        names = {path.name for path in remaining}
         added = [
-            held for name, held in held_by(finished.out).items() if name not in names
+            held
+            for name, held in stored_consumers(finished.out).items()
+            if name not in names
         ]
         assert (
             sorted(map(sorted, added))
@@ -309,12 +316,14 @@ class TestAnotherRunInTheSameFolder:
     ):
         wider = replace(settings, predictors=("least_squares", "kalman_cv"))
         run(wider)
-        before, kept = held_by(settings.out), stamps(settings.out)
+        before, earlier = stored_consumers(settings.out), stamps(settings.out)
         change_code(monkeypatch, "predictors.kalman")
         assert run(wider).manifest["dropped_cells"] == 3
-        assert_kept(kept)
+        assert_unchanged(earlier)
         new = [
-            held for name, held in held_by(settings.out).items() if name not in before
+            held
+            for name, held in stored_consumers(settings.out).items()
+            if name not in before
         ]
         assert new == [{"kalman_cv"}] * 3
 
@@ -375,43 +384,43 @@ class TestAnotherRunInTheSameFolder:
 
     @pytest.mark.parametrize("fresh", [False, True])
     def test_leaves_a_folder_of_something_else_alone(self, settings, fresh):
-        mine = settings.out / "cells" / "thesis.txt"
-        mine.parent.mkdir(parents=True)
-        mine.write_text("mine", encoding="utf-8")
+        own = settings.out / "cells" / "thesis.txt"
+        own.parent.mkdir(parents=True)
+        own.write_text("mine", encoding="utf-8")
         with pytest.raises(SettingsError, match="is not empty and holds no run"):
             run(settings, fresh=fresh)
         with pytest.raises(SettingsError, match="is a file"):
-            run(settings, out=mine)
+            run(settings, out=own)
         (settings.out / "manifest.json").write_text(
             '{"name": "an extension"}', encoding="utf-8"
         )
         with pytest.raises(DataError, match="is not the manifest of a run"):
             run(settings, fresh=fresh)
-        assert mine.is_file()
+        assert own.is_file()
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_a_failed_plugin_leaves_the_folder_usable(settings):
-    told = "bad_plugins:Raises.*' failed: RuntimeError: no luck"
-    with pytest.raises(PluginError, match=told):  # before the run
+    message = "bad_plugins:Raises.*' failed: RuntimeError: no luck"
+    with pytest.raises(PluginError, match=message):  # before the run
         run(settings, mechanisms=("helpers.bad_plugins:Raises",))
-    assert [one.name for one in settings.out.iterdir()] == ["plugin-error.txt"]
+    assert [item.name for item in settings.out.iterdir()] == ["plugin-error.txt"]
     spec = "helpers.bad_plugins:RaisesThen:0.5"
     with pytest.warns(
         FailedCellsWarning, match="2 cells failed and are left out: .*no luck"
     ):
-        found = run(settings, mechanisms=("raw", spec))
-    assert set(found.summary["mechanism"]) == {"raw"}
-    assert set(found.failed["spec"]) == {spec}
+        result = run(settings, mechanisms=("raw", spec))
+    assert set(result.summary["mechanism"]) == {"raw"}
+    assert set(result.failed["spec"]) == {spec}
     results = run(settings, mechanisms=("fixed:0.7",))
     assert set(results.summary["mechanism"]) == {"raw", "fixed"}  # raw was finished
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(
     settings, monkeypatch
 ):
-    sweep, one = (
+    sweep, entry = (
         ("helpers.bad_plugins:NotAt3:0.1..0.5/3",),
         ("helpers.bad_plugins:NotAt3:0.5",),
     )
@@ -421,18 +430,18 @@ def test_what_failed_is_told_until_it_is_mended_whatever_is_run_next(
     assert (
         missing.count("RuntimeError: not at 0.3") == 2
     )  # as shared, and of the predictor
-    assert len(run(settings, mechanisms=one).failed) == 2
+    assert len(run(settings, mechanisms=entry).failed) == 2
     assert (settings.out / "failed.csv").read_text() == missing
     monkeypatch.setenv("MENDED", "yes")
-    kept = stamps(settings.out)
+    remaining = stamps(settings.out)
     assert len(run(settings, mechanisms=sweep).failed) == 0
-    assert_kept(kept)
-    assert len(stamps(settings.out)) == len(kept) + 1
+    assert_unchanged(remaining)
+    assert len(stamps(settings.out)) == len(remaining) + 1
     monkeypatch.delenv("MENDED")
-    assert len(run(settings, mechanisms=one, fresh=True).failed) == 0
+    assert len(run(settings, mechanisms=entry, fresh=True).failed) == 0
 
 
-@pytest.mark.usefixtures("one_process")
+@pytest.mark.usefixtures("single_process")
 def test_what_spoils_its_own_or_fails_in_the_gallery_costs_nothing_else(
     settings, drawn
 ):
@@ -444,8 +453,8 @@ def test_what_spoils_its_own_or_fails_in_the_gallery_costs_nothing_else(
     for spec in ("raw", "fixed:0.7"):
         for consumer in ("shared", *settings.predictors):
             pd.testing.assert_frame_equal(
-                rows_of(settings.out, spec, consumer),
-                rows_of(drawn.out, spec, consumer),
+                stored_rows(settings.out, spec, consumer),
+                stored_rows(drawn.out, spec, consumer),
             )
     (without,) = results.manifest["gallery_without"]
     assert without.startswith(f"{many}:0.5: ")
@@ -454,11 +463,11 @@ def test_what_spoils_its_own_or_fails_in_the_gallery_costs_nothing_else(
 
 
 def test_what_cannot_be_sent_to_a_worker_is_refused_by_name(settings):
-    told = (
+    message = (
         r"helpers.bad_plugins:HasALock cannot be sent to a worker \(TypeError: cannot"
         r" pickle"
     )
-    with pytest.raises(PluginError, match=told):
+    with pytest.raises(PluginError, match=message):
         run(settings, mechanisms=("raw",), predictors=("helpers.bad_plugins:HasALock",))
 
 
@@ -491,11 +500,11 @@ def test_some_levels_are_computed_under_the_other_law_too(
     other = other.assign(dataset=other["dataset"] + ":law=isotropic")
     expected = pd.concat([by_law["radial"], other], ignore_index=True)
     pd.testing.assert_frame_equal(both.summary, expected, check_exact=True)
-    kept = stamps(settings.out)
+    remaining = stamps(settings.out)
     run(settings)
-    assert_kept(kept)
-    told = both.summary["dataset"].unique()
-    assert list(told) == [both.dataset, f"{both.dataset}:law=isotropic"]
+    assert_unchanged(remaining)
+    message = both.summary["dataset"].unique()
+    assert list(message) == [both.dataset, f"{both.dataset}:law=isotropic"]
 
 
 def test_a_predictor_that_wants_more_than_a_robot_has_is_refused(settings):
@@ -534,7 +543,7 @@ def test_a_decision_by_probability_trades_misses_against_alarms(tracks):
 
 
 def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
-    """Twelve people in two groups: the intervals know of two clusters, not of twelve."""
+    """Twelve people in two groups: intervals have two clusters, not twelve."""
     lines = csv_recording.read_text(encoding="utf-8").splitlines()
     grouped = ["t,id,x,y,group"] + [
         f"{line},g{int(line.split(',')[1][1:]) % 2}" for line in lines[1:]

@@ -1,4 +1,4 @@
-"""A machine that has no more to give is named; a good file is not called damaged, nor deleted."""
+"""A machine at its limits is named as such; a good file is not called damaged."""
 
 import errno
 import os

@@ -1,4 +1,4 @@
-"""What workers do aside; what is freed goes back, and a user's own pool is left alone."""
+"""Calls aside in workers; freed memory goes back, and a user's own pool stays."""
 
 import os
 from functools import partial
@@ -44,14 +44,14 @@ def test_a_call_is_made_by_a_worker_if_one_waits_and_here_if_it_dies(n_workers):
 def test_what_a_worker_finds_comes_back_as_it_was():
     table = pa.table({"a": [1.0, None], "b": ["x", "y"]})
     grid = np.arange(12.0).reshape(3, 4)
-    found = {"whole": grid, "columns": np.asfortranarray(grid), "some": grid[:, ::2]}
-    found |= {"none": np.zeros((0, 3)), "objects": np.array(["a", None], dtype=object)}
+    result = {"whole": grid, "columns": np.asfortranarray(grid), "some": grid[:, ::2]}
+    result |= {"none": np.zeros((0, 3)), "objects": np.array(["a", None], dtype=object)}
     with (
         ahead(1),
-        aside(partial(dict, **found, table=table, frame=pd.DataFrame(grid))) as answer,
+        aside(partial(dict, **result, table=table, frame=pd.DataFrame(grid))) as answer,
     ):
         back = answer()
     assert back.pop("table").equals(table)
     pd.testing.assert_frame_equal(back.pop("frame"), pd.DataFrame(grid))
-    for name, values in found.items():
+    for name, values in result.items():
         np.testing.assert_array_equal(back[name], values, strict=True)

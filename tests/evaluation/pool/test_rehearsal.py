@@ -13,7 +13,7 @@ from evaluation import matrix
 from evaluation.plan.plan import plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
-from evaluation.pool.duration import expected_s, in_words, measured_rates, name_of
+from evaluation.pool.duration import expected_s, in_words, measured_rates, rate_name
 
 pytestmark = pytest.mark.usefixtures("cut_once")
 
@@ -124,7 +124,7 @@ def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
 class TestHowLong:
     def test_every_built_in_consumer_of_a_small_run_has_a_rate(self, usual):
         names = {
-            name_of(consumer)
+            rate_name(consumer)
             for unit in usual.units
             for consumer in unit.consumers.values()
         }
@@ -132,9 +132,9 @@ class TestHowLong:
         assert all(rate > 0 for rate in measured_rates().values())
 
     def test_more_work_takes_longer_and_more_workers_less(self, usual):
-        one = replace(usual, jobs=1)
+        result = replace(usual, jobs=1)
         many = plan(Settings(preset="smoke", dataset="plaza", jobs=2, scenes=1000))
-        assert expected_s(usual) < expected_s(one)
+        assert expected_s(usual) < expected_s(result)
         assert expected_s(usual) < expected_s(many)
 
     def test_it_is_the_sum_of_rates_times_sizes(self, usual, monkeypatch):

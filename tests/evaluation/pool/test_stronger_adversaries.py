@@ -1,10 +1,10 @@
-"""Adversaries who know more try the levels that would be proposed, after all else is computed."""
+"""Stronger adversaries try the levels that would be proposed, after all other cells."""
 
 from dataclasses import replace
 
 import pandas as pd
 import pytest
-from helpers.small_runs import one_process, smoke, write_walks
+from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
 from evaluation.plan.presets import BREAKERS, PRESETS
@@ -34,44 +34,44 @@ def plainly(frame, *, without=()):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """The folder, walks, and what three runs say: with the trial, without, and continued with."""
+    """Folder, walks, and the results of three runs: with, without, and continued."""
     folder = tmp_path_factory.mktemp("candidates")
     walks = write_walks(folder / "walks.csv", n_people=40)
     few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
     without, tried = (
         replace(PRESETS["smoke"], breakers=some, **few) for some in ((), BREAKERS)
     )
-    found = {}
-    with one_process(), pytest.MonkeyPatch.context() as patch:
+    result = {}
+    with single_process(), pytest.MonkeyPatch.context() as patch:
         for name, preset, out in (
             ("tried", tried, "tried"),
             ("plain", without, "plain"),
             ("continued", tried, "plain"),
         ):
             patch.setitem(PRESETS, "smoke", preset)
-            found[name] = evaluation.run(asked(walks, folder / out), pictures=False)
+            result[name] = evaluation.run(asked(walks, folder / out), pictures=False)
         files = {
             path.name: path.read_bytes()
             for path in (folder / "tried" / FOLDER).iterdir()
         }
-        found["again"] = evaluation.run(asked(walks, folder / "tried"), pictures=False)
+        result["again"] = evaluation.run(asked(walks, folder / "tried"), pictures=False)
         after = {
             path.name: path.read_bytes()
             for path in (folder / "tried" / FOLDER).iterdir()
         }
         named = {"attacks": ("ou_rts",), "tasks": (), "adversaries": BREAKERS}
-        found["named"] = evaluation.run(
+        result["named"] = evaluation.run(
             asked(walks, folder / "named", **named), pictures=False
         )
-    return folder, found, (files, after)
+    return folder, result, (files, after)
 
 
 def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
-    _, found, _ = made
-    summary = found["tried"].summary
+    _, results, _ = made
+    summary = results["tried"].summary
     tried = summary[summary["consumer"] == "ou_rts"]
     assert set(tried["knowledge"]) == set(BREAKERS)
-    answer = found["plain"].recommendation()
+    answer = results["plain"].recommendation()
     expected = {offer.where for offer in answer.candidates}
     assert 1 <= len(expected) <= 5
     assert set(zip(tried["mechanism"], tried["level"], strict=True)) == expected
@@ -79,27 +79,27 @@ def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
 
 
 def test_no_other_number_changes(made):
-    _, found, _ = made
-    with_trial = plainly(found["tried"].summary, without=BREAKERS)
-    pd.testing.assert_frame_equal(with_trial, plainly(found["plain"].summary))
+    _, results, _ = made
+    with_trial = plainly(results["tried"].summary, without=BREAKERS)
+    pd.testing.assert_frame_equal(with_trial, plainly(results["plain"].summary))
 
 
 def test_it_is_the_same_whether_at_once_or_later_or_again(made):
-    folder, found, (files, after) = made
+    folder, results, (files, after) = made
     for other in ("continued", "again"):
-        pd.testing.assert_frame_equal(found[other].summary, found["tried"].summary)
-        pd.testing.assert_frame_equal(found[other].levels, found["tried"].levels)
+        pd.testing.assert_frame_equal(results[other].summary, results["tried"].summary)
+        pd.testing.assert_frame_equal(results[other].levels, results["tried"].levels)
     assert files == after  # Nothing was computed twice.
     manifests = [read_manifest(folder / name) for name in ("tried", "plain")]
     assert manifests[0]["cells"] == manifests[1]["cells"]
-    assert {one["state"] for one in manifests} == {"finished"}
+    assert {manifest["state"] for manifest in manifests} == {"finished"}
 
 
 def test_it_is_what_naming_the_adversaries_computes(made):
-    _, found, _ = made
+    _, results, _ = made
     tried, named = (
-        found[name]
-        .summary[found[name].summary["knowledge"].isin(BREAKERS)]
+        results[name]
+        .summary[results[name].summary["knowledge"].isin(BREAKERS)]
         .set_index(KEYS)
         for name in ("tried", "named")
     )
@@ -115,8 +115,8 @@ def test_what_a_run_is_said_to_be_stays(made):
 
 
 def test_each_says_who_breaks_it(made):
-    _, found, _ = made
-    for offer in found["tried"].recommendation().candidates:
+    _, results, _ = made
+    for offer in results["tried"].recommendation().candidates:
         sides = {side.adversary: side.breaks(0.5) for side in offer.beyond}
         assert {name for name, breaks in sides.items() if breaks is None} == {
             "companions",

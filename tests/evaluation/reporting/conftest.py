@@ -10,7 +10,7 @@ from helpers.finished_runs import (
 )
 
 from evaluation.reporting import page
-from evaluation.reporting.figures.figure import figures_of
+from evaluation.reporting.figures.figure import make_figures
 
 
 @pytest.fixture(scope="session")
@@ -18,4 +18,4 @@ def page_path(tmp_path_factory):
     out, at = tmp_path_factory.mktemp("run"), levels(rules=("",))
     summary = make_summary(at, predictors=("least_squares", "kalman_cv"))
     run = with_links(make_run(out, at=at, gallery=make_gallery(), summary=summary))
-    return page.write(run, figures=figures_of(run))
+    return page.write(run, figures=make_figures(run))

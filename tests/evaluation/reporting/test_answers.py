@@ -1,4 +1,4 @@
-"""What the first screen says in words is what the tables of the run hold."""
+"""The sentences of the first screen agree with the tables of the run."""
 
 import re
 from functools import cache
@@ -20,23 +20,26 @@ from helpers.summaries import BAD, SHIFTED, changed, table
 from helpers.summaries import RAW as PLANTED_RAW
 
 from evaluation.estimates.keys import Source
-from evaluation.reporting.amounts import whole
-from evaluation.reporting.answers import answers, headline_of
+from evaluation.reporting.amounts import round_percent
+from evaluation.reporting.answers import answers
 from evaluation.reporting.headline import headline, headline_table
-from evaluation.reporting.rows import spoken
+from evaluation.reporting.table import plugin_label
 
 SHARE = re.compile(r"(\d+|<1) %(?: ±(\d+|<1))?")
 LIMITS = {"50"}
 """Shares of the question itself, in %."""
 
 
-def held(run):
-    """All shares of a run with half of their intervals, as they are written."""
-    both = pd.concat([run.summary, run.levels])
-    ends = 100.0 * both[["value", "ci_low", "ci_high"]].to_numpy(dtype=float)
-    values = {whole(value) for value, _, _ in ends}
-    upper = {whole(high) for _, _, high in ends}
-    pairs = {(whole(value), whole(0.5 * (high - low))) for value, low, high in ends}
+def written_shares(run):
+    """All shares of a run with half of their intervals, as texts show them."""
+    rows = pd.concat([run.summary, run.levels])
+    ends = 100.0 * rows[["value", "ci_low", "ci_high"]].to_numpy(dtype=float)
+    values = {round_percent(value) for value, _, _ in ends}
+    upper = {round_percent(high) for _, _, high in ends}
+    pairs = {
+        (round_percent(value), round_percent(0.5 * (high - low)))
+        for value, low, high in ends
+    }
     return pairs | {(value, "") for value in values | upper}
 
 
@@ -58,27 +61,37 @@ RUNS = {
 
 
 @cache
-def run_of(name):
-    """A made-up run; nobody writes into it."""
+def made_up_run(name):
+    """A made-up run, shared by tests that do not change it."""
     return RUNS[name]()
 
 
 @pytest.mark.parametrize("name", RUNS)
 def test_every_number_of_an_answer_is_in_the_tables(name):
-    run = run_of(name)
-    said = answers(run)
-    assert len(said) == 5
-    assert all(one.sentence.endswith(".") and "nan" not in one.sentence for one in said)
-    shares = {pair for answer in said for pair in SHARE.findall(answer.sentence)}
-    assert {pair for pair in shares if pair[0] not in LIMITS} <= held(run)
+    run = made_up_run(name)
+    five_answers = answers(run)
+    assert len(five_answers) == 5
+    for answer in five_answers:
+        assert answer.sentence.endswith(".")
+        assert "nan" not in answer.sentence
+    shares = {
+        pair for answer in five_answers for pair in SHARE.findall(answer.sentence)
+    }
+    assert {pair for pair in shares if pair[0] not in LIMITS} <= written_shares(run)
     assert shares or name == "nothing"
-    (percent,) = re.findall(r"by at least (\d+) points", said[3].sentence) or [None]
+    (percent,) = re.findall(r"by at least (\d+) points", five_answers[3].sentence) or [
+        None
+    ]
     items = run.verdict.get("items", ())
     spreads = {
         f"{100 * i['spread_low']:.0f}" for i in items if i["section"] == "validity"
     }
     assert percent in (spreads or {None})
-    untested = [one.topic for one in said if one.sentence.startswith("Not tested")]
+    untested = [
+        answer.topic
+        for answer in five_answers
+        if answer.sentence.startswith("Not tested")
+    ]
     expected = {
         "no predictor": ["Robot", "Links"],
         "no attack": ["Links"],
@@ -92,7 +105,7 @@ def test_every_number_of_an_answer_is_in_the_tables(name):
 
 @pytest.mark.parametrize("name", RUNS)
 def test_without_the_level_an_answer_has_the_same_numbers(name):
-    run = run_of(name)
+    run = made_up_run(name)
     named, short = answers(run), answers(run, names_level=False)
     for long, brief in zip(named, short, strict=True):
         assert SHARE.findall(long.sentence) == SHARE.findall(brief.sentence)
@@ -105,7 +118,7 @@ LINKABLE = "say how linkable people are"
 
 
 @pytest.mark.parametrize(
-    ("decision", "evidence", "low", "said"),
+    ("decision", "evidence", "low", "expected"),
     [
         (
             "does not track",
@@ -141,7 +154,7 @@ LINKABLE = "say how linkable people are"
     ],
 )
 def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(
-    decision, evidence, low, said
+    decision, evidence, low, expected
 ):
     item = (
         ITEM | SPREAD | {"decision": decision, "evidence": evidence, "spread_low": low}
@@ -154,7 +167,7 @@ def test_the_fourth_answer_says_what_was_decided_and_how_wide_it_is(
         "why": "x",
     }
     answer = answers(make_run(verdict={"items": [item, other]}))[3]
-    assert said in answer.sentence
+    assert expected in answer.sentence
     details = " ".join(answer.details)
     assert ("as far as these attacks go" in details) == ("attacks" in evidence)
     assert "on all 2 items" in details
@@ -192,24 +205,15 @@ def test_where_the_adding_rules_disagree_the_first_three_say_so():
     )
 
 
-def test_what_attacks_find_is_held_against_the_optimum_where_that_is_known():
-    shown = {"rank1": 0.47, "rank1_gap": 0.04, "rank1_optimum": 0.51}
+def test_attacks_are_compared_with_the_optimum_where_that_is_known():
     rows = [
-        {
-            "consumer": (
-                "rerelease/" + ("bound" if name == "rank1_optimum" else "shape")
-            ),
-            "value": value,
-        }
-        | {
-            "knowledge": "" if name == "rank1_optimum" else "blind",
-            "metric": name,
-            "unit": "fraction",
-        }
-        for name, value in shown.items()
+        ("rank1", "rerelease/shape", "blind", 0.47),
+        ("rank1_gap", "rerelease/shape", "blind", 0.04),
+        ("rank1_optimum", "rerelease/bound", "", 0.51),
     ]
-    world = pd.DataFrame(rows).assign(
-        dataset="students03:model,law=isotropic", mechanism="fid"
+    world = pd.DataFrame(rows, columns=["metric", "consumer", "knowledge", "value"])
+    world = world.assign(
+        unit="fraction", dataset="students03:model,law=isotropic", mechanism="fid"
     )
     world = world.assign(
         level=1.0, ci_low=0.0, ci_high=0.6, n=84, family="fid", adding="linear"
@@ -230,89 +234,87 @@ def test_a_run_without_errors_is_answered_with_what_it_has():
     assert answers(run)[0].sentence.startswith(start)
 
 
-def proposed(*levels):
-    """The last answer of a run with planted levels."""
+def share_sentence(*levels):
+    """The last answer of a run with these levels."""
     planted = table((PLANTED_RAW, *levels))
     named = planted["dataset"].str.replace("walks", "students03")
     return answers(make_run(levels=planted.assign(dataset=named)))[4].sentence
 
 
-def test_of_a_dozen_people_without_intervals_nothing_is_proposed():
-    said = proposed(changed(half=np.nan))
-    assert said.startswith(
+def test_nothing_is_proposed_for_a_dozen_people_without_intervals():
+    sentence = share_sentence(changed(half=np.nan))
+    assert sentence.startswith(
         "The run cannot say: there are too few people: a decision takes 20."
     )
-    assert said.endswith("All other limits hold with slow noise of 0.4 m.")
+    assert sentence.endswith("All other limits hold with slow noise of 0.4 m.")
 
 
 def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
-    said = proposed(changed(beyond={"anchor": 0.92}))
-    assert said.startswith(
+    sentence = share_sentence(changed(beyond={"anchor": 0.92}))
+    assert sentence.startswith(
         "Slow noise of 0.4 m is the cheapest level with at most 50 % of pos"
     )
     cost = "Held to the false alarms of raw positions, a Kalman robot misses 20 % ±2"
-    assert f"{cost} (raw: 5 %)." in said
-    assert said.endswith("An adversary with one true position (knows 92 %) breaks it.")
-
-
-def test_if_none_holds_the_nearest_is_told_and_a_control_never():
-    said = proposed(BAD, SHIFTED)
-    nearest = (
-        "The nearest is fixed noise of 1 m (independent): an attack knows up to 82 %"
-        " of pos"
+    assert f"{cost} (raw: 5 %)." in sentence
+    assert sentence.endswith(
+        "An adversary with one true position (knows 92 %) breaks it."
     )
-    assert said.startswith(f"No level keeps within the limits. {nearest}")
-    assert "shift" not in said
+
+
+def test_without_a_level_within_the_limits_the_nearest_is_named_but_never_a_control():
+    sentence = share_sentence(BAD, SHIFTED)
+    limits = "50 % of positions known and 50 % of the raw re-identification"
+    nearest = "the nearest is fixed noise of 1 m (independent)"
+    assert sentence.startswith(f"No level has at most {limits}; {nearest}. An attack")
+    assert "shift" not in sentence
     expected = "Not answerable: the run has no level that claims to protect."
-    assert proposed(SHIFTED) == expected
+    assert share_sentence(SHIFTED) == expected
 
 
 def test_a_robot_that_knows_the_mechanism_is_in_the_first_answer_beside_the_others():
     robots = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
     run = make_run(summary=make_summary(predictors=robots))
     first = answers(run)[0]
-    told = " ".join([first.sentence, *first.details])
-    assert "a kalman robot misses" in told.lower()
-    assert "A Kalman robot that knows the noise misses" in told
-    heads = [column.name for column in headline_table(headline_of(run)).columns]
+    text = " ".join([first.sentence, *first.details])
+    assert "a kalman robot misses" in text.lower()
+    assert "A Kalman robot that knows the noise misses" in text
+    heads = [column.name for column in headline_table(run.headline).columns]
     missed = ["missed conflicts, paper's line", "missed conflicts, Kalman"]
     assert [head for head in heads if head.startswith("missed")] == missed
 
 
 def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
-    of = headline_of(
-        make_run(summary=make_summary(predictors=("my_robot.it:MyRobot",)))
-    )
-    assert of.robots[0].name == "MyRobot"
+    table = make_run(summary=make_summary(predictors=("my_robot.it:MyRobot",))).headline
+    assert table.robots[0].name == "MyRobot"
     names = ("my_noise.mine:MyNoise", "fixed", "kalman_cv:aware=true")
-    assert [spoken(one) for one in names] == ["MyNoise", *names[1:]]
+    assert [plugin_label(name) for name in names] == ["MyNoise", *names[1:]]
 
 
-def test_who_comes_back_in_another_session_is_in_the_table_and_the_third_answer():
+def test_linkage_across_sessions_is_in_the_table_and_the_third_answer():
     tasks = ("handover-1s", "handover-5s", "rerelease", "cross_session")
     linked = make_linkability(tasks={task: {"shape": 0.4} for task in tasks})
     best = STRONGEST | dict.fromkeys(tasks, Source("shape", "informed"))
     run = with_links(make_run(linkability=linked, strongest=best))
     assert "In another session, the strongest" in " ".join(answers(run)[2].details)
-    heads = [column.name for column in headline_table(headline_of(run)).columns]
+    heads = [column.name for column in headline_table(run.headline).columns]
     assert [head for head in heads if head.startswith("re-identified")] == [
         f"re-identified, {head}" for head in ("after 5 s", "session 2", "two logs")
     ]
 
 
-def test_what_leaks_is_told_under_both_error_laws_and_tabled():
+def test_the_second_answer_and_the_table_have_both_error_laws():
     run = make_run()
     other = run.summary.assign(dataset="students03:law=isotropic")
     is_attack = other["consumer"] == STRONGEST[""].consumer
     other = other[is_attack].assign(value=0.123, ci_low=0.11, ci_high=0.14)
-    both = make_run(summary=pd.concat([run.summary, other]))
-    told = " ".join(answers(both)[1].details)
-    assert "The run assumes the error law of the paper" in told
-    assert "With isotropic errors the attack knows 12 % ±2." in told
-    heads = [column.name for column in headline_table(headline_of(both)).columns]
-    own = [column.name for column in headline_table(headline_of(run)).columns]
+    both_laws = make_run(summary=pd.concat([run.summary, other]))
+    text = " ".join(answers(both_laws)[1].details)
+    assert "The run assumes the error law of the paper" in text
+    assert "With isotropic errors the attack knows 12 % ±2." in text
+    heads = [column.name for column in headline_table(both_laws.headline).columns]
+    own = [column.name for column in headline_table(run.headline).columns]
     assert set(heads) - set(own) == {"known to 0.3 m, attacked, isotropic error"}
-    assert answers(run)[0] == answers(both)[0]
+    assert answers(run)[0] == answers(both_laws)[0]
 
 
 @pytest.mark.parametrize("n", [55, 12])
@@ -325,25 +327,20 @@ def test_the_worst_off_tenth_stands_beside_the_mean_or_says_why_it_does_not(n):
     worst = worst.assign(
         metric="plr_worst_tenth", n=n, **(numbers if n > 20 else refused)
     )
-    both = make_run(summary=pd.concat([run.summary, worst]))
-    details, table = (
-        " ".join(answers(both)[1].details),
-        headline_table(headline_of(both)),
-    )
+    with_tenth = make_run(summary=pd.concat([run.summary, worst]))
+    details = " ".join(answers(with_tenth)[1].details)
+    table = headline_table(with_tenth.headline)
     heads = [column.name for column in table.columns]
-    is_told = "Of the most exposed tenth of people it knows 88 % ±6." in details
-    assert (
-        is_told
-        == (n > 20)
-        == ("known to 0.3 m, attacked, worst tenth of people" in heads)
-    )
+    sentence = "Of the most exposed tenth of people it knows 88 % ±6."
+    assert (sentence in details) == (n > 20)
+    assert ("known to 0.3 m, attacked, worst tenth of people" in heads) == (n > 20)
     (note,) = table.notes
     expected = "the most exposed tenth of 55 people" if n > 20 else "it takes 20 people"
     assert expected in note
     assert "at least 8 releases" in note
 
 
-def test_the_worst_tenth_under_slow_noise_is_that_of_the_attack_that_is_strongest_there():
+def test_the_worst_tenth_under_slow_noise_is_by_the_attack_that_is_strongest_there():
     rows = [
         ("raw", np.nan, "raw", "radial_rts", "plr", 0.9),
         ("ou", 0.4, "ou", "radial_rts", "plr", 0.2),

@@ -1,4 +1,4 @@
-"""What comes first of a run: few lines, none too wide, with all that may be doubted."""
+"""The first screen of a run: few lines, none too wide, with every doubt."""
 
 import re
 from dataclasses import replace
@@ -18,8 +18,7 @@ from helpers.finished_runs import (
 )
 from helpers.summaries import BAD, GOOD, RAW, table
 
-from evaluation.reporting.announcements import condensed
-from evaluation.reporting.answers import headline_of
+from evaluation.reporting.announcements import condense_notices
 from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
 from evaluation.reporting.notices import data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
@@ -41,15 +40,15 @@ RUNS = {
 
 
 @cache
-def run_of(name):
-    """A made-up run; nobody writes into it."""
+def made_up_run(name):
+    """A made-up run, shared by tests that do not change it."""
     return RUNS[name]()
 
 
 @pytest.mark.parametrize("before", [0, 3, 11])
 @pytest.mark.parametrize("name", RUNS)
 def test_it_fits_a_terminal_whatever_was_said_before(name, before):
-    lines = first_screen(run_of(name), before=before)
+    lines = first_screen(made_up_run(name), before=before)
     assert len(lines) <= LINES == 24
     assert max(map(len, lines)) <= 80
     assert not any("?" in line or "nan" in line for line in lines)
@@ -119,14 +118,14 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     text = " ".join(" ".join(first_screen(run)).split())
     assert text.startswith("Simulated crowd students03: 428 people, 106 long enough")
     assert "Doubts: 1 cell FAILED (it broke)" in text
-    assert re.search(r"Doubts: .* \d more: tables.txt\.", text)
-    told = doubts(run, headline_of(run))
-    assert told[1:4] == [
-        "1 sign that an attack is too weak",
+    assert re.search(r"Doubts: .* \d more in tables.txt\.", text)
+    texts = doubts(run, run.headline)
+    assert texts[1:4] == [
+        "1 sign that an attack is too weak (leaks may be larger)",
         "6 of 96 linkage results invalid (track length)",
         "not linked: split",
     ]
-    assert told[-2:] == ["7 tracks nearly frozen", "1 notice"]
+    assert texts[-2:] == ["7 tracks nearly frozen", "1 notice"]
     assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen."]
 
 
@@ -151,9 +150,7 @@ def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
     }
     bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
     run.manifest["dataset"]["repairs"] = [doubt, bent]
-    assert "units of the recording may be wrong" in " ".join(
-        doubts(run, headline_of(run))
-    )
+    assert "units of the recording may be wrong" in " ".join(doubts(run, run.headline))
     first, second = data_notices(run.manifest["dataset"])
     assert first == doubt["detail"]
     assert "1,234 pieces of walks made straight where a spline overshoots" in second
@@ -207,35 +204,34 @@ def test_numbers_without_an_interval_say_why():
 
 
 def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
-    asked = first_screen(make_run(tmp_path / "run"))
-    assert any("evaluation.design --max-missed 0.20" in line for line in asked)
-    one_rule = make_run(tmp_path / "run", at=levels(rules=("",), others=()))
-    *_, first, second = first_screen(one_rule)
+    lines = first_screen(make_run(tmp_path / "run"))
+    assert any("evaluation.design --max-missed 0.20" in line for line in lines)
+    single_rule = make_run(tmp_path / "run", at=levels(rules=("",), others=()))
+    *_, first, second = first_screen(single_rule)
     assert first.endswith(" --max-missed 0.20 \\")
     assert second.startswith("  --adding linear ")
-    assert not any("--adding" in line for line in asked)
-    alone = first_screen(
+    assert not any("--adding" in line for line in lines)
+    no_robot = first_screen(
         make_run(tmp_path / "run", summary=make_summary(predictors=()))
     )
-    assert "evaluation.report --verbose" in alone[-2] + alone[-1]
+    assert "evaluation.report --verbose" in no_robot[-2] + no_robot[-1]
 
 
 def test_notices_are_cut_where_they_can_be_read_in_full():
     notices = ["a " * 100, "b"]
-    assert len(condensed(notices, most=None, where="x")) == 4
-    found = condensed(notices, most=3, where="tables.txt")
-    assert len(found) == 3
-    assert found[-1] == "  ... 2 notices in full: tables.txt"
-    assert condensed(["b"], most=2, where="x") == ["b"]
+    assert len(condense_notices(notices, most=None, where="x")) == 4
+    lines = condense_notices(notices, most=3, where="tables.txt")
+    assert len(lines) == 3
+    assert lines[-1] == "  ... 2 notices in full: tables.txt"
+    assert condense_notices(["b"], most=2, where="x") == ["b"]
 
 
 def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
     at = iter([0.0, 1.0, 30.0, 31.0, 40.0, 4130.0])
     clock = Clock(now=lambda: next(at))
     assert clock.text(0, 1000) == "0:01"
-    assert (
-        clock.text(10, 1000) == "0:30"
-    )  # 29 s of compiling tell nothing of the others
+    # 29 s of compiling tell nothing about the other cells.
+    assert clock.text(10, 1000) == "0:30"
     assert clock.text(20, 1000) == "0:31"
     # 100 cells in 10 s: 89 s for 890; then an eighth of 129 s for the report.
     assert clock.text(110, 1000) == "0:40, about 1:44 left"
@@ -243,14 +239,14 @@ def test_the_time_left_goes_by_what_was_finished_after_the_first_cell():
 
 
 @pytest.mark.parametrize(
-    ("distance_m", "at_cap", "said"),
+    ("distance_m", "at_cap", "expected"),
     [
         (30.0, 0.13, ""),
         (53.2, 0.1, "(usual: 20 to 40 m)."),
         (30.0, 0.48, "; 48 % have the larg"),
     ],
 )
-def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
+def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, expected):
     known = {
         "distance_m": distance_m,
         "sigma_raw_m": 1.92,
@@ -260,21 +256,21 @@ def test_an_unusual_geometry_is_on_the_first_screen(distance_m, at_cap, said):
     run = make_run()
     run = replace(run, manifest=run.manifest | {"geometry": known})
     shown = " ".join(" ".join(first_screen(run)).split())
-    assert ("Geometry: people are" in shown) == bool(said)
-    assert said in shown
+    assert ("Geometry: people are" in shown) == bool(expected)
+    assert expected in shown
     assert geometry(run.manifest)
     assert geometry(make_run().manifest) == []
 
 
 @pytest.mark.parametrize(
-    ("place", "distance_m", "is_told"),
+    ("place", "distance_m", "has_way_out"),
     [("file", 5.3e6, True), ("file", 30.0, False), ("centred", 53.0, False)],
 )
-def test_a_station_far_from_a_file_says_the_way_out(place, distance_m, is_told):
+def test_a_station_far_from_a_file_says_the_way_out(place, distance_m, has_way_out):
     known = {"distance_m": distance_m, "sigma_raw_m": 2.0, "at_cap": 1.0, "tracks": 9}
     manifest = make_run().manifest | {"geometry": known}
     stages = manifest["settings"]["stages"] | {"sensing.place": place}
     manifest["settings"] = manifest["settings"] | {"stages": stages}
     (line,) = geometry(manifest)
     way_out = "--set sensing.bs_x_m and bs_y_m move the station; sensing.place=centred"
-    assert (way_out in line) == is_told
+    assert (way_out in line) == has_way_out

@@ -24,7 +24,7 @@ MECHANISMS = ["raw", "fid:1", "fixed:0.7", "fixed:1", "fid:1,adding=independent"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A small run, what it said, and the same read again."""
+    """A small run, its printed text, and the same run read again."""
     folder = tmp_path_factory.mktemp("notebook")
     said = io.StringIO()
     with redirect_stderr(said):
@@ -50,11 +50,11 @@ def test_a_run_takes_options_over_settings_and_says_what_it_is_about(made):
     assert manifest["identity"]["privacy.epsilon_m"] == 0.4
     assert manifest["settings"]["tasks"] == ["rerelease"]
     assert made.said.startswith("walks: 30 of 30 tracks used, 20 scenes;")
-    assert "100 % after" in made.said
+    assert "all cells after" in made.said
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         ({"mechanisms": "raw"}, "write mechanisms=['raw']"),
         ({"predictors": "none"}, "write predictors=["),
@@ -71,8 +71,8 @@ def test_a_run_takes_options_over_settings_and_says_what_it_is_about(made):
         ({"ready": object(), "scenes": 40}, "leave out all others"),
     ],
 )
-def test_what_python_lets_one_write_is_refused_as_on_the_command_line(options, told):
-    with pytest.raises(SettingsError, match=re.escape(told)):
+def test_wrong_options_are_refused_as_on_the_command_line(options, message):
+    with pytest.raises(SettingsError, match=re.escape(message)):
         evaluation.run(**options)
 
 
@@ -80,9 +80,10 @@ def test_a_run_is_read_as_it_was_returned(made):
     for name in FRAMES:
         frame, read = getattr(made.run, name), getattr(made.loaded, name)
         frame = frame.reset_index(drop=True).convert_dtypes()
-        if name == "linkability":  # of a cohort nothing is said: empty in a file
+        if name == "linkability":  # A cohort has no outcome: it is empty in a file.
             frame["outcome"] = frame["outcome"].fillna("")
-        frame, read = (one.dropna(axis="columns", how="all") for one in (frame, read))
+        frame = frame.dropna(axis="columns", how="all")
+        read = read.dropna(axis="columns", how="all")
         pd.testing.assert_frame_equal(
             read.convert_dtypes(), frame, check_dtype=bool(len(frame))
         )
@@ -104,7 +105,7 @@ def test_reading_writes_nothing_and_imports_nothing_slow(made):
 
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(
-    ("spoil", "told"),
+    ("spoil", "message"),
     [
         (lambda out: (out / "manifest.json").unlink(), "holds no run"),
         (
@@ -115,12 +116,12 @@ def test_reading_writes_nothing_and_imports_nothing_slow(made):
         (lambda out: (out / "verdict.json").write_text("{"), "cannot be read"),
     ],
 )
-def test_a_table_that_is_not_there_has_a_way_out(made, tmp_path, spoil, told):
+def test_a_missing_table_has_a_way_out(made, tmp_path, spoil, message):
     out = shutil.copytree(made.run.out, tmp_path / "run")
     spoil(out)
-    with pytest.raises(DataError, match=re.escape(told)):
+    with pytest.raises(DataError, match=re.escape(message)):
         evaluation.load(out)
-    if told != "holds no run":
+    if message != "holds no run":
         rebuild(out)
         assert evaluation.load(out).verdict == made.run.verdict
 
@@ -195,7 +196,7 @@ def test_the_strongest_attack_is_the_verdicts(made):
 
 
 @pytest.mark.parametrize(
-    ("asked", "told"),
+    ("asked", "message"),
     [
         ({"metric": "plrr"}, "did you mean 'plr'?"),
         ({"metric": "plr", "after": "dtw"}, "it has that of shared, identity"),
@@ -206,8 +207,10 @@ def test_the_strongest_attack_is_the_verdicts(made):
         ),
     ],
 )
-def test_a_frame_of_what_is_not_there_says_what_is(made, asked, told):
-    with pytest.raises(SettingsError, match=re.escape(told)):
+def test_a_frame_that_the_run_lacks_is_refused_with_those_that_it_has(
+    made, asked, message
+):
+    with pytest.raises(SettingsError, match=re.escape(message)):
         made.loaded.frame(**asked)
 
 
@@ -221,28 +224,25 @@ def test_a_plot_has_units_and_a_line_with_intervals_for_each_family_and_rule(mad
     line, _, bars = axes.containers[names.index("fixed linear")]
     frames = [made.loaded.frame("missed"), made.loaded.frame("plr", after="strongest")]
     points = [
-        100 * one.query("family == 'fixed'")["value"].to_numpy() for one in frames
+        100 * frame.query("family == 'fixed'")["value"].to_numpy() for frame in frames
     ]
     assert np.array(line.get_data()) == pytest.approx(np.array(points))
     assert len(bars) == 2
     marks = [bar[0] for bar in axes.containers]
-    assert [
-        (one.get_marker(), one.get_markerfacecolor() == "none") for one in marks
-    ] == [("*", False), ("o", False), ("s", False), ("o", True)]
+    shapes = [mark.get_marker() for mark in marks]
+    are_hollow = [mark.get_markerfacecolor() == "none" for mark in marks]
+    assert shapes == ["*", "o", "s", "o"]
+    assert are_hollow == [False, False, False, True]
     again = made.loaded.plot(x="level", y="rank1", ax=axes)
     assert again is axes
     assert axes.get_xscale() == "log"
-    assert [one.get_alpha() for one in axes.patches] == [
-        0.1,
-        0.1,
-    ]  # intervals of raw, and clean
+    # The intervals of raw, and of clean.
+    assert [patch.get_alpha() for patch in axes.patches] == [0.1, 0.1]
     assert "d_sigma in m" in axes.get_xlabel()
     plt.close(axes.figure)
 
 
-def test_in_a_line_it_says_how_many_scenes_are_attacked_and_how_many_are_the_robots(
-    made,
-):
+def test_its_line_says_how_many_scenes_are_attacked_and_how_many_the_robots_have(made):
     identity = made.run.manifest["identity"] | {"scenes": 500, "scenes_utility": 2000}
     run = replace(made.run, manifest=made.run.manifest | {"identity": identity})
     assert "2,000 scenes, 500 of them attacked, seed 0" in repr(run)

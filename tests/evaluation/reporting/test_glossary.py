@@ -1,4 +1,4 @@
-"""The glossary: every name that a run can show has a sentence, and the page has hover text."""
+"""The glossary: a sentence for every name that a run can show, and hover text."""
 
 import re
 from pathlib import Path
@@ -99,12 +99,12 @@ def test_hover_text_marks_each_name_once_and_escapes_the_rest():
     assert "<b>" not in html
     tags = Tags(html)
     assert "".join(tags.text) == "PLR <b> of PLR after kalman_rts"
-    titles = [attributes["title"] for attributes in tags.of("abbr")]
+    titles = [attributes["title"] for attributes in tags.attributes("abbr")]
     assert titles == [DEFINITIONS["PLR"], DEFINITIONS["kalman_rts"]]
 
 
 def test_the_page_of_the_docs_is_that_of_the_code():
-    assert (ROOT / "docs" / "glossary.md").read_text(
+    assert (ROOT / "docs" / "reference" / "glossary.md").read_text(
         encoding="utf-8"
     ) == glossary_page()
 
@@ -119,7 +119,7 @@ def made():
     return run, render(run)
 
 
-def test_what_it_shows_of_a_run_is_in_its_glossary(made):
+def test_every_name_of_a_run_is_in_the_glossary_of_its_page(made):
     run, text = made
     section = text[
         text.index('<section id="words">') : text.index('<section id="again">')
@@ -146,8 +146,8 @@ def test_cells_and_keys_have_hover_text(made):
     assert f'title="{DEFINITIONS["fid"].replace(chr(39), "&#39;")}"' in text
     tags = Tags(text)
     assert {DEFINITIONS["raw"], DEFINITIONS["fid"]} <= {
-        attributes["title"] for attributes in tags.of("abbr")
+        attributes["title"] for attributes in tags.attributes("abbr")
     }
     assert DEFINITIONS["linear"] in {
-        attributes.get("title") for attributes in tags.of("td")
+        attributes.get("title") for attributes in tags.attributes("td")
     }

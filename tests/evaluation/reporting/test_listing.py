@@ -1,23 +1,29 @@
-"""`--list`: what everything that can be named is, a line each."""
+"""`--list`: a line for everything that can be named."""
 
 import pytest
 
 from attacks.tasks.task_list import TASKS
-from evaluation.reporting.listing import SETTINGS, WIDTH, listing, shortened, source_of
+from evaluation.reporting.listing import (
+    SETTINGS,
+    WIDTH,
+    listing,
+    read_class_summary,
+    shorten_text,
+)
 from isac_track import plugins
 from isac_track.config import StageSettings
 
 
 @pytest.fixture(scope="module")
 def sections():
-    found, title = {}, ""
+    lines_by_title, title = {}, ""
     for line in listing():
         if line.endswith(":") and not line.startswith(" "):
             title = line.removesuffix(":")
-            found[title] = []
+            lines_by_title[title] = []
         elif line:
-            found[title].append(line.strip())
-    return found
+            lines_by_title[title].append(line.strip())
+    return lines_by_title
 
 
 def test_no_line_is_too_wide(sections):
@@ -37,13 +43,13 @@ def test_every_plugin_is_a_line_that_says_what_it_is(kind, sections):
 
 def test_a_mechanism_has_its_level_and_the_unit(sections):
     lines = " ".join(sections["mechanisms"])
-    for said in (
+    for expected in (
         "fid:ETA (1/(m^2 s))",
         "fixed:D_SIGMA (m)",
         "ou:STD_M (m)",
         "thin:EVERY (samples)",
     ):
-        assert said in lines
+        assert expected in lines
 
 
 def test_every_setting_has_its_value_unit_and_words(sections):
@@ -70,11 +76,11 @@ def test_a_source_is_read_and_not_run(tmp_path, monkeypatch):
     )
     (tmp_path / "mine_unrun.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    found = source_of("mine_unrun:Mine")
-    assert (found.about, found.parameter) == ("Hide.", "std_m")
-    assert source_of("mine_unrun:Other").about == ""
-    assert source_of("no_such_module:Mine").about == ""
-    assert source_of("no_such.module:Mine").about == ""
+    summary = read_class_summary("mine_unrun:Mine")
+    assert (summary.about, summary.parameter) == ("Hide.", "std_m")
+    assert read_class_summary("mine_unrun:Other").about == ""
+    assert read_class_summary("no_such_module:Mine").about == ""
+    assert read_class_summary("no_such.module:Mine").about == ""
 
 
 @pytest.mark.parametrize(
@@ -86,4 +92,4 @@ def test_a_source_is_read_and_not_run(tmp_path, monkeypatch):
     ],
 )
 def test_a_text_is_cut_at_a_clause_or_a_word(text, room, short):
-    assert shortened(text, room=room) == short
+    assert shorten_text(text, room=room) == short

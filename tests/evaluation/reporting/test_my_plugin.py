@@ -1,4 +1,4 @@
-"""What a run says of a user's own plug-ins, in words."""
+"""Sentences about a user's own plug-ins."""
 
 from dataclasses import replace
 
@@ -75,17 +75,17 @@ def test_each_kind_is_compared_in_its_own_metric(usual):
     attack, linker, predictor = plugin_lines(
         with_plugins(usual, ATTACK, LINKER, PREDICTOR)
     )
-    said = "Yours: my_attack rebuilds 65 % of positions to epsilon, strongest built-in"
-    assert attack == f"{said} ({smoother}) {gap}."
-    said = (
+    text = "Yours: my_attack rebuilds 65 % of positions to epsilon, strongest built-in"
+    assert attack == f"{text} ({smoother}) {gap}."
+    text = (
         "Yours: my_attack re-identifies 65 % after 1 s of silence, strongest built-in"
     )
-    assert linker == f"{said} (kinematic) {gap}."
-    said = (
+    assert linker == f"{text} (kinematic) {gap}."
+    text = (
         "Yours: my_tracker misses 65 % of future conflicts within 3 s, strongest"
         " built-in"
     )
-    assert predictor == f"{said} (Kalman) {gap}; {alarms}."
+    assert predictor == f"{text} (Kalman) {gap}; {alarms}."
 
 
 @pytest.mark.parametrize(
@@ -103,19 +103,19 @@ def test_folders_are_no_part_of_a_name(usual, spec, name):
 
 
 def test_a_mechanism_has_its_row(usual):
-    said = (
+    text = (
         "Yours: my_noise 0.2: a robot (Kalman) misses 20 % of future conflicts within"
         " 3 s; "
     )
-    said += "30 % of positions are known to epsilon as sent, 80 % after attack; "
-    said += "70 % are re-identified after 1 s of silence."
-    assert plugin_lines(with_plugins(usual, MECHANISM)) == [said]
-    nobody = MECHANISM | {
+    text += "30 % of positions are known to epsilon as sent, 80 % after attack; "
+    text += "70 % are re-identified after 1 s of silence."
+    assert plugin_lines(with_plugins(usual, MECHANISM)) == [text]
+    without_robot = MECHANISM | {
         "robot": "",
         "linked": interval(None),
         "attacked": interval(None),
     }
-    assert plugin_lines(with_plugins(usual, nobody)) == [
+    assert plugin_lines(with_plugins(usual, without_robot)) == [
         "Yours: my_noise 0.2: 30 % of positions are known to epsilon as sent."
     ]
 
@@ -133,18 +133,18 @@ def test_without_an_interval_it_says_so(usual):
 
 
 def test_alone_it_is_a_doubt(usual):
-    alone = ATTACK | {
+    without_rival = ATTACK | {
         "rival": "",
         "other": interval(None),
         "difference": interval(None),
     }
-    run = with_plugins(usual, alone)
-    said = "no built-in attack in this run to compare with: add +my_attack"
-    assert plugin_doubts(run) == [said]
+    run = with_plugins(usual, without_rival)
+    text = "no built-in attack in this run to compare with: add +my_attack"
+    assert plugin_doubts(run) == [text]
     rebuilds = "Yours: my_attack rebuilds 65 % of positions to epsilon"
     assert plugin_lines(run) == [f"{rebuilds}; no built-in attack to compare with."]
     screen = " ".join(line.strip() for line in first_screen(run))
-    assert f"Doubts: {said}" in screen
+    assert f"Doubts: {text}" in screen
 
 
 def test_the_first_screen_has_the_line(usual):

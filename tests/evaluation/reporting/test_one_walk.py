@@ -1,4 +1,4 @@
-"""The picture of the README: the walk that gets furthest, turned, its numbers counted."""
+"""The picture of the README: the longest walk, turned, with its numbers."""
 
 import xml.etree.ElementTree as ET
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.finished_runs import make_gallery, make_run
 
 from evaluation.reporting.docs_pages import FIGURES, GLOSSARY_PAGE, PICTURE, write_pages
-from evaluation.reporting.one_walk import PANEL, caption, longest_walk, one_walk
+from evaluation.reporting.one_walk import PANEL, caption, draw_walk, longest_walk
 
 
 @pytest.fixture
@@ -39,7 +39,7 @@ def test_it_says_how_much_leaks_and_draws_every_shared_position(gallery):
         " walk; "
         "after a radial Kalman smoother, 75 % are."
     )
-    root = ET.fromstring(one_walk(walk, level_name="FID noise, eta 1"))
+    root = ET.fromstring(draw_walk(walk, level_name="FID noise, eta 1"))
     assert text in "".join(root.itertext())
     paths = list(root.iter("{http://www.w3.org/2000/svg}path"))
     places = {

@@ -1,4 +1,4 @@
-"""The page: what it says, that it asks nothing of anybody, and that odd names do no harm."""
+"""The page: its text, no requests to other hosts, and no harm from odd names."""
 
 import copy
 import re
@@ -10,7 +10,7 @@ from helpers.pages import Tags
 
 from evaluation import matrix
 from evaluation.reporting import page
-from evaluation.reporting.announcements import command
+from evaluation.reporting.announcements import rerun_command
 from isac_track.errors import DataError
 
 PANELS = 3 + 3 + 3 + 2 + 2 + 2
@@ -29,11 +29,11 @@ class TestTheFile:
         assert {
             "name": "viewport",
             "content": "width=device-width, initial-scale=1",
-        } in tags.of("meta")
+        } in tags.attributes("meta")
         text = re.sub(r"<(script|style)>.*?</\1>|<[^>]*>", "", made, flags=re.DOTALL)
         assert "?" not in text.removeprefix("<!doctype html>")
         assert re.findall(r"<text[^>]*>missed conflicts \(%\)</text>", made)
-        for tag, attributes in tags.found:
+        for tag, attributes in tags.opened:
             for name in ("href", "src", "xlink:href", "action", "data", "srcset"):
                 assert attributes.get(name, "#").startswith(("#", "data:")), (
                     tag,
@@ -46,33 +46,36 @@ class TestTheFile:
 
     def test_every_id_is_there_once_and_every_reference_leads_somewhere(self, made):
         tags = Tags(made)
-        ids = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
+        ids = [attributes["id"] for _, attributes in tags.opened if "id" in attributes]
         assert len(ids) == len(set(ids))
         wanted = {
-            a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")
+            a["href"][1:] for _, a in tags.opened if a.get("href", "").startswith("#")
         }
         wanted |= set(re.findall(r"url\(#([^)]+)\)", made))
-        for _, attributes in tags.found:
+        for _, attributes in tags.opened:
             wanted |= set(attributes.get("aria-labelledby", "").split())
         assert wanted <= set(ids)
 
-    def test_figures_are_told_in_numbers_and_heads_of_tables_can_be_pressed(self, made):
+    def test_figures_have_titles_with_numbers_and_heads_of_tables_can_be_pressed(
+        self, made
+    ):
         tags = Tags(made)
-        svgs, heads = tags.of("svg"), tags.of("th")
+        svgs, heads = tags.attributes("svg"), tags.attributes("th")
         assert all(svg["viewbox"] for svg in svgs)
         named = [svg for svg in svgs if "role" in svg]
         assert len(named) == PANELS + 5 + 4 + 12
         assert all("aria-label" in svg for svg in named)
-        told = re.findall(r"<title>(.+? to .+?)</title>", made)
-        assert len(told) > PANELS
-        assert all(re.search(r"\d", words) for words in told)
+        titles = re.findall(r"<title>(.+? to .+?)</title>", made)
+        assert len(titles) > PANELS
+        assert all(re.search(r"\d", title) for title in titles)
         assert all(head["scope"] == "col" for head in heads)
-        assert (
-            sum(one.get("class") == "sort" for one in tags.of("button"))
-            == len(heads)
-            > 0
-        )
-        assert len(tags.of("caption")) == len(tags.of("table"))
+        sort_buttons = [
+            button
+            for button in tags.attributes("button")
+            if button.get("class") == "sort"
+        ]
+        assert len(sort_buttons) == len(heads) > 0
+        assert len(tags.attributes("caption")) == len(tags.attributes("table"))
 
     def test_a_folder_that_cannot_be_written_is_named(self, tmp_path):
         with pytest.raises(DataError, match="nowhere"):
@@ -80,7 +83,7 @@ class TestTheFile:
 
 
 class TestWhatItSays:
-    def test_the_questions_come_first_and_words_are_told_where_they_are_first_used(
+    def test_the_questions_come_first_and_words_are_spelled_out_where_first_used(
         self, made
     ):
         questions = [
@@ -107,13 +110,13 @@ class TestWhatItSays:
             ("MEL", "maximum exposure length"),
         ):
             assert text.index(long) < text.index(short), short
-        told = [
+        for text in (
             "▲ inflated",
             "· between",
             "split: too few [red]people[/red]",
             "18.7 [18.4, 19.1]",
-        ]
-        assert all(text in made for text in told)
+        ):
+            assert text in made
         contents = re.findall(r'<li><a href="#(\w+)">([^<]+)</a></li>', made)
         assert len(contents) == made.count("<section id=")
         for name, title in contents:
@@ -137,10 +140,10 @@ class TestWhatItSays:
             "</code><b>x",
         ]
         tags = Tags(page.render(run))
-        assert not tags.of("img")
-        assert not tags.of("b")
+        assert not tags.attributes("img")
+        assert not tags.attributes("b")
 
-    def test_a_simulated_crowd_is_called_one_first_and_weak_attacks_are_told(self):
+    def test_a_simulated_crowd_is_named_first_and_weak_attacks_are_listed(self):
         run = make_run(flags=make_flags())
         run.manifest["dataset"]["simulated"] = True
         text = page.render(run)
@@ -156,23 +159,24 @@ class TestWhatItSays:
 
 
 @pytest.mark.parametrize(
-    ("given", "stages", "told"),
+    ("given", "stages", "options"),
     [
         (["/somewhere/matrix.py", "--out", "a run"], {},
          "--out 'a run' --dataset students03 --seed 3"),
         (["/bin/isac-track", "matrix", "--seed=3", "--dataset", "walks.csv"], {},
          "--seed=3 --dataset walks.csv"),
-        # A run from Python names all that is not usual.
+        # The command of a run from Python names all that differs from the defaults.
         (["/lib/ipykernel_launcher.py", "-f", "x"], {"privacy.epsilon_m": 0.5},
-         ("--preset paper --dataset students03 --seed 3 --mechanism raw --mechanism fid:1 "
-          "--predictor least_squares --attack none --task rerelease --set privacy.epsilon_m=0.5")),
+         ("--preset paper --dataset students03 --seed 3 --mechanism raw"
+          " --mechanism fid:1 --predictor least_squares --attack none --task rerelease"
+          " --set privacy.epsilon_m=0.5")),
     ],
 )  # fmt: skip
-def test_the_command_is_the_one_given_with_data_set_and_seed(given, stages, told):
+def test_the_command_is_the_one_given_with_data_set_and_seed(given, stages, options):
     manifest = copy.deepcopy(MANIFEST)
     manifest["environment"]["command"] = given
     manifest["settings"]["stages"] |= stages
-    assert command(manifest) == f"python -m evaluation.matrix {told}"
+    assert rerun_command(manifest) == f"python -m evaluation.matrix {options}"
 
 
 def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
@@ -181,7 +185,7 @@ def test_the_command_of_a_run_from_python_has_its_identity_and_its_axes():
     manifest["dataset"] |= {"name": "walks", "path": "my walks.csv", "format": "obsmat"}
     manifest["identity"] |= {"scenes": 40, "scenes_utility": 40, "seed": 7, "fps": 12.5}
     manifest["settings"] |= {"preset": "smoke", "seed": 7, "tasks": []}
-    words = shlex.split(command(manifest))[3:]
+    words = shlex.split(rerun_command(manifest))[3:]
     settings = matrix.settings_from(matrix.parser().parse_args(words))
     assert (settings.preset, settings.seed) == ("smoke", 7)
     assert (settings.dataset, settings.format, settings.fps) == (
@@ -200,7 +204,7 @@ def test_the_command_of_a_run_from_python_adds_where_the_run_added():
         "attacks": ["+my_attack", "+savgol:0.4"],
         "tasks": [],
     }
-    words = shlex.split(command(manifest))[3:]
+    words = shlex.split(rerun_command(manifest))[3:]
     assert words[-6:] == [
         "--attack",
         "+my_attack",

@@ -22,10 +22,11 @@ BOXES = """
 () => [...document.querySelectorAll('svg[role]')].filter((svg) => svg.checkVisibility())
 .map((svg) => {
   const box = svg.getBoundingClientRect();
-  const type = svg.querySelector('text') ? getComputedStyle(svg.querySelector('text')) : null;
+  const text = svg.querySelector('text');
+  const type = text ? getComputedStyle(text) : null;
   const unit = box.width / svg.viewBox.baseVal.width;
-  return {name: svg.ariaLabel ?? svg.closest('figure').id, width: box.width, left: box.left,
-          right: box.right, is_chart: svg.classList.contains('chart'),
+  return {name: svg.ariaLabel ?? svg.closest('figure').id, width: box.width,
+          left: box.left, right: box.right, is_chart: svg.classList.contains('chart'),
           text_px: type ? unit * parseFloat(type.fontSize) : 0};
 })
 """
@@ -51,7 +52,7 @@ def browser():
 
 @pytest.fixture
 def opened(browser, page_path):
-    """How to open the page; at the end nothing may have gone wrong or been asked for."""
+    """How to open the page; errors and requests fail at the end."""
     contexts, trouble, requests = [], [], []
 
     def to_open(viewport=DESK, **options):
@@ -80,7 +81,7 @@ def test_the_page_fits_is_readable_and_the_answers_come_first(opened, viewport):
     height_px, n_elements = tab.evaluate(SIZES)
     assert n_elements < 15_000
     assert height_px < 6_000 or viewport is PHONE
-    tops = [one.bounding_box()["y"] for one in tab.locator(".card").all()]
+    tops = [card.bounding_box()["y"] for card in tab.locator(".card").all()]
     level = tab.locator("#level").bounding_box()["y"]
     assert len(tops) == 6
     assert max(tops) < level
@@ -136,9 +137,9 @@ def test_a_table_that_scrolls_says_so_and_no_head_is_empty(opened, viewport, exp
 def test_another_robot_has_another_plane_and_a_mark_says_what_it_is(opened):
     tab = opened()
     planes = [tab.locator(f"#plane-{n}") for n in (1, 2)]
-    assert [one.is_visible() for one in planes] == [True, False]
+    assert [plane.is_visible() for plane in planes] == [True, False]
     tab.get_by_label("Kalman", exact=True).check()
-    assert [one.is_visible() for one in planes] == [False, True]
+    assert [plane.is_visible() for plane in planes] == [False, True]
     marks, named = planes[1].locator(".mark[tabindex]"), tab.locator(".named")
     assert marks.count() > 10
     marks.nth(3).hover()

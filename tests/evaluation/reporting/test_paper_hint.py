@@ -1,4 +1,4 @@
-"""What a quick run says of the command that computes the whole sweep."""
+"""The hint of a quick run: the command of preset `paper`."""
 
 import pytest
 
@@ -9,7 +9,7 @@ from evaluation.reporting.paper_hint import paper_hint
 from evaluation.store.manifest import describe
 
 
-def manifest(*words, preset="quick", **more):
+def manifest(*words, preset="quick", **changes):
     return {
         "settings": {"preset": preset, "seed": 3},
         "dataset": {"name": "plaza"},
@@ -19,7 +19,7 @@ def manifest(*words, preset="quick", **more):
             "tasks": {"rerelease": {"candidates": {"half 1": 100, "half 2": 100}}}
         },
         "environment": {"command": ["matrix.py", *words]},
-        **more,
+        **changes,
     }
 
 
@@ -41,15 +41,18 @@ def test_the_command_is_that_of_the_run_with_the_other_preset(words, rest):
 
 def test_the_time_is_the_estimate_of_a_dry_run():
     ready = plan(Settings(preset="paper", dataset="plaza", jobs=2, fresh=True))
-    about = describe(ready) | {"identity": ready.identity}
-    about["environment"]["command"] = ["matrix.py", "--jobs", "2"]
-    about["settings"]["preset"] = "quick"
-    assert paper_hint(about).seconds == pytest.approx(expected_s(ready), rel=0.05)
+    described = describe(ready) | {"identity": ready.identity}
+    described["environment"]["command"] = ["matrix.py", "--jobs", "2"]
+    described["settings"]["preset"] = "quick"
+    assert paper_hint(described).seconds == pytest.approx(expected_s(ready), rel=0.05)
 
 
 def test_more_people_and_fewer_workers_take_longer():
-    usual, alone = paper_hint(manifest("--jobs", "2")), paper_hint(manifest("--jobs=1"))
-    assert alone.seconds > usual.seconds
+    usual, single = (
+        paper_hint(manifest("--jobs", "2")),
+        paper_hint(manifest("--jobs=1")),
+    )
+    assert single.seconds > usual.seconds
     unlinked = paper_hint(manifest("--jobs", "2", linkage={}))
     assert unlinked.seconds < usual.seconds
 

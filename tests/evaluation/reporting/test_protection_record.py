@@ -1,12 +1,12 @@
-"""The data-protection record: numbers are those of the run, risks those of the opinion."""
+"""The data-protection record: numbers of the run, risks of the opinion."""
 
 from dataclasses import replace
 
 import pandas as pd
 from helpers.finished_runs import emptied, make_run, with_links
 
-from evaluation.reporting.answers import headline_of, reference
-from evaluation.reporting.charts import share
+from evaluation.reporting.answers import reference_level
+from evaluation.reporting.charts import share_text
 from evaluation.reporting.protection_record import protection_record
 from isac_track.intervals import Estimate
 
@@ -22,34 +22,33 @@ TOPICS = [
 
 
 def entries(run, table=None):
-    found = protection_record(run, headline_of(run) if table is None else table)
-    assert [entry.topic for entry in found] == TOPICS
-    assert all(entry.sentences for entry in found)
-    return {entry.topic: " ".join(entry.sentences) for entry in found}
+    record = protection_record(run, run.headline if table is None else table)
+    assert [entry.topic for entry in record] == TOPICS
+    assert all(entry.sentences for entry in record)
+    return {entry.topic: " ".join(entry.sentences) for entry in record}
 
 
 def test_numbers_are_those_of_the_run_with_intervals():
     run = with_links(make_run())
-    table = headline_of(run)
-    text, where = entries(run), reference(table)
-    assert share(table.at(where, table.linked[0])) in text["Singling out"]
-    assert share(table.at(where, table.attacked)) in text["Inference"]
-    assert share(table.at(where, table.shared)) in text["Inference"]
+    table = run.headline
+    text, where = entries(run), reference_level(table)
+    assert share_text(table.at(where, table.linked[0])) in text["Singling out"]
+    assert share_text(table.at(where, table.attacked)) in text["Inference"]
+    assert share_text(table.at(where, table.shared)) in text["Inference"]
     assert f"{run.manifest['dataset']['tracks_used']:,} of" in text["What is processed"]
 
 
 def test_risks_are_quoted_and_none_else():
-    found = protection_record(
-        with_links(make_run()), headline_of(with_links(make_run()))
-    )
-    quoted = [entry.topic for entry in found if entry.quotation]
+    run = with_links(make_run())
+    record = protection_record(run, run.headline)
+    quoted = [entry.topic for entry in record if entry.quotation]
     assert quoted == ["Singling out", "Linkability", "Inference"]
 
 
 def test_only_an_interval_above_chance_shows_a_risk():
     run = with_links(make_run())
-    table = headline_of(run)
-    task, where = table.linked[0], reference(table)
+    table = run.headline
+    task, where = table.linked[0], reference_level(table)
     key = task.measure.at(*where)
     low = replace(table, numbers={**table.numbers, key: Estimate(0.02, 0.0, 0.3, n=9)})
     assert "is not ruled out" in entries(run)["Singling out"]

@@ -1,4 +1,4 @@
-"""Nothing that a setting changes is spelled out: a run with every setting changed is read."""
+"""No text spells out a setting: the texts of a run with all settings changed."""
 
 import re
 from contextlib import redirect_stdout
@@ -12,14 +12,14 @@ from helpers.small_runs import smoke
 from evaluation import design
 from evaluation.api import run
 from evaluation.reporting import page
-from evaluation.reporting.figures.figure import figures_of
+from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.first_screen import first_screen
 from isac_track.config import StageSettings
 
 DEFAULTS = StageSettings().flat()
 UNITS = {
-    "mps": "m/s", "m2": "m²", "m": "m", "s": "s", "hz": "Hz", "ghz": "GHz", "mhz": "MHz",
-    "db": "dB", "dbm": "dBm",
+    "mps": "m/s", "m2": "m²", "m": "m", "s": "s", "hz": "Hz", "ghz": "GHz",
+    "mhz": "MHz", "db": "dB", "dbm": "dBm",
 }  # fmt: skip
 COUNTED = {
     "scenes.agents": "agents|people in a scene|pedestrians",
@@ -30,7 +30,8 @@ COUNTED = {
     "linkage.most_people": "people",
 }
 """Nouns after the number of a setting without a unit."""
-OWN = {  # What cannot be half as large again, or takes more people than are there.
+# Settings that cannot be a quarter larger, or would need more people.
+OWN = {
     "linkage.candidates": 0,
     "linkage.handover_instants": 9000,
     "scenes.history_ratio": 0.8,
@@ -42,7 +43,7 @@ DERIVED = {"0.93 s": "the horizon", "50 % of it": "of two releases the same step
 
 
 def other(key):
-    """Another value of a setting than the usual one."""
+    """A value of a setting that is not the default."""
     stage, name = key.split(".")
     choices = get_args(type(getattr(StageSettings(), stage)).__annotations__[name])
     usual = DEFAULTS[key]
@@ -55,15 +56,14 @@ def other(key):
     return float(f"{1.25 * usual:.4g}") if isinstance(usual, float) else usual
 
 
-READ = [
-    key for key in DEFAULTS if not key.startswith("patrol.")
-]  # A run refuses the others.
+# The settings of a run; it refuses those of patrols.
+READ = [key for key in DEFAULTS if not key.startswith("patrol.")]
 CHANGED = {key: value for key in READ if (value := other(key)) != DEFAULTS[key]}
 
 
 @pytest.fixture(scope="module")
 def texts(tmp_path_factory):
-    """All that is said of a run in which every setting is another, by where it is said."""
+    """All texts about a run with all settings changed, by their place."""
     folder = tmp_path_factory.mktemp("words")
     settings = smoke(
         "plaza",
@@ -79,18 +79,25 @@ def texts(tmp_path_factory):
     results = replace(results, manifest=results.manifest | {"wall_time_s": 77.0})
     texts = {
         "first screen": "\n".join(first_screen(results)),
-        "page": page.render(results, figures=figures_of(results)),
+        "page": page.render(results, figures=make_figures(results)),
         "tables": (results.out / "tables.txt").read_text("utf-8"),
         "verdict": (results.out / "verdict.json").read_text("utf-8"),
     }
-    for name, more in (("design", ()), ("design as shared", ("--as-shared",))):
-        asked = ("--max-missed", "0.9", "--max-plr", "0.5", "--adding", "linear", *more)
+    for name, options in (("design", ()), ("design as shared", ("--as-shared",))):
+        asked = (
+            "--max-missed",
+            "0.9",
+            "--max-plr",
+            "0.5",
+            "--adding",
+            "linear",
+            *options,
+        )
         with redirect_stdout(StringIO()) as sink:
             design.main([*asked, str(results.out)])
         texts[name] = sink.getvalue()
-    # How long the lines below a walk are, the gap in a task's name, and the horizon
-    # that a question to the run is about (and the option that adds it), no setting
-    # says.
+    # No setting gives the length of a scale bar, the gap in a task's name, or the
+    # horizon of a question to the run (and the option that adds it).
     texts["page"] = re.sub(r'<svg class="track".*?</svg>', "", texts["page"])
     not_settings = (
         r"(?i)(after|across|of)\s[125]\ss\b|within\s3\ss\b"
@@ -132,7 +139,7 @@ def test_epsilon_is_that_of_the_run_wherever_it_is_named(texts):
     assert f"to {epsilon}" in texts["design"].replace("\n", " ")
 
 
-def test_who_is_used_by_the_run_s_own_cut_is_said_to_be_another_crowd(texts):
+def test_the_speeds_of_used_and_recorded_tracks_are_compared(texts):
     least = f"tracks of at least {CHANGED['resample.min_duration_s']:g} s are"
     assert least in texts["tables"]
     assert least in texts["page"]

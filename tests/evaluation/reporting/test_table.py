@@ -10,10 +10,10 @@ from rich.console import Console
 
 from evaluation.reporting import table as make
 from evaluation.reporting.markup import HTML, escape, latex, markdown
-from evaluation.reporting.table import Cell, Column, Table, number, word
+from evaluation.reporting.table import Cell, Column, Table, number_cell, text_cell
 from evaluation.reporting.terminal import PIPE_WIDTH, show_table, standard_output
 
-NAME = make.said("name")
+NAME = make.text_column("name")
 ODD = ["<script>", "[red]x[/red]", "[/]", ":smile:", "$a_b%&#{}~^\\|", "\x1b[31mx"]
 
 
@@ -27,10 +27,10 @@ def make_table(
     ]
     rows = [
         [
-            word(name),
-            number(place, digits=0),
+            text_cell(name),
+            number_cell(place, digits=0),
             *(
-                number(0.1 * n + place, place, place + 1, mark=mark)
+                number_cell(0.1 * n + place, place, place + 1, mark=mark)
                 for n in range(n_columns)
             ),
         ]
@@ -49,10 +49,12 @@ def make_table(
     )
 
 
-def printed(one, *, width=120, encoding="utf-8", **options):
+def printed(table, *, width=120, encoding="utf-8", **options):
     raw = io.BytesIO()
     file = io.TextIOWrapper(raw, encoding=encoding, write_through=True)
-    show_table(one, console=Console(file=file, width=width, highlight=False, **options))
+    show_table(
+        table, console=Console(file=file, width=width, highlight=False, **options)
+    )
     return raw.getvalue().decode(encoding)
 
 
@@ -61,7 +63,7 @@ def html(table):
 
 
 def assert_well_formed(tex):
-    """Braces are balanced, special characters escaped, rows as long as their tabular is wide."""
+    """Check balanced braces, escaped characters, and rows as long as their tabular."""
     body = "\n".join(line for line in tex.splitlines() if not line.startswith("%"))
     depth = np.cumsum(
         [{"{": 1, "}": -1}.get(c, 0) for c in re.sub(r"\\[{}]", "", body)]
@@ -91,16 +93,16 @@ class TestCells:
         ],
     )
     def test_a_number_stands_with_its_interval(self, given, text):
-        assert number(*given, scale=100.0).full == text
-        assert make.amount("plr", *given).full == text
+        assert number_cell(*given, scale=100.0).full == text
+        assert make.metric_cell("plr", *given).full == text
 
-    def test_it_is_sorted_by_the_number_that_is_shown_and_a_column_of_numbers_may_have_gaps(
+    def test_it_is_sorted_by_the_number_shown_and_a_column_of_numbers_may_have_gaps(
         self,
     ):
-        assert number(0.187, scale=100.0).value == pytest.approx(18.7)
-        assert word("as shared").value is None
-        assert word(np.nan) == word(None) == Cell()
-        rows = [[word("a"), number(None)], [word("b"), number(1.0)]]
+        assert number_cell(0.187, scale=100.0).value == pytest.approx(18.7)
+        assert text_cell("as shared").value is None
+        assert text_cell(np.nan) == text_cell(None) == Cell()
+        rows = [[text_cell("a"), number_cell(None)], [text_cell("b"), number_cell(1.0)]]
         assert Table("x", "x", [NAME, Column("n")], rows).numeric == [False, True]
 
 
@@ -127,7 +129,7 @@ class TestTheTerminal:
 
     def test_long_words_wrap_and_long_columns_are_left_out(self):
         columns = [NAME, Column("n"), Column("why", align="left", is_long=True)]
-        rows = [[word("it falls " * 20), number(1.0), word("evidence")]]
+        rows = [[text_cell("it falls " * 20), number_cell(1.0), text_cell("evidence")]]
         text = printed(Table("x", "x", columns, rows), width=60)
         assert max(map(len, text.splitlines())) <= 60
         assert " ".join(text.split()).count("it falls") == 20
@@ -164,15 +166,15 @@ class TestLatex:
     def test_every_special_character_is_escaped(self):
         assert escape("a_b%$&#{}") == r"a\_b\%\$\&\#\{\}"
         assert escape("\\~^<>|") == (
-            r"\textbackslash{}\textasciitilde{}\textasciicircum{}\textless{}\textgreater{}"
-            r"\textbar{}"
+            r"\textbackslash{}\textasciitilde{}\textasciicircum{}"
+            r"\textless{}\textgreater{}\textbar{}"
         )
 
     def test_values_stand_with_their_intervals_and_marks(self):
         text = latex([make_table(n_columns=1, mark="?", marks={"?": "weak"})])
         assert r"fid & 1 & 1.0\textsuperscript{?} {\scriptsize [1.0, 2.0]} \\" in text
         signed = latex(
-            [Table("x", "x", [Column("d")], [[number(-4.5)], [number(None)]])]
+            [Table("x", "x", [Column("d")], [[number_cell(-4.5)], [number_cell(None)]])]
         )
         assert "$-4.5$ \\\\\n-- \\\\" in signed
 
@@ -189,17 +191,22 @@ class TestHtmlAndMarkdown:
     @pytest.mark.parametrize("name", ODD)
     def test_a_name_is_a_word_on_a_page(self, name):
         tags = Tags(html(make_table(names=(name,))))
-        assert {tag for tag, _ in tags.found} == {
-            "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td", "p",
+        assert {tag for tag, _ in tags.opened} == {
+            "div", "table", "caption", "thead", "tr", "th", "button", "tbody", "td",
+            "p",
         }  # fmt: skip
         assert name in tags.text
 
     def test_cells_hold_what_they_are_sorted_by(self):
         tags = Tags(html(make_table(n_columns=1, n_rows=1, names=("fid",))))
-        assert [one.get("data-value") for one in tags.of("td")] == [None, "1", "1"]
+        assert [cell.get("data-value") for cell in tags.attributes("td")] == [
+            None,
+            "1",
+            "1",
+        ]
 
     def test_decisions_are_a_sign_a_word_and_a_colour(self):
-        text = html(Table("x", "x", [NAME], [[make.decision("does not track")]]))
+        text = html(Table("x", "x", [NAME], [[make.decision_cell("does not track")]]))
         assert '<td class="t bad">✗ does not track</td>' in text
 
     def test_markdown_has_as_many_cells_in_every_line(self):

@@ -1,4 +1,4 @@
-"""What the tables of a run say: the numbers of its frames, and what is to be doubted."""
+"""The tables of a run: the numbers of its frames, and doubts."""
 
 import re
 from dataclasses import replace
@@ -32,12 +32,12 @@ from evaluation.reporting.result_tables import (
     strength_table,
     sweep_tables,
 )
-from evaluation.reporting.rows import telling
+from evaluation.reporting.rows import representative_levels
 from isac_track.errors import DataError
 
 HEADLINE = (("fid", (1.0, 1000.0)), ("fixed", (0.7, 1.0)))
 STRANGER = [*levels(swept=HEADLINE, others=[]), *[("ou", at) for at in (0.2, 0.4, 0.8)]]
-TOLD = ["clean", "raw", "fid 1", "fid 1000", "fixed 0.7", "fixed 1"]
+CHOSEN = ["clean", "raw", "fid 1", "fid 1000", "fixed 0.7", "fixed 1"]
 
 
 def shown(run, out):
@@ -46,8 +46,8 @@ def shown(run, out):
     return (out / "tables.txt").read_text(encoding="utf-8")
 
 
-def row_of(table, *start):
-    """The cells of the row that starts so, behind what it starts with."""
+def find_cells(table, *start):
+    """The cells of the row with a start, behind that start."""
     (row,) = [
         row
         for row in table.rows
@@ -66,15 +66,15 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
 ):
     run = everything()
     tables.write_tex(run, folder=tmp_path)
-    found = tables.page_tables(run)
-    told = [
+    shown_tables = tables.page_tables(run)
+    names = [
         name
-        for name in found
+        for name in shown_tables
         if re.match("matched|cells-h|doubts|flags|contr|verd", name)
     ]
     parts = [
         shown(run, tmp_path),
-        *(f"{name}\n{markdown(found[name])}" for name in told),
+        *(f"{name}\n{markdown(shown_tables[name])}" for name in names),
     ]
     parts += [
         (tmp_path / f"{name}.tex").read_text("utf-8")
@@ -82,11 +82,11 @@ def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(
     ]
     text = "\n".join(parts)
     assert_as_approved(text, Path(__file__).with_name("shown.txt"))
-    assert all(map(tells_rows_apart, found.values()))
+    assert all(map(tells_rows_apart, shown_tables.values()))
 
 
 class TestTheTextFile:
-    def test_notices_and_at_last_failed_cells_are_told(self, tmp_path):
+    def test_notices_and_at_last_failed_cells_are_shown(self, tmp_path):
         row = {
             "spec": "fid:1",
             "kind": "attack",
@@ -109,29 +109,30 @@ class TestTheTextFile:
 
 
 @pytest.mark.parametrize(
-    ("at", "controls", "told"),
+    ("at", "controls", "chosen"),
     [
-        (levels(rules=("",)), False, TOLD),
-        (levels(rules=("",)), True, ["offset 0.4", "thin:d_sigma=0.75 4", *TOLD]),
-        (STRANGER, True, [*TOLD, "ou 0.2", "ou 0.8"]),
+        (levels(rules=("",)), False, CHOSEN),
+        (levels(rules=("",)), True, ["offset 0.4", "thin:d_sigma=0.75 4", *CHOSEN]),
+        (STRANGER, True, [*CHOSEN, "ou 0.2", "ou 0.8"]),
         ([("raw", np.nan), *[("fid", at) for at in (3.0, 20.0, 50.0)]], True,
          ["raw", "fid 3", "fid 20", "fid 50"]),
     ],
 )  # fmt: skip
-def test_levels_that_tell_are_those_of_the_headline_or_all(at, controls, told):
+def test_representative_levels_are_those_of_the_headline_or_all(at, controls, chosen):
     wheres = [(name, None if np.isnan(level) else level) for name, level in at]
-    found = telling(wheres, families_in(make_summary(at)), controls=controls)
+    known = families_in(make_summary(at))
+    representative = representative_levels(wheres, known, controls=controls)
     rest = [
         (name, level)
-        for name, level in found
+        for name, level in representative
         if "=indep" not in name and "corr" not in name
     ]
     names = [
         f"{name} {'' if level is None else f'{level:g}'}".strip()
         for name, level in rest
     ]
-    assert sorted(names) == sorted(told)
-    assert names[:2] == told[:2] or controls
+    assert sorted(names) == sorted(chosen)
+    assert names[:2] == chosen[:2] or controls
 
 
 class TestTheSweep:
@@ -142,12 +143,14 @@ class TestTheSweep:
         odd = [*ATTACKS, ("least_squares", "informed"), ("shared", "blind")]
         first, second = sweep_tables(make_summary(predictors=names, attacks=odd))
         plain = sweep_tables(make_summary(predictors=names, attacks=()))
-        assert [markdown(first), markdown(second)] == [markdown(one) for one in plain]
+        assert [markdown(first), markdown(second)] == [
+            markdown(table) for table in plain
+        ]
         assert "predictor least_squares" in first.title
         assert "predictor kalman_cv" in second.title
         assert "MEL, shared (s)" not in markdown(second)
-        (alone,) = sweep_tables(make_summary(predictors=()))
-        assert "predictor" not in alone.title
+        (without_predictor,) = sweep_tables(make_summary(predictors=()))
+        assert "predictor" not in without_predictor.title
 
     def test_near_levels_are_not_merged_and_missing_values_do_not_stop_it(self):
         frame = make_summary()
@@ -156,7 +159,7 @@ class TestTheSweep:
         frame[["ci_low", "ci_high"]] = np.nan
         (table,) = sweep_tables(frame)
         assert [row[2].text for row in table.rows if row[0].text == "fid"] == ["1"] * 4
-        assert row_of(table, "raw", "", "")[-1].full == ""
+        assert find_cells(table, "raw", "", "")[-1].full == ""
 
 
 class TestAfterAttack:
@@ -166,24 +169,23 @@ class TestAfterAttack:
         frame.loc[frame["consumer"] == "savgol", ["value", "ci_low", "ci_high"]] = 0.5
         last = frame[rows_where(frame, consumer="radial_rts", knowledge="informed")]
         table = attack_table(pd.concat([frame, last.assign(knowledge="oracle")]))
-        of = {(row[3].text, row[4].text) for row in table.rows}
+        attacks = {(row[3].text, row[4].text) for row in table.rows}
         assert {
             ("identity", "blind"),
             ("radial_rts", "informed, oracle"),
             ("savgol", "any"),
-        } <= of
+        } <= attacks
 
     def test_without_attacks_nothing_is_shown_and_missing_values_do_not_stop_it(self):
-        alone = make_summary(attacks=())
-        assert not exposure_table(alone).rows
-        assert not attack_table(alone).rows
+        unattacked = make_summary(attacks=())
+        assert not exposure_table(unattacked).rows
+        assert not attack_table(unattacked).rows
         frame = make_summary()
         frame.loc[frame["knowledge"] != "", ["value", "ci_low", "ci_high"]] = np.nan
         part = frame[(frame["knowledge"] == "") | (frame["mechanism"] == "fid")]
-        for one in (frame, part):
-            assert {c.full for c in row_of(exposure_table(one), "raw", "", "")[1:]} == {
-                ""
-            }
+        for rows in (frame, part):
+            cells = find_cells(exposure_table(rows), "raw", "", "")[1:]
+            assert {cell.full for cell in cells} == {""}
 
 
 class TestLinkage:
@@ -197,8 +199,8 @@ class TestLinkage:
         frame.loc[shape & (frame["mechanism"] == "clean"), "rank1"] = np.nan
         frame.loc[frame["mechanism"] == "fid", ["ci_low", "ci_high"]] = np.nan
         table = ranks(frame)
-        assert [cell.full for cell in row_of(table, "shape")[:2]] == ["", ""]
-        assert row_of(table, "shape")[2].low == ""
+        assert [cell.full for cell in find_cells(table, "shape")[:2]] == ["", ""]
+        assert find_cells(table, "shape")[2].low == ""
         assert re.fullmatch(
             r"some_package\S*\.\.\.\S*window_s=2\.5", table.rows[1][0].text
         )
@@ -207,17 +209,16 @@ class TestLinkage:
         frame = make_linkability()
         frame.to_csv(tmp_path / "linkability.csv", index=False)
         read = pd.read_csv(tmp_path / "linkability.csv")
-        found = [shown(make_run(linkability=one), tmp_path) for one in (read, frame)]
-        assert found[0] == found[1]
+        from_file = shown(make_run(linkability=read), tmp_path)
+        assert from_file == shown(make_run(linkability=frame), tmp_path)
 
 
 class TestAnswers:
     def test_another_recording_is_compared_but_not_judged(self):
         table = paper_table(make_run(dataset="plaza"))
-        told = "The paper used students03; ours are of plaza, so they need not agree."
         assert table.notes == [
             "Missed rates rest on 2,000 scenes, the others on 500.",
-            told,
+            "The paper used students03; ours are of plaza, so they need not agree.",
         ]
         assert table.columns[-1].head == "paper's own error"
 
@@ -336,8 +337,9 @@ def test_what_scores_tell_stands_beside_ranks_with_its_ends_turned_round():
         metric="cllr_min", value=0.3, ci_low=0.1, ci_high=0.4, unit="bit"
     )
     table = strength_table(replace(run, summary=pd.concat([run.summary, lost])))
-    heads = [one.name for one in table.columns]
+    heads = [column.name for column in table.columns]
     assert heads[-4:] == ["rank 1", "rank 1 of 100", "chance", "1 - Cllr_min"]
     assert {row[-1].full for row in table.rows} == {"0.700 [0.600, 0.900]"}
-    assert {row[0].text for row in table.rows} == {one for one in run.strongest if one}
+    linked = {task for task in run.strongest if task}
+    assert {row[0].text for row in table.rows} == linked
     assert not any(row[-3].full for row in table.rows)  # fewer than 100 candidates

@@ -1,11 +1,11 @@
-"""Captions: each says what the numbers of its picture are, in a sentence of at most 25 words."""
+"""Captions: each tells the numbers of its picture in a short sentence."""
 
 import numpy as np
 import pytest
 from helpers.finished_runs import levels, make_run, make_summary, with_links
 
 from evaluation.reporting import takeaways
-from evaluation.reporting.answers import headline_of, reference
+from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
     Axis,
     Curve,
@@ -14,7 +14,7 @@ from evaluation.reporting.charts import (
     curves_chart,
     label_room,
 )
-from evaluation.reporting.figures.figure import figures_of
+from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.pictures import pictures, planes
 from isac_track.intervals import Estimate
 
@@ -30,7 +30,7 @@ def run():
 
 @pytest.fixture(scope="module")
 def table(run):
-    return headline_of(run)
+    return run.headline
 
 
 def percent(table, where, shown):
@@ -42,9 +42,9 @@ def point(name, x, y):
 
 
 def test_every_caption_is_a_sentence_of_its_numbers(run, table):
-    shown = [one.caption for one in pictures(table) if one]
-    shown += [one.caption for drawn in planes(table).values() for one in drawn]
-    shown += [one.caption for one in figures_of(run)]
+    shown = [picture.caption for picture in pictures(table) if picture]
+    shown += [picture.caption for drawn in planes(table).values() for picture in drawn]
+    shown += [figure.caption for figure in make_figures(run)]
     assert len(shown) > 10
     for text in shown:
         assert text.endswith("."), text
@@ -56,7 +56,7 @@ def test_every_caption_is_a_sentence_of_its_numbers(run, table):
 
 
 def test_the_first_three_have_the_numbers_of_the_level_of_the_answers(table):
-    where, raw = reference(table), ("raw", None)
+    where, raw = reference_level(table), ("raw", None)
     text = takeaways.missed(table, where)
     assert text.startswith("With FID noise, eta 1, the paper's straight line misses ")
     assert percent(table, where, table.robots[0]) in text
@@ -114,11 +114,15 @@ class TestLabels:
     def test_they_stand_behind_the_axis_and_never_on_each_other(self):
         curves = self.curves("one thing", "another", "third", height=1.0)
         chart = curves_chart(curves, x=self.AXES[0], y=self.AXES[1])
-        assert [one.text for one in chart.labels] == ["third", "another", "one thing"]
-        heights = np.array([one.y for one in chart.labels])
+        assert [label.text for label in chart.labels] == [
+            "third",
+            "another",
+            "one thing",
+        ]
+        heights = np.array([label.y for label in chart.labels])
         assert (np.diff(heights) >= 10.0).all()
         assert heights.max() <= chart.bottom
-        assert all(one.x > chart.right for one in chart.labels)
+        assert all(label.x > chart.right for label in chart.labels)
 
     @pytest.mark.parametrize("labels", [("same", "same"), ("", "a"), ("x" * 40, "a")])
     def test_without_room_or_names_there_are_none(self, labels):

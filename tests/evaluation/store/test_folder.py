@@ -1,4 +1,4 @@
-"""The run folder: what is said where it cannot be used, its manifest, and its checksums."""
+"""The run folder: messages where it cannot be used, its manifest, its checksums."""
 
 import contextlib
 import copy
@@ -31,7 +31,7 @@ NOBODY = 65534
 
 @contextlib.contextmanager
 def forbidden(out, name=".", mode=0):
-    """What is so named in a folder has other rights; root, who may do everything, is nobody."""
+    """The named file has other rights; root, who may do everything, is nobody."""
     is_root = os.geteuid() == 0
     for path in (out, *out.rglob("*")) if is_root else ():
         os.chown(path, NOBODY, NOBODY)
@@ -201,20 +201,20 @@ class TestWhereTheFolderCannotBeUsed:
 
 
 def places(value, at=()):
-    """Every path in a JSON value but its root, and of a list its first members alone."""
+    """Every path in a JSON value except its root; of a list, its first members."""
     inner = value.items() if isinstance(value, dict) else ()
     inner = enumerate(value[:2]) if isinstance(value, list) else inner
-    for key, one in inner:
+    for key, item in inner:
         yield (*at, key)
-        yield from places(one, (*at, key))
+        yield from places(item, (*at, key))
 
 
 class TestManifest:
     def test_that_is_changed_anywhere_is_refused(self, finished, tmp_path):
         whole = json.loads((finished / "manifest.json").read_text())
-        found = list(places(whole))
-        assert len(found) > 100
-        for *path, last in found:
+        result = list(places(whole))
+        assert len(result) > 100
+        for *path, last in result:
             for change in ("abc", None):
                 manifest = copy.deepcopy(whole)
                 holder = manifest
@@ -234,7 +234,7 @@ class TestManifest:
         "name", ["../manifest.json", "raw_00000_0.parquet", "/etc/passwd"]
     )
     def test_that_names_a_file_elsewhere_is_refused_whoever_sealed_it(self, name, out):
-        edit_manifest(out, lambda one: one["cells"][0].update(files=[name]))
+        edit_manifest(out, lambda entry: entry["cells"][0].update(files=[name]))
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
@@ -243,8 +243,10 @@ class TestManifest:
     ):
         (out / "manifest.json").write_text('{"identity": {}, "cells": []}')
         (out / "notes.txt").write_text("mine")
-        told = f"{out} was written by another version, or its manifest.json is damaged"
-        assert_refused(ran(report, out), told)
+        message = (
+            f"{out} was written by another version, or its manifest.json is damaged"
+        )
+        assert_refused(ran(report, out), message)
         assert_refused(
             ran(matrix, *options, "--out", out), "run the matrix again with --fresh"
         )
@@ -271,7 +273,7 @@ class TestManifest:
         assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
 
     def test_of_a_run_without_a_finished_cell_has_no_report(self, out, ran):
-        edit_manifest(out, lambda one: one.update(cells=[]))
+        edit_manifest(out, lambda cell: cell.update(cells=[]))
         assert_refused(
             ran(report, out), f"{out} holds no finished cell; run the matrix again"
         )
@@ -279,7 +281,7 @@ class TestManifest:
     def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(
         self, out, ran
     ):
-        edit_manifest(out, lambda one: one["cells"][0].update(kind="predictor"))
+        edit_manifest(out, lambda entry: entry["cells"][0].update(kind="predictor"))
         assert_refused(
             ran(report, out), "has no column conflict: it is no cell of the kind"
         )

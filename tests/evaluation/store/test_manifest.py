@@ -6,12 +6,12 @@ from typing import ClassVar
 import pytest
 
 from evaluation.plan.settings import Settings
-from evaluation.store.manifest import given_on
+from evaluation.store.manifest import named_values
 from isac_track.types import Knowledge, Reconstruction
 
 
 @dataclass(frozen=True)
-class Mine:
+class OwnAttack:
     """Return the positions as they were shared."""
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
@@ -28,8 +28,8 @@ class Mine:
         ([], []),
         (["savgol"], ["savgol"]),
         (["+savgol", "+dtw"], ["+savgol", "+dtw"]),
-        (["+", Mine(), "savgol"], [f"+{__name__}:Mine", "+savgol"]),
+        (["+", OwnAttack(), "savgol"], [f"+{__name__}:OwnAttack", "+savgol"]),
     ],
 )
 def test_values_are_as_they_are_typed(attacks, given):
-    assert given_on(Settings(attacks=attacks), "attacks") == given
+    assert named_values(Settings(attacks=attacks), "attacks") == given

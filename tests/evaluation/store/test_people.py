@@ -17,10 +17,10 @@ from evaluation import matrix, publish, report
 from evaluation.store.manifest import read_manifest
 from evaluation.store.people import (
     in_first_half,
-    label_of_written,
     pseudonym,
-    shown_path,
-    shown_words,
+    public_path,
+    public_words,
+    read_labels,
     without_folders,
 )
 from isac_track.errors import DataError, SettingsError
@@ -44,11 +44,11 @@ AXES = {
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """The same run with pseudonyms and with the recording's own ids, which are names."""
+    """The same run with pseudonyms, and with the recording's own ids: names."""
     folder = tmp_path_factory.mktemp("home-of-anna")
     write_walks(folder / "walks.csv", n_people=40)
     rows = pd.read_csv(folder / "walks.csv")
-    rows["id"] = [f"Citizen{who}" for who in rows["id"]]
+    rows["id"] = [f"Citizen{item}" for item in rows["id"]]
     lone = rows.tail(1).assign(
         id="CitizenLone"
     )  # both are repairs, which the files of a run tell
@@ -64,14 +64,14 @@ def runs(tmp_path_factory):
 
 def holding(folder, text):
     """Files of a folder that hold a text, whole parquet columns included."""
-    found = []
+    result = []
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
         content = path.read_bytes()
         if path.suffix == ".parquet":
             content += str(pq.read_table(path).to_pydict()).encode()
         if text.encode() in content:
-            found.append(path.name)
-    return found
+            result.append(path.name)
+    return result
 
 
 def test_no_id_and_no_folder_is_in_any_file_but_the_private_one(runs):
@@ -82,15 +82,15 @@ def test_no_id_and_no_folder_is_in_any_file_but_the_private_one(runs):
 
 def test_what_was_mended_is_told_without_the_folder(runs):
     repairs = read_manifest(runs / "run")["dataset"]["repairs"]
-    told = {repair["kind"]: repair["detail"] for repair in repairs}
-    assert {"gap", "one-point"} <= {*told}
+    message = {repair["kind"]: repair["detail"] for repair in repairs}
+    assert {"gap", "one-point"} <= {*message}
     assert all(
-        told[kind].startswith("walks.csv: line ") for kind in ("gap", "one-point")
+        message[kind].startswith("walks.csv: line ") for kind in ("gap", "one-point")
     )
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "expected"),
     [
         ("/home/anna b/rec/a.csv: line 3: cut", "a.csv: line 3: cut"),
         ("/home/anna b/rec/c.csv: line 3: cut", "rec/c.csv: line 3: cut"),
@@ -101,13 +101,13 @@ def test_what_was_mended_is_told_without_the_folder(runs):
         ("walks.csv: line 3: 1.25/2.5", "walks.csv: line 3: 1.25/2.5"),
     ],
 )
-def test_a_text_about_a_recording_names_no_folder(text, told, monkeypatch):
+def test_a_text_about_a_recording_names_no_folder(text, expected, monkeypatch):
     monkeypatch.setenv("ISAC_TRACK_DATA", "/srv/anna/data")
     monkeypatch.setenv("ISAC_TRACK_CACHE", "/home/anna b/.cache")
     data = SimpleNamespace(
         path="/home/anna b/rec", sessions=("/home/anna b/rec/a.csv",)
     )
-    assert without_folders(text, data).removeprefix("ISAC_TRACK_DATA is ") == told
+    assert without_folders(text, data).removeprefix("ISAC_TRACK_DATA is ") == expected
 
 
 def test_the_key_is_for_its_owner_alone(runs):
@@ -117,9 +117,13 @@ def test_the_key_is_for_its_owner_alone(runs):
 
 @pytest.mark.parametrize("name", NUMBERS)
 def test_no_number_depends_on_what_people_are_called(name, runs):
-    with_pseudonyms, with_ids = (runs / one / f"{name}.csv" for one in ("run", "kept"))
+    with_pseudonyms, with_ids = (
+        runs / item / f"{name}.csv" for item in ("run", "kept")
+    )
     assert with_pseudonyms.read_bytes() == with_ids.read_bytes()
-    with_pseudonyms, with_ids = (runs / one / "verdict.json" for one in ("run", "kept"))
+    with_pseudonyms, with_ids = (
+        runs / item / "verdict.json" for item in ("run", "kept")
+    )
     assert with_pseudonyms.read_bytes() == with_ids.read_bytes()
 
 
@@ -140,7 +144,7 @@ def test_labels_sort_as_ids_do_and_carry_the_half_of_the_people(runs):
         assert in_first_half(name) == (
             hashlib.sha256(name.encode()).digest()[0] % 2 == 0
         )
-    assert [*label_of_written(runs / "run").values()] == [*ids.values()]
+    assert [*read_labels(runs / "run").values()] == [*ids.values()]
     groups = read_manifest(runs / "run")["groups"]
     assert groups == sorted(groups) == read_manifest(runs / "kept")["groups"]
 
@@ -245,8 +249,8 @@ def test_a_recording_that_must_not_be_passed_on_draws_no_walks(
 
 def test_paths_are_told_below_the_working_folder_or_by_name(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert shown_path(tmp_path / "data" / "walks.csv") == "data/walks.csv"
-    assert shown_path("/home/anna/walks.csv") == "walks.csv"
+    assert public_path(tmp_path / "data" / "walks.csv") == "data/walks.csv"
+    assert public_path("/home/anna/walks.csv") == "walks.csv"
     given = [
         "/opt/bin/matrix.py",
         "--dataset=/home/anna/w.csv",
@@ -254,5 +258,11 @@ def test_paths_are_told_below_the_working_folder_or_by_name(tmp_path, monkeypatc
         "../../anna/run",
         "raw",
     ]
-    assert shown_words(given) == ["matrix.py", "--dataset=w.csv", "--out", "run", "raw"]
-    assert shown_words([]) == [""]
+    assert public_words(given) == [
+        "matrix.py",
+        "--dataset=w.csv",
+        "--out",
+        "run",
+        "raw",
+    ]
+    assert public_words([]) == [""]

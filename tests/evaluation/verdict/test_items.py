@@ -9,7 +9,7 @@ from evaluation.verdict.items import Draft, critical, decided
 from isac_track.intervals import Estimate
 
 
-def of(value, drawn, *, n=200, effective=np.nan):
+def make_effect(value, drawn, *, n=200, effective=np.nan):
     return Estimate(value, n=n, replicates=value + drawn, effective=effective)
 
 
@@ -26,21 +26,23 @@ def draft(effect, *, parted_at=0.0, unit="fraction", **more):
 @pytest.mark.parametrize("n_items", [1, 3, 50])
 def test_the_quantile_is_that_of_the_largest_of_independent_normal_numbers(n_items):
     drawn = np.random.default_rng(n_items).standard_normal((n_items, 40_000))
-    found = critical([of(0.0, one) for one in drawn], 0.95)
-    assert found == pytest.approx(norm.ppf((1 + 0.95 ** (1 / n_items)) / 2), abs=0.05)
+    quantile = critical([make_effect(0.0, drawn_row) for drawn_row in drawn], 0.95)
+    assert quantile == pytest.approx(
+        norm.ppf((1 + 0.95 ** (1 / n_items)) / 2), abs=0.05
+    )
     # Ten times the same item is one item.
-    assert critical([of(0.0, drawn[0])] * 10) == pytest.approx(
-        critical([of(7.0, drawn[0])])
+    assert critical([make_effect(0.0, drawn[0])] * 10) == pytest.approx(
+        critical([make_effect(7.0, drawn[0])])
     )
 
 
 def test_an_item_with_wild_replicates_does_not_widen_the_others():
     rng = np.random.default_rng(0)
-    calm = [of(0.0, one) for one in rng.standard_normal((9, 4000))]
+    calm = [make_effect(0.0, drawn_row) for drawn_row in rng.standard_normal((9, 4000))]
     wild = rng.standard_normal(4000) * np.where(rng.random(4000) < 0.03, 4.0, 1.0)
-    assert critical([*calm, of(0.0, wild)]) < 1.15 * critical(calm)
+    assert critical([*calm, make_effect(0.0, wild)]) < 1.15 * critical(calm)
     wild[:40] = np.nan  # where an effect has no replicate it is not counted
-    assert np.isfinite(critical([*calm, of(0.0, wild)]))
+    assert np.isfinite(critical([*calm, make_effect(0.0, wild)]))
 
 
 @pytest.mark.slow
@@ -53,8 +55,10 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
         weights = rng.multinomial(40, np.full(40, 1 / 40), 500) / 40
         mean = people.mean(axis=0)
         drawn = weights @ people - mean
-        items = [draft(of(v, d, n=40)) for v, d in zip(mean, drawn.T, strict=True)]
-        missed += any(one["sign"] for one in decided(rules.CLAIM, items))
+        items = [
+            draft(make_effect(v, d, n=40)) for v, d in zip(mean, drawn.T, strict=True)
+        ]
+        missed += any(drawn_row["sign"] for drawn_row in decided(rules.CLAIM, items))
     assert missed <= 9  # 3.2 are expected; 10 or more in 1 of 500 such tests
 
 
@@ -64,7 +68,7 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
 )
 def test_an_item_is_decided_by_its_band(value, decision):
     drawn = 0.01 * np.random.default_rng(2).standard_normal(2000)
-    (item,) = decided(rules.CLAIM, [draft(of(value, drawn, n=31))])
+    (item,) = decided(rules.CLAIM, [draft(make_effect(value, drawn, n=31))])
     assert item["decision"] == decision
     half, wide = (item[high] - value for high in ("ci_high", "band_high"))
     assert half == pytest.approx(t.ppf(0.975, 30) * 0.01, rel=0.05)
@@ -74,7 +78,9 @@ def test_an_item_is_decided_by_its_band(value, decision):
 
 def test_a_ratio_is_tested_as_logarithm_and_told_as_it_is():
     drawn = 0.1 * np.random.default_rng(3).standard_normal(2000)
-    (item,) = decided(rules.INFLATION, [draft(of(np.log(1.5), drawn), unit="ratio")])
+    (item,) = decided(
+        rules.INFLATION, [draft(make_effect(np.log(1.5), drawn), unit="ratio")]
+    )
     assert item["effect"] == pytest.approx(1.5)
     assert item["effect"] / item["ci_low"] == pytest.approx(
         item["ci_high"] / item["effect"]
@@ -89,18 +95,23 @@ GAPS = np.where(np.arange(1000) < 30, np.nan, NOISE)
 @pytest.mark.parametrize(
     ("effect", "more", "why", "has_interval"),
     [
-        (of(9.0, NOISE, effective=19.9), {}, "20 effective clusters", True),
-        (of(9.0, NOISE, n=14), {}, "14 effective clusters", False),
-        (of(9.0, NOISE * 0), {}, "no spread", True),
-        (of(9.0, GAPS), {}, "too few draws", True),
-        (of(np.nan, NOISE), {}, "no number", False),
-        (of(9.0, NOISE), {"untestable": "nobody is linked"}, "nobody is linked", True),
+        (make_effect(9.0, NOISE, effective=19.9), {}, "20 effective clusters", True),
+        (make_effect(9.0, NOISE, n=14), {}, "14 effective clusters", False),
+        (make_effect(9.0, NOISE * 0), {}, "no spread", True),
+        (make_effect(9.0, GAPS), {}, "too few draws", True),
+        (make_effect(np.nan, NOISE), {}, "no number", False),
+        (
+            make_effect(9.0, NOISE),
+            {"untestable": "nobody is linked"},
+            "nobody is linked",
+            True,
+        ),
     ],
 )
 def test_what_cannot_be_tested_says_why_and_is_in_no_band(
     effect, more, why, has_interval
 ):
-    sure = draft(of(9.0, NOISE))
+    sure = draft(make_effect(9.0, NOISE))
     items = decided(rules.CLAIM, [draft(effect, **more), sure])
     assert items[0]["decision"] == "not testable"
     assert why in items[0]["why"]

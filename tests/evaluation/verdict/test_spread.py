@@ -1,4 +1,4 @@
-"""The ends of a spread against closed forms, scipy and simulation; what is decided on them."""
+"""Ends of a spread against closed forms, scipy and simulation; and the decision."""
 
 from dataclasses import replace
 
@@ -20,7 +20,7 @@ def contrasts(gaps, errors, *, rng=None, n_drawn=4000, **changed):
     rng = rng or np.random.default_rng(0)
     gaps, errors = np.array(gaps, dtype=float), np.array(errors, dtype=float)
     k = gaps.size
-    found = Contrasts(
+    default = Contrasts(
         gaps=np.vstack([gaps, gaps + errors * rng.normal(size=(n_drawn, k))]),
         errors=errors,
         side=np.full(k, BOTH),
@@ -36,13 +36,15 @@ def contrasts(gaps, errors, *, rng=None, n_drawn=4000, **changed):
         fall_degrees=MANY,
         is_whole=True,
     )
-    return replace(found, **{name: np.array(value) for name, value in changed.items()})
+    return replace(
+        default, **{name: np.array(value) for name, value in changed.items()}
+    )
 
 
-def decision(one, section=None):
-    wide = spread.widths(one, one.furthest if section is None else section)
+def decision(item, section=None):
+    wide = spread.widths(item, item.furthest if section is None else section)
     codes, low, high = spread.decided(
-        one, wide, gaps=one.gaps[:1], fall=one.fall[:1], span=one.span[:1]
+        item, wide, gaps=item.gaps[:1], fall=item.fall[:1], span=item.span[:1]
     )
     return spread.ANSWERS[codes[0]], float(low[0]), float(high[0])
 
@@ -64,7 +66,7 @@ class TestParts:
         low, high = spread.exact_ends(
             np.array([more / n]), np.array([fewer / n]), np.array([float(n)]), 0.025
         )
-        up, down = (binomtest(one, n).proportion_ci(0.975) for one in (more, fewer))
+        up, down = (binomtest(hits, n).proportion_ci(0.975) for hits in (more, fewer))
         assert low[0] == pytest.approx(up.low - down.high)
         assert high[0] == pytest.approx(up.high - down.low)
 
@@ -72,7 +74,9 @@ class TestParts:
         fixed = np.array([[0.1, 0.3, 0.5]]), np.array([[0.2, 0.4, 0.9]])
         at = np.array([[0.05, 0.2, 0.4, 0.5, 0.6]])
         gaps, side, where = spread.beside_fixed(at, np.full((1, 5), 0.5), fixed)
-        curve = np.interp(at[0], *(one[0] for one in fixed))  # flat beyond its ends
+        curve = np.interp(
+            at[0], *(curve_values[0] for curve_values in fixed)
+        )  # flat beyond its ends
         assert gaps[0] == pytest.approx(0.5 - curve)
         assert side.tolist() == [ONLY_MORE, BOTH, BOTH, BOTH, ONLY_FEWER]
         assert spread.mixture(where, 3) @ fixed[1][0] == pytest.approx(curve)
@@ -86,8 +90,8 @@ class TestParts:
 
 class TestEnds:
     def test_with_one_contrast_they_are_those_of_t(self):
-        one = contrasts([0.2], [0.02], degrees=[24.0])
-        answer, low, high = decision(one)
+        item = contrasts([0.2], [0.02], degrees=[24.0])
+        answer, low, high = decision(item)
         q, half = (t.ppf(p, 24) for p in (norm.cdf(norm.ppf(0.9875)), 0.975))
         assert answer == rules.DOES_NOT
         assert low == pytest.approx(0.2 - 0.02 * q, abs=0.002)
@@ -97,30 +101,32 @@ class TestEnds:
         self,
     ):
         rng, errors = np.random.default_rng(1), np.full(8, 0.02)
-        one = contrasts(np.zeros(8), errors)
+        item = contrasts(np.zeros(8), errors)
         shown, lower = [], []
         for gaps in 0.02 * rng.normal(size=(1500, 8)):
-            there = replace(one, gaps=one.gaps + gaps)
+            there = replace(item, gaps=item.gaps + gaps)
             shown.append(spread.shown(there))
-            lower.append(decision(there, section=one.furthest)[1])
+            lower.append(decision(there, section=item.furthest)[1])
         assert np.mean(np.array(shown) > 0) == pytest.approx(0.5, abs=0.04)
         assert np.mean(np.array(lower) > 0) == pytest.approx(0.025, abs=0.013)
 
     def test_few_who_differ_have_counts_for_an_interval_and_stay_out_of_the_rest(self):
         few = np.array([[50.0, 0.0], [50.0, 0.0], [50.0, 0.0]])
-        one = contrasts([0.0, 0.0], [0.01, 1e-12], degrees=[99.0, 99.0], discordant=few)
-        assert one.furthest == pytest.approx(np.abs(one.gaps[1:, 0]) / 0.01)
-        assert spread.widths(one, one.furthest).up[1] == pytest.approx(
+        item = contrasts(
+            [0.0, 0.0], [0.01, 1e-12], degrees=[99.0, 99.0], discordant=few
+        )
+        assert item.furthest == pytest.approx(np.abs(item.gaps[1:, 0]) / 0.01)
+        assert spread.widths(item, item.furthest).up[1] == pytest.approx(
             1 - 0.0125 ** (1 / 100)
         )
         expected = [stdtrit(99.0, 0.975) * 0.01, 1 - 0.0125 ** (1 / 100)]
-        for ends, sign in zip(spread.intervals(one), (-1.0, 1.0), strict=True):
+        for ends, sign in zip(spread.intervals(item), (-1.0, 1.0), strict=True):
             assert sign * ends == pytest.approx(np.array(expected))
 
     def test_where_only_counts_are_left_the_error_of_the_descriptor_still_widens_them(
         self,
     ):
-        """The counts speak of who is linked, the standard error of where the curve is read, too."""
+        """Counts tell of linkage; the standard error also of the point on the curve."""
         few = {
             "degrees": [21.0],
             "discordant": [[0.19], [0.0], [4.0]],
@@ -166,18 +172,22 @@ class TestDecision:
 class TestPower:
     def test_is_that_of_a_normal_contrast(self):
         s = 0.012
-        one = contrasts([0.3], [s], n_drawn=20_000)
-        table = spread.answers(one, spread.widths(one, one.furthest), ["offset"])
-        q = np.quantile(one.furthest, 0.975)
+        item = contrasts([0.3], [s], n_drawn=20_000)
+        table = spread.answers(item, spread.widths(item, item.furthest), ["offset"])
+        q = np.quantile(item.furthest, 0.975)
         tracks = 2 * norm.cdf((0.05 - 1.96 * s) / s) - 1
         fails = norm.sf((0.05 + q * s - 0.10) / s)
         assert table[spread.EQUAL][rules.TRACKS] == pytest.approx(tracks, abs=0.01)
-        assert spread.of_each(table)[rules.DOES_NOT] == pytest.approx(fails, abs=0.01)
-        assert all(sum(of.values()) == pytest.approx(1) for of in table.values())
+        assert spread.decision_power(table)[rules.DOES_NOT] == pytest.approx(
+            fails, abs=0.01
+        )
+        assert all(
+            sum(shares.values()) == pytest.approx(1) for shares in table.values()
+        )
 
     def test_clusters_needed_show_a_true_equal_in_four_of_five(self):
-        one = contrasts([0.0, 0.1], [0.03, 0.02], n_drawn=20_000)
-        needed = spread.clusters_needed(one, spread.widths(one, one.furthest), 100)
+        item = contrasts([0.0, 0.1], [0.03, 0.02], n_drawn=20_000)
+        needed = spread.clusters_needed(item, spread.widths(item, item.furthest), 100)
         factor = np.sqrt(100 / needed)
         there = contrasts([0.0, 0.1], [0.03 * factor, 0.02 * factor], n_drawn=20_000)
         table = spread.answers(there, spread.widths(there, there.furthest), ["a", "b"])
@@ -188,9 +198,10 @@ class TestPower:
         [{"is_whole": False}, {"fall": [0.2] * 4001}, {"side": [BOTH, ONLY_MORE]}],
     )
     def test_no_number_helps_where_equality_cannot_be_tested(self, changed):
-        one = contrasts([0.0, 0.0], [0.01, 0.01], **changed)
+        item = contrasts([0.0, 0.0], [0.01, 0.01], **changed)
         assert (
-            spread.clusters_needed(one, spread.widths(one, one.furthest), 100) is None
+            spread.clusters_needed(item, spread.widths(item, item.furthest), 100)
+            is None
         )
 
 
@@ -227,17 +238,17 @@ class TestPredictionError:
     def test_what_sampling_alone_gives_is_taken_off(self):
         shows = np.tile(self.AT, (401, 1))
         rng = np.random.default_rng(3)
-        found = []
+        errors = []
         for _ in range(40):
             reached = self.AT + 0.05 * rng.normal(size=self.AT.size)
-            found.append(
+            errors.append(
                 prediction_errors(shows, self.drawn(reached, 0.05), self.KINDS)[0]
             )
         flat = np.mean(
-            [one.drawn[0] for one in found]
+            [error.drawn[0] for error in errors]
         )  # beyond 0.2 and 0.8 the curve is flat
         assert flat == pytest.approx(2 / 5 * 0.1**2 / 3, abs=0.0012)
-        assert all(one.ends[0] <= one.ends[1] for one in found)
+        assert all(error.ends[0] <= error.ends[1] for error in errors)
 
     def test_one_kind_foretells_nothing(self):
         shows = np.tile(self.AT, (401, 1))

@@ -1,4 +1,4 @@
-"""What the validity of a descriptor is read from, and what is said where the truth is known."""
+"""Validity of a descriptor: its contrasts, and its sentences in known worlds."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -28,25 +28,25 @@ def equal(worlds):
     return worlds.linked_task(worlds.World(people=400), seed=1)
 
 
-def said_of(worlds, task, **families):
+def run_validity(worlds, task, **families):
     known = worlds.families() | families
     return validity([task], families=known, preset="paper", dataset="worlds", seed=0)
 
 
-def item(said, name="validity/linear/plr/rerelease"):
-    return next(one for one in said["items"] if one["id"] == name)
+def item(verdict, name="validity/linear/plr/rerelease"):
+    return next(entry for entry in verdict["items"] if entry["id"] == name)
 
 
-def gaps(one):
-    return {gap["mechanism"]: gap for gap in one["contrasts"]}
+def gaps(item):
+    return {gap["mechanism"]: gap for gap in item["contrasts"]}
 
 
 def shifted(task, mechanism, points):
     """Return a task in which a mechanism links more or fewer people."""
 
-    def moved(one):
-        more = one.success + points * one.probes
-        return replace(one, success=more) if one.mechanism == mechanism else one
+    def moved(level):
+        more = level.success + points * level.probes
+        return replace(level, success=more) if level.mechanism == mechanism else level
 
     return replace(task, levels=tuple(map(moved, task.levels)))
 
@@ -63,27 +63,39 @@ def shifted(task, mechanism, points):
 def test_in_simulated_worlds_little_is_wrong(worlds, name, most_wrong, least_right):
     """Six worlds each; `benchmarks.verdict_worlds` does 200."""
     world = replace(worlds.WORLDS[name], people=300)
-    one = worlds.tally(world, times=6)
-    assert one.wrong <= most_wrong
-    assert one.controls == 0
-    assert one.decisions[world.right] >= least_right * one.decisions.total()
-    assert one.kept >= 0.8 * one.promised
+    result = worlds.tally(world, times=6)
+    assert result.wrong <= most_wrong
+    assert result.controls == 0
+    assert result.decisions[world.right] >= least_right * result.decisions.total()
+    assert result.right >= 0.8 * result.promised
 
 
 def test_every_item_carries_what_it_promises(worlds, equal):
-    said = said_of(worlds, equal)
-    assert len(said["items"]) == 6
-    for one in said["items"]:
-        assert 0 <= one["spread_low"] <= one["spread"] <= one["spread_high"] <= 1
-        assert one["decision"] == rules.BETWEEN
-        assert one["evidence"] == []
-        assert one["why"] in one["sentence"]
-        assert one["n_needed"] > one["n"] == min(gap["n"] for gap in one["contrasts"])
-        assert set(one["power"]) == {rules.TRACKS, rules.DOES_NOT}
-        assert f"about {one['n_needed'] / 1000:,.1f}"[:7] in one["sentence"]
-        assert one["prediction_error"] < one["prediction_error_null"]
-    assert [gap["quartile"] for gap in item(said)["contrasts"][:3]] == [0.25, 0.5, 0.75]
-    assert {one["descriptor"] for one in said["on_trial"]} == {"plr", "ael", "mel"}
+    verdict = run_validity(worlds, equal)
+    assert len(verdict["items"]) == 6
+    for entry in verdict["items"]:
+        assert 0 <= entry["spread_low"] <= entry["spread"] <= entry["spread_high"] <= 1
+        assert entry["decision"] == rules.BETWEEN
+        assert entry["evidence"] == []
+        assert entry["why"] in entry["sentence"]
+        assert (
+            entry["n_needed"]
+            > entry["n"]
+            == min(gap["n"] for gap in entry["contrasts"])
+        )
+        assert set(entry["power"]) == {rules.TRACKS, rules.DOES_NOT}
+        assert f"about {entry['n_needed'] / 1000:,.1f}"[:7] in entry["sentence"]
+        assert entry["prediction_error"] < entry["prediction_error_null"]
+    assert [gap["quartile"] for gap in item(verdict)["contrasts"][:3]] == [
+        0.25,
+        0.5,
+        0.75,
+    ]
+    assert {entry["descriptor"] for entry in verdict["on_trial"]} == {
+        "plr",
+        "ael",
+        "mel",
+    }
 
 
 @pytest.mark.parametrize(
@@ -99,26 +111,28 @@ def test_every_item_carries_what_it_promises(worlds, equal):
 def test_a_decision_names_its_kind_of_evidence(
     worlds, equal, mechanism, points, decision, evidence
 ):
-    found = item(said_of(worlds, shifted(equal, mechanism, points)))
-    assert (found["decision"], found["evidence"]) == (decision, evidence)
-    gap = gaps(found)[mechanism]
+    result = item(run_validity(worlds, shifted(equal, mechanism, points)))
+    assert (result["decision"], result["evidence"]) == (decision, evidence)
+    gap = gaps(result)[mechanism]
     assert gap["reading"] == "differs"
     assert gap["evidence"] == (evidence or [CONSTRUCTION])[0]
     # What decides nothing is no evidence of what others decide.
     both = shifted(shifted(equal, mechanism, points), "offset", 0.4)
-    assert item(said_of(worlds, both))["evidence"] == evidence
+    assert item(run_validity(worlds, both))["evidence"] == evidence
 
 
 def test_a_mechanism_of_somebody_elses_is_beside_the_panel(worlds, equal):
     own = replace(equal.levels[5], mechanism="mine:Ou", success=equal.levels[5].probes)
     task = replace(equal, levels=(*equal.levels, own))
-    told = said_of(worlds, task, **{"mine:Ou": Family("mine:Ou", "mine:Ou", "")})
-    alone = item(said_of(worlds, equal))
-    found = item(told)
-    assert gaps(found)["mine:Ou"]["reading"] == "differs"
-    assert not gaps(found)["mine:Ou"]["in_panel"]
-    assert found["contrasts"][:-1] == alone["contrasts"]
-    assert found["spread_high"] == alone["spread_high"]
+    verdict = run_validity(
+        worlds, task, **{"mine:Ou": Family("mine:Ou", "mine:Ou", "")}
+    )
+    alone = item(run_validity(worlds, equal))
+    result = item(verdict)
+    assert gaps(result)["mine:Ou"]["reading"] == "differs"
+    assert not gaps(result)["mine:Ou"]["in_panel"]
+    assert result["contrasts"][:-1] == alone["contrasts"]
+    assert result["spread_high"] == alone["spread_high"]
 
 
 @pytest.mark.parametrize(
@@ -133,17 +147,17 @@ def test_a_mechanism_of_somebody_elses_is_beside_the_panel(worlds, equal):
 )
 def test_with_less_than_the_panel_nothing_tracks(worlds, equal, change, why):
     task = replace(equal, levels=tuple(filter(change, equal.levels)))
-    found = item(said_of(worlds, task))
-    assert found["decision"] == rules.NOT_TESTABLE
-    assert why in found["why"]
-    assert found["n_needed"] is None
+    result = item(run_validity(worlds, task))
+    assert result["decision"] == rules.NOT_TESTABLE
+    assert why in result["why"]
+    assert result["n_needed"] is None
 
 
-def changed(task, **of):
-    def one(level):
-        return replace(level, **{name: make(level) for name, make in of.items()})
+def changed(task, **changes):
+    def change_level(level):
+        return replace(level, **{name: make(level) for name, make in changes.items()})
 
-    return replace(task, levels=tuple(map(one, task.levels)))
+    return replace(task, levels=tuple(map(change_level, task.levels)))
 
 
 def few(level):
@@ -152,17 +166,21 @@ def few(level):
 
 
 def test_what_rests_on_few_or_on_nobody_is_not_testable(worlds, equal):
-    found = item(said_of(worlds, changed(equal, descriptors=few)))
-    assert found["n"] == 7
-    assert "7 people" in found["why"]
+    result = item(run_validity(worlds, changed(equal, descriptors=few)))
+    assert result["n"] == 7
+    assert "7 people" in result["why"]
     nobody = item(
-        said_of(worlds, changed(equal, success=lambda one: 0.02 * one.probes))
+        run_validity(worlds, changed(equal, success=lambda level: 0.02 * level.probes))
     )
-    still = item(said_of(worlds, changed(equal, success=lambda one: one.probes)))
+    still = item(
+        run_validity(worlds, changed(equal, success=lambda level: level.probes))
+    )
     assert nobody["decision"] == still["decision"] == rules.NOT_TESTABLE
     assert "alike" in nobody["why"]
-    high = changed(equal, success=lambda one: 0.8 * one.probes + 0.2 * one.success)
-    assert "anything would track" in item(said_of(worlds, high))["why"]
+    high = changed(
+        equal, success=lambda level: 0.8 * level.probes + 0.2 * level.success
+    )
+    assert "anything would track" in item(run_validity(worlds, high))["why"]
 
 
 def test_beyond_the_sweep_one_direction_can_be_shown(worlds, equal):
@@ -171,16 +189,17 @@ def test_beyond_the_sweep_one_direction_can_be_shown(worlds, equal):
         return {name: sums * [[share], [1]] for name, sums in level.descriptors.items()}
 
     below = changed(equal, descriptors=tenth)
-    found = item(said_of(worlds, shifted(below, "correlated", -0.45)))
-    assert found["decision"] == rules.NOT_TESTABLE
-    assert "correlated 0.75 has a lower PLR than any fixed noise" in found["why"]
-    assert gaps(found)["correlated"]["only"] == "more"
-    more = item(said_of(worlds, below))
+    result = item(run_validity(worlds, shifted(below, "correlated", -0.45)))
+    assert result["decision"] == rules.NOT_TESTABLE
+    assert "correlated 0.75 has a lower PLR than any fixed noise" in result["why"]
+    assert gaps(result)["correlated"]["only"] == "more"
+    more = item(run_validity(worlds, below))
     assert (more["decision"], more["evidence"]) == (rules.DOES_NOT, [SHOWN])
 
 
 def test_without_fixed_noise_there_is_nothing_to_compare_with(worlds, equal):
     task = replace(
-        equal, levels=tuple(one for one in equal.levels if "fixed" not in one.mechanism)
+        equal,
+        levels=tuple(level for level in equal.levels if "fixed" not in level.mechanism),
     )
-    assert said_of(worlds, task) == {"items": [], "controls": [], "on_trial": []}
+    assert run_validity(worlds, task) == {"items": [], "controls": [], "on_trial": []}

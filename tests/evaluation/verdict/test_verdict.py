@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 from helpers.pages import tells_rows_apart
-from helpers.planted_worlds import KINDS, TASK, World, run, said_of, simulated
+from helpers.planted_worlds import KINDS, TASK, World, planted_verdict, run, simulated
 
 from evaluation.reporting.answer_tables import item_tables
 from evaluation.verdict import rules
@@ -29,18 +29,18 @@ def said():
 
 @pytest.fixture(scope="module")
 def strangers():
-    found, levels = simulated(
+    estimates, levels = simulated(
         World("valid", stranger=True), rng=np.random.default_rng(13)
     )
-    return said_of(found, {TASK: levels})
+    return planted_verdict(estimates, {TASK: levels})
 
 
-def items_of(said, section):
-    return [one for one in said["items"] if one["section"] == section]
+def list_items(said, section):
+    return [item for item in said["items"] if item["section"] == section]
 
 
 class TestPlantedTruths:
-    """What the verdict says where the truth is known; 3,000 people, so that it can be seen."""
+    """The verdict where the truth is known; 3,000 people, enough to decide."""
 
     @pytest.mark.parametrize(
         ("kind", "section", "must", "may"),
@@ -58,18 +58,18 @@ class TestPlantedTruths:
         ],
     )
     def test_is_found(self, planted, kind, section, must, may):
-        decisions = {one["decision"] for one in items_of(planted[kind], section)}
+        decisions = {item["decision"] for item in list_items(planted[kind], section)}
         assert must <= decisions <= must | may
 
     def test_what_speaks_against_is_named_and_measured(self, planted):
-        worst = items_of(planted["fooled"], "validity")[0]
+        worst = list_items(planted["fooled"], "validity")[0]
         # 0.75 - (0.75 - 1.2 * 0.4 * 0.8) = 0.38 for correlated; offset is so by
         # construction, and no evidence
         assert worst["spread_low"] < 0.38 < worst["spread_high"]
         assert worst["evidence"] == ["shown"]
         assert "correlated 0.75 lets" in worst["sentence"]
-        for one in items_of(planted["valid"], "inflation"):
-            assert one["effect"] == pytest.approx(1.5, abs=0.02)
+        for item in list_items(planted["valid"], "inflation"):
+            assert item["effect"] == pytest.approx(1.5, abs=0.02)
 
     @pytest.mark.slow
     def test_where_nothing_has_an_effect_nothing_is_decided(self):
@@ -77,61 +77,69 @@ class TestPlantedTruths:
         wrong = 0
         for seed in range(200):
             said = run(World("empty", n_people=80), seed=seed)
-            wrong += any(one["sign"] for one in said["items"])
+            wrong += any(item["sign"] for item in said["items"])
         assert wrong <= 18
 
 
 class TestVerdict:
     def test_every_item_is_whole_and_plain_under_either_rule(self, said):
-        names = [one["id"] for one in said["items"]]
+        names = [item["id"] for item in said["items"]]
         assert len(names) == len(set(names))
         assert {
             "validity/linear/plr/rerelease",
             "claim/independent/missed/as-shared/mel",
         } < {*names}
-        for one in said["items"]:
+        for item in said["items"]:
             assert (
-                one["ci_low"] <= one["effect"] <= one["ci_high"]
-                or one["section"] == "claim"
+                item["ci_low"] <= item["effect"] <= item["ci_high"]
+                or item["section"] == "claim"
             )
-            assert one["n"] == 200
-            assert one["sentence"].endswith(".")
-            assert bool(one["why"]) == (not one["sign"])
-            assert one["sign"] == rules.SIGN[one["decision"]]
+            assert item["n"] == 200
+            assert item["sentence"].endswith(".")
+            assert bool(item["why"]) == (not item["sign"])
+            assert item["sign"] == rules.SIGN[item["decision"]]
         assert json.loads(to_bytes(said)) == json.loads(json.dumps(said))
-        found = Counter((one["section"], one["adding"]) for one in said["items"])
+        result = Counter((item["section"], item["adding"]) for item in said["items"])
         for section in rules.SECTIONS:
-            assert found[section, "linear"] == found[section, "independent"] > 0
+            assert result[section, "linear"] == result[section, "independent"] > 0
 
     def test_the_tables_hold_every_item_and_say_which_one_a_row_is(self, strangers):
         tables = item_tables(strangers["items"])
-        assert sum(len(one.rows) for one in tables.values()) == len(strangers["items"])
+        assert sum(len(table.rows) for table in tables.values()) == len(
+            strangers["items"]
+        )
         assert all(map(tells_rows_apart, tables.values()))
 
     def test_a_mechanism_of_somebody_elses_is_judged_like_fid(self, strangers):
-        items = [one for one in strangers["items"] if one.get("mechanism") == "mine:Ou"]
-        assert {one["section"] for one in items} == {"claim"}
-        names = {one["id"] for one in items}
-        ids = {one["id"] for one in items_of(strangers, "claim")}
-        assert names == {f"{one}/mine:Ou" for one in ids - names}
-        assert all("under mine:Ou" in one["sentence"] for one in items if one["sign"])
+        items = [
+            item for item in strangers["items"] if item.get("mechanism") == "mine:Ou"
+        ]
+        assert {item["section"] for item in items} == {"claim"}
+        names = {item["id"] for item in items}
+        ids = {item["id"] for item in list_items(strangers, "claim")}
+        assert names == {f"{item}/mine:Ou" for item in ids - names}
+        assert all(
+            "under mine:Ou" in item["sentence"] for item in items if item["sign"]
+        )
         inflated = [
-            one["id"] for one in strangers["items"] if one["id"].endswith("mine:Ou/plr")
+            item["id"]
+            for item in strangers["items"]
+            if item["id"].endswith("mine:Ou/plr")
         ]
         assert inflated == [
             f"inflation/{rule}/mine:Ou/plr" for rule in ("linear", "independent")
         ]
-        assert {one["levels"] for one in items_of(strangers, "within")} == {
+        assert {item["levels"] for item in list_items(strangers, "within")} == {
             1 + 4 + 3 + 4
         }
-        for one in items_of(strangers, "validity"):
-            assert "mine:Ou" in {gap["mechanism"] for gap in one["contrasts"]}
+        for item in list_items(strangers, "validity"):
+            assert "mine:Ou" in {gap["mechanism"] for gap in item["contrasts"]}
 
     def test_a_run_without_linkage_or_attack_says_so(self):
-        found, _ = simulated(World("valid"), rng=np.random.default_rng(12))
-        said = said_of(
-            {key: one for key, one in found.items() if not key.knowledge}, {}
+        estimates, _ = simulated(World("valid"), rng=np.random.default_rng(12))
+        said = planted_verdict(
+            {key: number for key, number in estimates.items() if not key.knowledge}, {}
         )
-        assert {one["section"] for one in said["items"]} == {"claim"}
-        empty = said_of({}, {})
+        assert {item["section"] for item in said["items"]} == {"claim"}
+        empty = planted_verdict({}, {})
         assert empty["items"] == []

@@ -1,4 +1,4 @@
-"""What may be shared: which levels hold, which of them are named, and what cannot be said."""
+"""Recommended levels: which hold, which are named, and which cannot be judged."""
 
 from itertools import product
 
@@ -57,9 +57,9 @@ class TestControls:
         assert (alone.met, alone.proposals, alone.refused) == (False, (), ())
 
     def test_of_strangers_are_not_either(self):
-        mine = changed(mechanism="mine:Noise", family="mine:Noise", missed=0.1)
-        assert names(asked((RAW, GOOD, mine)).proposals)[0] == ("mine:Noise", 0.4)
-        control = changed(mine, protects=False)
+        own = changed(mechanism="mine:Noise", family="mine:Noise", missed=0.1)
+        assert names(asked((RAW, GOOD, own)).proposals)[0] == ("mine:Noise", 0.4)
+        control = changed(own, protects=False)
         assert names(asked((RAW, GOOD, control)).proposals) == [AT]
 
     def test_cannot_be_asked_for(self):
@@ -109,9 +109,9 @@ class TestEachLimit:
             (RAW, broken)
         ).met  # He was not asked for; it is said that he breaks it.
         (side,) = [
-            one
-            for one in asked((RAW, broken)).proposals[0].beyond
-            if one.adversary == name
+            item
+            for item in asked((RAW, broken)).proposals[0].beyond
+            if item.adversary == name
         ]
         assert side.breaks(0.5)
         expected = {("plr", "not met"), ("plr_wide", "not met")}
@@ -168,11 +168,11 @@ class TestUnknown:
         )
         # Who does not ask for it has an answer.
         assert asked((changed(RAW, task=""), changed(task="")), limits={"plr": 0.5}).met
-        re_release = tuple(changed(one, task="rerelease") for one in (RAW, GOOD))
+        re_release = tuple(changed(item, task="rerelease") for item in (RAW, GOOD))
         assert asked(re_release).missing == ("no handover",)
 
     def test_the_first_handover_leads_where_the_leading_one_is_missing(self):
-        later = tuple(changed(one, task="handover-5s") for one in (RAW, GOOD))
+        later = tuple(changed(item, task="handover-5s") for item in (RAW, GOOD))
         assert (asked(later).task, asked(later).met) == ("handover-5s", True)
 
     def test_attack(self):
@@ -214,11 +214,11 @@ class TestSet:
             answer = asked((RAW, *levels))
             front = [
                 at
-                for at, mine in enumerate(numbers)
+                for at, own in enumerate(numbers)
                 if not any(
-                    (other <= mine).all() and (other < mine).any() for other in numbers
+                    (other <= own).all() and (other < own).any() for other in numbers
                 )
-                and not any((other == mine).all() for other in numbers[:at])
+                and not any((other == own).all() for other in numbers[:at])
             ]
             front.sort(key=lambda at: tuple(numbers[at]))
             expected = [("ou", float(at)) for at in front[:MOST_PROPOSALS]]
@@ -366,6 +366,6 @@ def test_a_table_in_another_order_says_the_same():
         Question(adding=rules) for rules in product(("linear", "independent"))
     ):
         first, second = (
-            recommend(one, question, dataset="walks") for one in (rows, mixed)
+            recommend(item, question, dataset="walks") for item in (rows, mixed)
         )
         assert names(first.proposals) == names(second.proposals)

@@ -1,4 +1,4 @@
-"""Whether a track's own descriptor tells: the correlation within levels, and its interval."""
+"""A track's own descriptor: its correlation with linkage within levels."""
 
 import numpy as np
 import pytest
@@ -19,9 +19,9 @@ def test_what_the_covariates_explain_is_not_counted():
     rng = np.random.default_rng(2)
     descriptor, hit, covariate, cluster = draw(rng, 4000, noise=1.5)
     assert np.corrcoef(descriptor[:, 0], hit)[0, 1] > 0.3
-    found = partial_correlation([(descriptor, hit, covariate, cluster)])
-    assert found.ci_low < 0 < found.ci_high
-    assert found.value == pytest.approx(0, abs=0.04)
+    result = partial_correlation([(descriptor, hit, covariate, cluster)])
+    assert result.ci_low < 0 < result.ci_high
+    assert result.value == pytest.approx(0, abs=0.04)
 
 
 def test_equals_the_residual_correlation_of_a_plain_regression():
@@ -30,7 +30,7 @@ def test_equals_the_residual_correlation_of_a_plain_regression():
 
     def ranks(values):
         order = np.array(
-            [(values < one).mean() + (values == one).mean() / 2 for one in values]
+            [(values < value).mean() + (values == value).mean() / 2 for value in values]
         )
         return (order - 0.5) * 2
 
@@ -39,21 +39,21 @@ def test_equals_the_residual_correlation_of_a_plain_regression():
     both = [ranks(descriptor[:, 0]), ranks(hit)]
     rest = [y - design @ np.linalg.pinv(design) @ y for y in both]
     expected = np.corrcoef(*rest)[0, 1]
-    found = partial_correlation([(descriptor, hit, covariate, cluster)])
-    assert found.value == pytest.approx(expected, abs=1e-6)
+    result = partial_correlation([(descriptor, hit, covariate, cluster)])
+    assert result.value == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_person_at_every_level_counts_once():
-    one = draw(np.random.default_rng(4), own=0.7)
-    single, many = partial_correlation([one]), partial_correlation([one] * 10)
+    result = draw(np.random.default_rng(4), own=0.7)
+    single, many = partial_correlation([result]), partial_correlation([result] * 10)
     assert many.value == pytest.approx(single.value)
     assert many.standard_error == pytest.approx(single.standard_error)
 
 
 def test_its_interval_covers_zero_as_often_as_it_says():
     rng = np.random.default_rng(5)
-    found = [partial_correlation([draw(rng, 200, noise=0.5)]) for _ in range(400)]
-    covered = np.mean([one.ci_low <= 0 <= one.ci_high for one in found])
+    result = [partial_correlation([draw(rng, 200, noise=0.5)]) for _ in range(400)]
+    covered = np.mean([item.ci_low <= 0 <= item.ci_high for item in result])
     assert 0.92 <= covered <= 0.98
 
 
@@ -61,14 +61,14 @@ def test_nothing_varies_nothing_is_known():
     rng = np.random.default_rng(6)
     descriptor, hit, covariate, cluster = draw(rng)
     few = (descriptor[:3], hit[:3], covariate[:3], cluster[:3])
-    for one in ((descriptor * 0, hit, covariate, cluster), few):
-        assert np.isnan(partial_correlation([one]).value)
+    for item in ((descriptor * 0, hit, covariate, cluster), few):
+        assert np.isnan(partial_correlation([item]).value)
 
 
 def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
     values = np.random.default_rng(7).normal(size=50)
-    one = clustered_mean(values, np.arange(50))
-    assert one.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
+    result = clustered_mean(values, np.arange(50))
+    assert result.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(50))
 
 
 def test_a_task_whose_windows_failed_has_no_item():

@@ -7,7 +7,7 @@ from helpers.mirror import serving
 
 @pytest.fixture
 def empty_machine(monkeypatch, tmp_path):
-    """No data folder, an empty cache, and a mirror where nobody listens; gives the cache."""
+    """An empty cache, without data folder and with a mirror that does not answer."""
     monkeypatch.delenv("ISAC_TRACK_DATA", raising=False)
     monkeypatch.setenv("ISAC_TRACK_CACHE", str(tmp_path / "cache"))
     monkeypatch.setenv("ISAC_TRACK_MIRROR", "http://127.0.0.1:1")
@@ -23,8 +23,8 @@ def data_folder(empty_machine, monkeypatch, tmp_path):  # noqa: ARG001 - all els
     return tmp_path / "data"
 
 
-def folder_of(name):
-    """Give the user's data folder if it holds this recording, which is not part of the project."""
+def find_folder(name):
+    """Give the user's data folder if it holds this recording, else skip the test."""
     folder = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere"))
     if not (folder / name).is_dir():
         pytest.skip(f"needs {name}: set ISAC_TRACK_DATA")
@@ -33,17 +33,17 @@ def folder_of(name):
 
 @pytest.fixture
 def ucy():
-    return folder_of("students03")
+    return find_folder("students03")
 
 
 @pytest.fixture
 def gc():
-    return folder_of("gc")
+    return find_folder("gc")
 
 
 @pytest.fixture
 def single_file():
-    return folder_of("singlefile") / "singlefile"
+    return find_folder("singlefile") / "singlefile"
 
 
 @pytest.fixture

@@ -122,8 +122,8 @@ def test_fetch(mirror, empty_machine, monkeypatch, capsys):
     assert main(["fetch", "small", "plaza"]) == 0
     shown = capsys.readouterr()
     assert shown.err == f"downloading {mirror.address}small/obsmat.txt\n"
-    told = f"small: fetched: {target}\nplaza is bundled: nothing to fetch\n"
-    assert shown.out == told
+    expected = f"small: fetched: {target}\nplaza is bundled: nothing to fetch\n"
+    assert shown.out == expected
     assert main(["fetch", "small"]) == 0
     assert f"small: already here: {target}" in capsys.readouterr().out
     assert len(mirror.asked) == 1

@@ -13,7 +13,7 @@ from helpers.mirror import FAILS, OTHER, WALK, closed
 from helpers.recordings import files_in
 
 from isac_track.datasets import load, registry
-from isac_track.datasets.registry import KNOWN, Known, fetch, locate, url_of
+from isac_track.datasets.registry import KNOWN, Known, fetch, file_url, locate
 from isac_track.errors import DataError
 
 SMALL = Known(name="small", sha256={"obsmat.txt": hashlib.sha256(WALK).hexdigest()})
@@ -139,13 +139,12 @@ def test_a_named_data_set_is_downloaded_once(ucy, mirror):
     ]
 
 
-@pytest.mark.parametrize(
-    "what", [one for one in FAILS if one != "a slow header"]
-)  # leaves a thread behind
+# A slow header leaves a thread behind.
+@pytest.mark.parametrize("failure", [name for name in FAILS if name != "a slow header"])
 def test_a_failed_download_is_one_line_and_leaves_nothing(
-    what, mirror, empty_machine, monkeypatch
+    failure, mirror, empty_machine, monkeypatch
 ):
-    answer, message = FAILS[what]
+    answer, message = FAILS[failure]
     monkeypatch.setattr(registry, "READ_TIMEOUT_S", 0.4)
     monkeypatch.setattr(registry, "LEAST_S", 2.0)
     mirror.files["/base/small/obsmat.txt"] = answer
@@ -153,7 +152,7 @@ def test_a_failed_download_is_one_line_and_leaves_nothing(
     with pytest.raises(DataError) as caught:
         fetch(SMALL)
     assert time.monotonic() - began < 5
-    assert str(caught.value).startswith(f"{url_of(SMALL, 'obsmat.txt')}: {message}")
+    assert str(caught.value).startswith(f"{file_url(SMALL, 'obsmat.txt')}: {message}")
     assert "Way out: get obsmat.txt of that folder" in str(caught.value)
     assert "save in DIR/small and set ISAC_TRACK_DATA=DIR" in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -166,24 +165,24 @@ def test_what_a_killed_download_left_goes_and_that_of_another_process_stays(
     ended = subprocess.Popen([sys.executable, "-c", ""])
     ended.wait()
     put(empty_machine, "small")
-    left, others = (
+    leftover, others = (
         empty_machine / "small" / f".obsmat.txt.{pid}"
         for pid in (ended.pid, os.getppid())
     )
-    left.write_bytes(b"half")
+    leftover.write_bytes(b"half")
     others.write_bytes(b"half")
     mirror.files["/base/small/obsmat.txt"] = WALK
     fetch(SMALL)
-    assert {one.name for one in (empty_machine / "small").iterdir()} == {
+    assert {path.name for path in (empty_machine / "small").iterdir()} == {
         "obsmat.txt",
         others.name,
     }
 
 
-def test_what_was_fetched_earlier_stays_and_a_damaged_file_is_replaced_by_a_good_one_alone(
+def test_a_fetched_file_stays_and_only_a_good_file_replaces_a_damaged_one(
     mirror, empty_machine
 ):
-    two = replace(
+    pair = replace(
         SMALL, sha256={**SMALL.sha256, "groups.txt": hashlib.sha256(b"1 2").hexdigest()}
     )
     put(empty_machine, "small", groups=OTHER)
@@ -192,13 +191,13 @@ def test_what_was_fetched_earlier_stays_and_a_damaged_file_is_replaced_by_a_good
     for answer in (404, OTHER, FAILS["cut short"][0], closed):
         mirror.files["/base/small/groups.txt"] = answer
         with pytest.raises(DataError, match=r"small/groups.txt: .*Way out"):
-            fetch(two)
+            fetch(pair)
         assert {path.name: path.read_bytes() for path in files_in(empty_machine)} == {
             "obsmat.txt": WALK,
             "groups.txt": OTHER,
         }
     mirror.files["/base/small/groups.txt"] = b"1 2"
-    assert set(fetch(two)[0]) == {"obsmat.txt", "groups.txt"}
+    assert set(fetch(pair)[0]) == {"obsmat.txt", "groups.txt"}
     assert damaged.read_bytes() == b"1 2"
     assert mirror.asked.count("/base/small/obsmat.txt") == 1
 
@@ -230,5 +229,5 @@ def test_the_real_address_is_a_pinned_commit(monkeypatch):
     monkeypatch.delenv("ISAC_TRACK_MIRROR", raising=False)
     assert re.fullmatch(
         r"https://raw.githubusercontent.com/crowdbotp/OpenTraj/[0-9a-f]{40}/.*/zara01/groups.txt",
-        url_of(KNOWN["zara01"], "groups.txt"),
+        file_url(KNOWN["zara01"], "groups.txt"),
     )

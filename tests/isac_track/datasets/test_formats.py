@@ -25,7 +25,7 @@ from isac_track.errors import DataError
 
 @st.composite
 def walks(draw):
-    """Rows of some walks at 1 m/s in frames of 0.4 s, none of them alone or with gaps."""
+    """Rows of walks at 1 m/s in frames of 0.4 s, without gaps."""
     rows = []
     for person in draw(st.sets(st.integers(-5, 10**9), min_size=1, max_size=4)):
         first = draw(st.integers(0, 50))
@@ -116,9 +116,8 @@ def test_csv_columns_in_any_order_with_quotes_spaces_and_others():
     tracks, repairs = read_walk(data, "csv")
     assert tracks.source == ("anna",)
     np.testing.assert_array_equal(tracks.xy, [[0, 1], [0.4, 1]])
-    np.testing.assert_allclose(
-        tracks.t, [0, 0.4], atol=1e-6
-    )  # a clock of 1970 is no trouble
+    # The clock counts from 1970.
+    np.testing.assert_allclose(tracks.t, [0, 0.4], atol=1e-6)
     assert kinds(repairs) == {"ignored-column": 1}
     assert repairs[0].detail == "f: column(s) note: not used, 2 rows each"
 
@@ -180,7 +179,7 @@ def test_parquet_ids_of_any_type(ids, row_group_size):
 def test_the_extension_names_some_formats(tmp_path, name, format_name):
     path = tmp_path / name
     path.write_bytes(written(WALK, format_name))
-    loaded = load(path, fps=recordings.fps_of(format_name))
+    loaded = load(path, fps=recordings.stated_fps(format_name))
     assert (loaded.name, loaded.format, loaded.simulated) == (
         "walk",
         format_name,
@@ -189,7 +188,7 @@ def test_the_extension_names_some_formats(tmp_path, name, format_name):
     assert (loaded.path, len(loaded.sha256)) == (str(path), 64)
     # Rows of another recording must never pass for those of a known one.
     path = path.rename(tmp_path / f"students03{path.suffix}")
-    assert load(path, fps=recordings.fps_of(format_name)).name == path.name
+    assert load(path, fps=recordings.stated_fps(format_name)).name == path.name
 
 
 # The walks of `WALK` at 25 frames a second: id, frame, x, y in m.
@@ -224,14 +223,14 @@ def test_a_header_names_columns_unit_and_frame_rate(tmp_path, header, row, unit)
     path = tmp_path / "walk.txt"
     rows = [row.format(i=i, f=f, x=x, y=y) for i, f, x, y in ROWS]
     path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    found = load(path)
-    assert (found.format, found.tracks.source) == ("pedpy", ("3", "12"))
-    np.testing.assert_allclose(found.tracks.xy, THREE + TWELVE, atol=1e-12)
-    np.testing.assert_allclose(found.tracks.t, T + T, atol=1e-12)
-    told = {repair.kind: repair.detail for repair in found.repairs}
-    assert told.keys() == {"header"} | ({"unit"} if unit else set())
-    assert "25 frames a second" in told["header"]
-    assert unit is None or f"positions in {unit}, as the header says" in told["unit"]
+    dataset = load(path)
+    assert (dataset.format, dataset.tracks.source) == ("pedpy", ("3", "12"))
+    np.testing.assert_allclose(dataset.tracks.xy, THREE + TWELVE, atol=1e-12)
+    np.testing.assert_allclose(dataset.tracks.t, T + T, atol=1e-12)
+    details = {repair.kind: repair.detail for repair in dataset.repairs}
+    assert details.keys() == {"header"} | ({"unit"} if unit else set())
+    assert "25 frames a second" in details["header"]
+    assert unit is None or f"positions in {unit}, as the header says" in details["unit"]
 
 
 def test_a_sentence_about_columns_names_none(tmp_path):
@@ -245,24 +244,24 @@ def test_a_sentence_about_columns_names_none(tmp_path):
         load(path)
 
 
-@pytest.mark.parametrize(("unit", "by"), [("m", 1), ("cm", 100), ("mm", 1000)])
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1), ("cm", 100), ("mm", 1000)])
 @pytest.mark.parametrize("format_name", FORMATS)
-def test_lengths_are_in_the_unit_that_is_told(format_name, unit, by):
-    rows = [(t, person, by * x, by * y) for t, person, x, y in WALK]
+def test_lengths_are_in_the_unit_of_the_option(format_name, unit, factor):
+    rows = [(t, person, factor * x, factor * y) for t, person, x, y in WALK]
     data = written(rows, format_name).replace(b"/m", f"/{unit}".encode())
-    rate = recordings.fps_of(format_name)
+    rate = recordings.stated_fps(format_name)
     tracks, repairs = read(data=data, path="f", format=format_name, fps=rate, unit=unit)
     np.testing.assert_allclose(tracks.xy, THREE + TWELVE, rtol=1e-12)
     assert kinds(repairs) == ({} if unit == "m" else {"unit": len(rows)})
 
 
-def test_another_unit_is_proposed_and_never_taken_and_a_contradiction_is_told():
+def test_another_unit_is_proposed_but_never_used_and_a_contradiction_is_named():
     rows = [(t, person, 1000 * x, 1000 * y) for t, person, x, y in WALK]
     with pytest.raises(DataError, match=r"\(--unit mm makes it 0\.75 m/s\)"):
         read_walk(written(rows, "csv"), "csv")
     contradiction = "--unit cm contradicts the file's header: m"
-    for unit, told in (("cm", contradiction), ("furlong", "one of m,")):
-        with pytest.raises(DataError, match=told):
+    for unit, message in (("cm", contradiction), ("furlong", "one of m,")):
+        with pytest.raises(DataError, match=message):
             read(data=written(WALK, "pedpy"), path="f", format="pedpy", unit=unit)
 
 

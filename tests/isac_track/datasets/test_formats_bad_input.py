@@ -1,4 +1,7 @@
-"""What each reader says of a file that it cannot read; in processes of their own: robustness."""
+"""Each reader's message for a file that it cannot read.
+
+`tests/robustness` reads such files in processes of their own.
+"""
 
 import pytest
 from helpers.bad_recordings import ROWS

@@ -1,4 +1,4 @@
-"""Files as people have them: each oddity is mended and counted, named, or refused in one line."""
+"""Odd files: each oddity is mended and counted, named, or refused in one line."""
 
 import io
 import os
@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from isac_track.datasets import TOOLS, load, read
-from isac_track.datasets.recording import Reading, columns_named
+from isac_track.datasets.recording import Reading, parse_columns
 from isac_track.errors import DataError
 
 N = 100
@@ -57,7 +57,7 @@ def reused(gap_s, away_m):
 
 
 def strayed(first, last, away_m=8.0):
-    """The id is elsewhere for some samples, and then where its walk leads."""
+    """The id is elsewhere for some samples, and then back on its walk."""
     y = Y.copy()
     y[first:last] += away_m
     return table(y=y)
@@ -104,32 +104,32 @@ def test_the_truth_is_cut_not_invented(data, expected, n_tracks, n_clusters):
 
 
 def test_rows_in_any_order_are_sorted_and_no_clock_is_blamed():
-    order = np.random.default_rng(0).permutation(N)
-    for some in (order, np.arange(N)[::-1], np.roll(np.arange(N), 40)):
-        tracks, repairs = read_walk(table(T[some], X[some], Y[some]), "csv")
+    shuffled = np.random.default_rng(0).permutation(N)
+    for order in (shuffled, np.arange(N)[::-1], np.roll(np.arange(N), 40)):
+        tracks, repairs = read_walk(table(T[order], X[order], Y[order]), "csv")
         assert len(tracks) == 1
         assert kinds(repairs).keys() == {"unsorted"}
         assert np.allclose(tracks.xy[:, 0], X)
 
 
 def test_frozen_stretches_are_dropped_on_request(tmp_path):
-    found = loaded(still(20, 61), tmp_path, drop_frozen=3.0)
-    assert kinds(found.repairs) == {"frozen-dropped": 1}
-    assert found.tracks.source == ("0#1", "0#2")
-    assert np.allclose(found.tracks.t, np.concatenate([T[:21], T[60:]]))
+    dataset = loaded(still(20, 61), tmp_path, drop_frozen=3.0)
+    assert kinds(dataset.repairs) == {"frozen-dropped": 1}
+    assert dataset.tracks.source == ("0#1", "0#2")
+    assert np.allclose(dataset.tracks.t, np.concatenate([T[:21], T[60:]]))
 
 
 @pytest.mark.parametrize(("how", "x"), [("first", X), ("mean", X + 0.05)])
 def test_two_places_at_one_time(tmp_path, how, x):
-    both = np.column_stack([X, X + 0.1]).ravel()
-    data = table(np.repeat(T, 2), both, np.repeat(Y, 2))
+    places = np.column_stack([X, X + 0.1]).ravel()
+    data = table(np.repeat(T, 2), places, np.repeat(Y, 2))
     with pytest.raises(
         DataError, match=rf"{N} such rows\); --on-duplicate first or mean"
     ):
         loaded(data, tmp_path)
-    found = loaded(data, tmp_path, on_duplicate=how)
-    assert kinds(found.repairs) == {"same-time": N}
-    assert np.allclose(found.tracks.xy[:, 0], x)
+    dataset = loaded(data, tmp_path, on_duplicate=how)
+    assert kinds(dataset.repairs) == {"same-time": N}
+    assert np.allclose(dataset.tracks.xy[:, 0], x)
 
 
 def test_what_are_not_copies_stays_to_the_bit_when_others_are_averaged():
@@ -154,7 +154,8 @@ ISO = [
         (table(ISO), {}),
         (table([text.replace("+00:00", "Z") for text in ISO]), {}),
         (table([text.replace("T", " ").replace("+00:00", "") for text in ISO]), {}),
-        (table([1_700_000_000_000 + round(1000 * t) for t in T]), {"columns": "t=t[ms]"}),
+        (table([1_700_000_000_000 + round(1000 * t) for t in T]),
+         {"columns": "t=t[ms]"}),
         (table([1.7e9 + t for t in T]), {}),
         (table(names="T,ID,X,Y"), {}),
         (table(x=100 * X, y=100 * Y, second="s,,cm,cm"), {}),
@@ -166,17 +167,18 @@ ISO = [
         (table(1000 * T, 100 * X, 100 * Y, names="T (ms),ID,X [cm],Y(cm)"), {}),
         (table(1000 * T, names="Time [ms],id,x,y"), {"columns": "t=time [ms]"}),
         (table(T / 60), {"columns": "t=t[min]"}),
-        (table([text[:-6].replace("-", "").replace(":", "") + "Z" for text in ISO]), {}),
+        (table([text[:-6].replace("-", "").replace(":", "") + "Z" for text in ISO]),
+         {}),
         (table([text.replace("+00:00", " UTC") for text in ISO]), {}),
         (table(x=X / 0.3048, y=Y / 0.3048), {"unit": "ft"}),
         (table(x=X / 0.025, y=Y / 0.025), {"unit": "0.025"}),
     ],
 )  # fmt: skip
 def test_a_file_is_read_as_its_writer_meant_it(tmp_path, data, options):
-    found = loaded(data, tmp_path, **options)
-    assert np.allclose(found.tracks.t, T, atol=2e-6)
-    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]), atol=1e-9)
-    assert "doubt" not in kinds(found.repairs)
+    dataset = loaded(data, tmp_path, **options)
+    assert np.allclose(dataset.tracks.t, T, atol=2e-6)
+    assert np.allclose(dataset.tracks.xy, np.column_stack([X, Y]), atol=1e-9)
+    assert "doubt" not in kinds(dataset.repairs)
 
 
 @pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
@@ -194,12 +196,15 @@ def test_time_stamps_of_parquet(tmp_path, unit, zone):
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (table([1_700_000_000_000 + round(1000 * t) for t in T]), r"ms since 1970\? --columns"),
+        (table([1_700_000_000_000 + round(1000 * t) for t in T]),
+         r"ms since 1970\? --columns"),
         (table([1_700_000_000 * 10**9 + round(1e9 * t) for t in T]), "ns since 1970"),
         (table([float(np.float32(1.7e9 + 128 * t)) for t in T]), "float32"),
         (table([float(np.float32(1.7e12 + 131_072e3 * t)) for t in T]), "float32"),
-        (table([f"12:00:{second:07.4f}" for second in T]), "line 2: t .* nor a date of ISO 8601"),
-        (table([text.partition(".")[0] + "Z" for text in ISO]), r"are the times rounded\?"),
+        (table([f"12:00:{second:07.4f}" for second in T]),
+         "line 2: t .* nor a date of ISO 8601"),
+        (table([text.partition(".")[0] + "Z" for text in ISO]),
+         r"are the times rounded\?"),
         (table(T / 60), r"--columns t=t\[min\] makes it 1.3 m/s"),
         (table(T * 1e6), r"--columns t=t\[us\] makes it 1.3 m/s"),
         (table(x=X / 0.0254, y=Y / 0.0254), "--unit 0.0254 makes it 1.3 m/s"),
@@ -207,21 +212,28 @@ def test_time_stamps_of_parquet(tmp_path, unit, zone):
         (b"SQLite format 3\0", "--format jupedsim"),
         (b"\x89HDF\r\n\x1a\n", "--format hdf5"),
         (table(x=7 + X / 111e3, y=51 + Y / 111e3), "--crs degrees"),
-        (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]), "line 101: t '2026-13-01T00:00:00"),
-        (table([*ISO[:-1], "2026-02-30T00:00:00+00:00"]), "line 101: t '2026-02-30T00:00:00"),
-        (table(np.round(T * 1000)), r"milliseconds for seconds \(of a table: --columns t=t\["),
+        (table([*ISO[:-1], "2026-13-01T00:00:00+00:00"]),
+         "line 101: t '2026-13-01T00:00:00"),
+        (table([*ISO[:-1], "2026-02-30T00:00:00+00:00"]),
+         "line 101: t '2026-02-30T00:00:00"),
+        (table(np.round(T * 1000)),
+         r"milliseconds for seconds \(of a table: --columns t=t\["),
         (table(x=X / 1000, y=Y / 1000), r"kilometres for metres \(--unit 1000\)"),
         (table([*ISO[:-1], ISO[-1].replace("+00:00", "")]), "some times have a zone"),
         (table([*ISO[:-1], "noon"]), "line 101: t 'noon' is no date"),
         (table(names="a,b,c,d"), r"it has a, b, c, d: --columns t=NAME"),
         (table(names="frame,id,x,y"), r"--columns 't=frame\[25 fps\]' counts frames"),
-        (table(names="t [frame],id,x,y"), r"column t \[frame\]: unknown unit .* a frame as 25 fps"),
-        (table(names="t,id,x [px],y [px]"), r"column x \[px\]: unknown unit .* metres by --unit"),
+        (table(names="t [frame],id,x,y"),
+         r"column t \[frame\]: unknown unit .* a frame as 25 fps"),
+        (table(names="t,id,x [px],y [px]"),
+         r"column x \[px\]: unknown unit .* metres by --unit"),
         (table(names="t,id,x [deg],y [deg]"), "unknown unit 'deg' .* --crs degrees"),
-        (table(names="sep=,"), "line 1: a line for Excel; the first line of csv names the columns"),
+        (table(names="sep=,"),
+         "line 1: a line for Excel; the first line of csv names the columns"),
         (table(names="\n"), "line 1: empty; the first line"),
         (table(names="0.0,0,-1.5e3,0"), "line 1: numbers; the first line"),
-        (table(second="# made by hand"), "line 2: 1 .* csv has no comments: leave the line out"),
+        (table(second="# made by hand"),
+         "line 2: 1 .* csv has no comments: leave the line out"),
         (table(second="1,2"), r"line 2: 2 column\(s\) where the header has 4$"),
         (table(second="0,0,1,5,0"), "where the header has 4; a decimal comma would"),
         (b"PK\x03\x04rest", "Excel workbook"),
@@ -252,16 +264,18 @@ def test_files_that_are_no_table_say_how_they_become_one(tmp_path, name, way):
     ],
 )
 def test_units_in_doubt_name_their_likely_cause(tmp_path, data, cause):
-    (doubt,) = [one for one in loaded(data, tmp_path).repairs if one.kind == "doubt"]
+    (doubt,) = [
+        repair for repair in loaded(data, tmp_path).repairs if repair.kind == "doubt"
+    ]
     assert cause in doubt.detail
 
 
 def test_degrees_become_local_metres(tmp_path):
     north, east = 111_257.0, 70_197.0  # metres a degree at 51 N, of WGS 84
     data = table(x=7 + X / east, y=51 + Y / north)
-    found = loaded(data, tmp_path, crs="degrees")
-    assert kinds(found.repairs) == {"crs": N}
-    xy = found.tracks.xy - found.tracks.xy[0]
+    dataset = loaded(data, tmp_path, crs="degrees")
+    assert kinds(dataset.repairs) == {"crs": N}
+    xy = dataset.tracks.xy - dataset.tracks.xy[0]
     assert np.allclose(xy, np.column_stack([X, Y]) - [X[0], Y[0]], atol=0.01)
     with pytest.raises(DataError, match="not degrees"):
         loaded(table(x=X + 500), tmp_path, crs="degrees")
@@ -276,8 +290,8 @@ def test_swapped_degrees_say_so_and_how_to_swap_them(tmp_path, longitude, is_rea
     lat, lon = 51 + metres[:, 1] / 111_257.0, longitude + metres[:, 0] / 70_197.0
     data = table(np.tile(T, 10), lat, lon, ids)
     if is_read:
-        found = loaded(data, tmp_path, crs="degrees")
-        (doubt,) = [note.detail for note in found.repairs if note.kind == "doubt"]
+        dataset = loaded(data, tmp_path, crs="degrees")
+        (doubt,) = [note.detail for note in dataset.repairs if note.kind == "doubt"]
     else:
         with pytest.raises(DataError, match="not degrees") as caught:
             loaded(data, tmp_path, crs="degrees")
@@ -324,8 +338,13 @@ def test_options_that_mean_nothing(tmp_path, options, message):
 
 
 UNITS = [
-    ("x [cm]", "cm", 0.01), ("x(cm)", "centimetre", 0.01), ("x/cm", None, 0.01),
-    ("x [yd]", None, 0.9144), ("x/in", "0.0254", 0.0254), ("x", "yards", 0.9144), ("x", "m", 1.0),
+    ("x [cm]", "cm", 0.01),
+    ("x(cm)", "centimetre", 0.01),
+    ("x/cm", None, 0.01),
+    ("x [yd]", None, 0.9144),
+    ("x/in", "0.0254", 0.0254),
+    ("x", "yards", 0.9144),
+    ("x", "m", 1.0),
     ("x [cm]", "m", "--unit m contradicts the file's header: cm"),
     ("x [ft]", "cm", "--unit cm contradicts the file's header: ft"),
 ]  # fmt: skip
@@ -343,15 +362,15 @@ def test_a_unit_of_the_header_and_the_option_agree_or_are_refused(
         with pytest.raises(DataError, match=metres):
             loaded(data, tmp_path, unit=unit)
         return
-    found = loaded(data, tmp_path, unit=unit)
-    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
-    assert ("unit" in kinds(found.repairs)) is (metres != 1.0)
+    dataset = loaded(data, tmp_path, unit=unit)
+    assert np.allclose(dataset.tracks.xy, np.column_stack([X, Y]))
+    assert ("unit" in kinds(dataset.repairs)) is (metres != 1.0)
 
 
 def test_x_and_y_may_have_two_units_and_degrees_have_none_of_a_header(tmp_path):
-    found = loaded(table(x=X / 0.3048, names="t,id,x/ft,y"), tmp_path)
-    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
-    (note,) = [repair for repair in found.repairs if repair.kind == "unit"]
+    dataset = loaded(table(x=X / 0.3048, names="t,id,x/ft,y"), tmp_path)
+    assert np.allclose(dataset.tracks.xy, np.column_stack([X, Y]))
+    (note,) = [repair for repair in dataset.repairs if repair.kind == "unit"]
     assert "x in ft and y in m; converted to m" in note.detail
     data = table(x=7 + X / 7e4, y=51 + Y / 111e3, names="t,id,x/m,y/m")
     with pytest.raises(
@@ -366,33 +385,33 @@ def test_x_and_y_may_have_two_units_and_degrees_have_none_of_a_header(tmp_path):
 def test_a_table_may_count_frames(tmp_path, rate, columns):
     fps = float(rate.removesuffix("fps"))
     name = "t" if columns else f"t [{rate}]"
-    found = loaded(
+    dataset = loaded(
         table(np.arange(N) + 7, names=f"{name},id [-],x,y"), tmp_path, columns=columns
     )
-    assert np.allclose(found.tracks.t, np.arange(N) / fps)
+    assert np.allclose(dataset.tracks.t, np.arange(N) / fps)
 
 
 @pytest.mark.parametrize(
     ("header", "columns"),
     [("group", None), ("GROUP", None), ("Group (name)", None), ("team", "group=team")],
 )
-def test_a_group_is_found_as_other_columns_are(tmp_path, header, columns):
+def test_a_group_column_is_matched_as_other_columns_are(tmp_path, header, columns):
     walkers = [
-        f"{t},{who},{x},{3 * who},a"
-        for who in (1, 2)
+        f"{t},{person},{x},{3 * person},a"
+        for person in (1, 2)
         for t, x in zip(T, X, strict=True)
     ]
     data = "\n".join([f"t,id,x,y,{header}", *walkers]).encode()
-    found = loaded(data, tmp_path, columns=columns)
-    assert set(found.tracks.group) == {"group:a"}
-    assert "ignored-column" not in kinds(found.repairs)
+    dataset = loaded(data, tmp_path, columns=columns)
+    assert set(dataset.tracks.group) == {"group:a"}
+    assert "ignored-column" not in kinds(dataset.repairs)
 
 
 def test_a_quoted_comma_before_a_date_ends_no_field(tmp_path):
     rows = [f'"Doe, Jo",{t},{x},0' for t, x in zip(ISO, X, strict=True)]
-    found = loaded("\n".join(["id,t,x,y", *rows]).encode(), tmp_path)
-    assert found.tracks.source == ("Doe, Jo",)
-    assert np.isclose(found.tracks.t[-1], T[-1])
+    dataset = loaded("\n".join(["id,t,x,y", *rows]).encode(), tmp_path)
+    assert dataset.tracks.source == ("Doe, Jo",)
+    assert np.isclose(dataset.tracks.t[-1], T[-1])
 
 
 def test_rounded_degrees_are_the_cause_that_is_named(tmp_path):
@@ -417,9 +436,9 @@ FRAME = pd.DataFrame({"t": T, "id": 1, "x": X, "y": Y})
     ],
 )
 def test_a_frame_of_odd_types_is_read(changed):
-    found = load(FRAME.assign(**changed))
-    assert np.array_equal(found.tracks.xy, np.column_stack([X, Y]))
-    assert found.tracks.source == ("1",)
+    dataset = load(FRAME.assign(**changed))
+    assert np.array_equal(dataset.tracks.xy, np.column_stack([X, Y]))
+    assert dataset.tracks.source == ("1",)
 
 
 @pytest.mark.parametrize(
@@ -443,19 +462,19 @@ def test_a_frame_that_cannot_be_read_names_its_column(changed, message):
 
 def test_a_frame_rate_may_be_a_text(tmp_path):
     data = b"0 1 0 0\n10 1 1 0\n20 1 2 0\n"
-    found = loaded(data, tmp_path, format="social-gan", fps="10")
-    assert found.tracks.t.tolist() == [0.0, 1.0, 2.0]
+    dataset = loaded(data, tmp_path, format="social-gan", fps="10")
+    assert dataset.tracks.t.tolist() == [0.0, 1.0, 2.0]
 
 
 def test_a_frame_is_a_recording_and_its_content_its_hash():
     frame = pd.DataFrame({"t": T, "id": "0", "x": X, "y": Y})
-    found = load(frame)
-    assert (found.name, found.path, found.format) == ("DataFrame",) * 3
-    assert np.array_equal(found.tracks.xy, np.column_stack([X, Y]))
-    assert load(frame.rename(columns=str.upper)).sha256 == found.sha256
-    assert load(frame.assign(x=2 * X)).sha256 != found.sha256
-    assert load(Polars(frame)).sha256 == found.sha256
-    assert load(frame.set_index("id")).sha256 == found.sha256
+    dataset = load(frame)
+    assert (dataset.name, dataset.path, dataset.format) == ("DataFrame",) * 3
+    assert np.array_equal(dataset.tracks.xy, np.column_stack([X, Y]))
+    assert load(frame.rename(columns=str.upper)).sha256 == dataset.sha256
+    assert load(frame.assign(x=2 * X)).sha256 != dataset.sha256
+    assert load(Polars(frame)).sha256 == dataset.sha256
+    assert load(frame.set_index("id")).sha256 == dataset.sha256
     lasting = load(frame.assign(t=pd.to_timedelta(T, unit="s")))
     assert np.allclose(lasting.tracks.t, T)
     with pytest.raises(DataError, match="not list"):
@@ -471,11 +490,11 @@ def test_a_frame_is_a_recording_and_its_content_its_hash():
 def test_a_frame_of_polars():
     polars = pytest.importorskip("polars")
     frame = polars.DataFrame({"t": T, "id": ["0"] * N, "x": X, "y": Y})
-    found = load(frame)
-    assert found.sha256 == load(frame.to_pandas()).sha256
+    dataset = load(frame)
+    assert dataset.sha256 == load(frame.to_pandas()).sha256
     assert (
         load(frame.with_columns(polars.col("id").cast(polars.Categorical))).sha256
-        == found.sha256
+        == dataset.sha256
     )
     with pytest.raises(DataError, match=r"pass frame.collect\(\)"):
         load(frame.lazy())
@@ -494,21 +513,30 @@ HEAD = "# id frame x y z\n0 0 0 0 170\n0 1 0.1 0 170\n0 2 0.2 0 170\n"
 @pytest.mark.parametrize(
     ("line", "last_s"),
     [
-        ("framerate: 12.5", 0.16), ("framerate: 25/2", 0.16), ("framerate of camera 2: 12.5", 0.16),
+        ("framerate: 12.5", 0.16),
+        ("framerate: 25/2", 0.16),
+        ("framerate of camera 2: 12.5", 0.16),
         ("framerate: 12,5", "'12,5' is not a single number; write a decimal point"),
-        ("framerate: 12 , 5", "is not a single number"), ("framerate: 1,000", "decimal point"),
-        ("framerate: 30000/1001", 2 * 1001 / 30000), ("frame rate = 16 1/s", 0.125),
-        ("framerate: 12.5\n# z: body height in cm", 0.16), ("framerate: 25-30", "'25-30' is not a"),
+        ("framerate: 12 , 5", "is not a single number"),
+        ("framerate: 1,000", "decimal point"),
+        ("framerate: 30000/1001", 2 * 1001 / 30000),
+        ("frame rate = 16 1/s", 0.125),
+        ("framerate: 12.5\n# z: body height in cm", 0.16),
+        ("framerate: 25-30", "'25-30' is not a"),
         ("fps: 25\u201330", "is not a single"),
-        ("fps: 25 to 30", "'25 to 30' is not a"), ("framerate: 25 - 30 fps", "is not a single"),
-        ("framerate: 25 (video), 12.5 (tracks)", r"'25 \(video\), 12.5 \(tracks\)' is not a"),
+        ("fps: 25 to 30", "'25 to 30' is not a"),
+        ("framerate: 25 - 30 fps", "is not a single"),
+        ("framerate: 25 (video), 12.5 (tracks)",
+         r"'25 \(video\), 12.5 \(tracks\)' is not a"),
         ("framerate: 25; 12.5", "is not a single"),
-        ("framerate: 25\n# framerate: 12.5", r"two framerates: 25 \(line 1\) and 12.5 \(line 2\)"),
+        ("framerate: 25\n# framerate: 12.5",
+         r"two framerates: 25 \(line 1\) and 12.5 \(line 2\)"),
         ("framerate: 25\n# fps: 25.0", 0.08),
         ("framerate: 12.5\n# position error in cm", 0.16),
         ("framerate: 12.5\n# distances to walls in cm", 0.16),
         ("framerate: 12.5\n# positions, measured in cm and converted to m", 0.16),
-        ("framerate: 25 1/s of 2 cameras", 0.08), ("framerate: 25/0", "not a frame rate above 0"),
+        ("framerate: 25 1/s of 2 cameras", 0.08),
+        ("framerate: 25/0", "not a frame rate above 0"),
     ],
 )  # fmt: skip
 def test_headers_say_the_rate_they_say_or_are_refused(line, last_s):
@@ -523,15 +551,15 @@ def test_headers_say_the_rate_they_say_or_are_refused(line, last_s):
 
 
 def jupedsim(tmp_path):
-    with sqlite3.connect(tmp_path / "j.sqlite") as base:
-        base.execute("CREATE TABLE metadata(key TEXT, value TEXT)")
-        base.execute("INSERT INTO metadata VALUES ('fps', '10.0')")
-        base.execute(
+    with sqlite3.connect(tmp_path / "j.sqlite") as database:
+        database.execute("CREATE TABLE metadata(key TEXT, value TEXT)")
+        database.execute("INSERT INTO metadata VALUES ('fps', '10.0')")
+        database.execute(
             "CREATE TABLE trajectory_data(frame INT, id INT, pos_x REAL, pos_y REAL)"
         )
         rows = [(n, 1, X[n], Y[n]) for n in range(N)]
-        base.executemany("INSERT INTO trajectory_data VALUES (?, ?, ?, ?)", rows)
-    base.close()
+        database.executemany("INSERT INTO trajectory_data VALUES (?, ?, ?, ?)", rows)
+    database.close()
     return (tmp_path / "j.sqlite").read_bytes()
 
 
@@ -558,11 +586,14 @@ LOST = '1 0 0 10 10 500 1 0 0 "Pedestrian"\n2 0 0 9 9 5 0 0 0 "Biker"\n'
     [
         ("jupedsim", jupedsim, {}, {}),
         ("viswalk", lines(VISWALK, "{t};1;{x};{y}"), {}, {}),
-        ("viswalk", lines(["$PEDESTRIAN:NO;SIMSEC;COORDCENT"], "1;{t};{x} {y} 0"), {}, {}),
+        ("viswalk", lines(["$PEDESTRIAN:NO;SIMSEC;COORDCENT"], "1;{t};{x} {y} 0"), {},
+         {}),
         ("vadere", lines(VADERE, "1 {t} 0 {x} {y} 0 0"), {}, {}),
-        ("mot", lines([], "{n},1,{left},{up},10,20,1,-1,-1,-1"), {"fps": 10, "unit": "0.025"},
-         {"unit": N}),
-        ("vadere", lines(["#IDXCOL=1,DATACOL=6,SEP=' '", *VADERE], "1 {t} 0 {x} {y} 0 0"), {}, {}),
+        ("mot", lines([], "{n},1,{left},{up},10,20,1,-1,-1,-1"),
+         {"fps": 10, "unit": "0.025"}, {"unit": N}),
+        ("vadere",
+         lines(["#IDXCOL=1,DATACOL=6,SEP=' '", *VADERE], "1 {t} 0 {x} {y} 0 0"),
+         {}, {}),
         ("mot", lines([], "{n},1,{left},{up},10,20,1,1,0.9") + IGNORED,
          {"fps": 10, "unit": "0.025"}, {"unit": N, "lost": 1, "other-label": 2}),
         ("sdd", lines([], SDD) + LOST.encode(), {"fps": 10, "unit": "0.025"},
@@ -571,10 +602,10 @@ LOST = '1 0 0 10 10 500 1 0 0 "Pedestrian"\n2 0 0 9 9 5 0 0 0 "Biker"\n'
 )  # fmt: skip
 def test_formats_of_the_neighbours(tmp_path, name, data, options, expected):
     data = data(tmp_path) if callable(data) else data
-    found = loaded(data, tmp_path, "f.xyz", format=name, **options)
-    assert np.allclose(found.tracks.t, T)
-    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
-    assert kinds(found.repairs) == expected
+    dataset = loaded(data, tmp_path, "f.xyz", format=name, **options)
+    assert np.allclose(dataset.tracks.t, T)
+    assert np.allclose(dataset.tracks.xy, np.column_stack([X, Y]))
+    assert kinds(dataset.repairs) == expected
 
 
 @pytest.mark.parametrize("fps", [10.0, None])
@@ -586,8 +617,8 @@ def test_hdf5_of_the_archive(tmp_path, fps):
     with h5py.File(buffer, "w") as file:
         file["trajectory"] = rows
         file["trajectory"].attrs["fps"] = 10.0
-    found = loaded(buffer.getvalue(), tmp_path, "f.h5", format="hdf5", fps=fps)
-    assert np.allclose(found.tracks.xy, np.column_stack([X, Y]))
+    dataset = loaded(buffer.getvalue(), tmp_path, "f.h5", format="hdf5", fps=fps)
+    assert np.allclose(dataset.tracks.xy, np.column_stack([X, Y]))
 
 
 @pytest.mark.parametrize(
@@ -628,7 +659,7 @@ def test_any_bytes_are_tracks_or_refused_in_one_line(name, data):
 
 
 def test_columns_may_hold_brackets_that_are_no_unit():
-    assert columns_named("id=who[1]")["id"].name == "who[1]"
+    assert parse_columns("id=who[1]")["id"].name == "who[1]"
 
 
 ODD = Path(os.environ.get("ISAC_TRACK_DATA", "nowhere")) / "odd"

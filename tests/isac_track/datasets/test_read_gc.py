@@ -21,7 +21,7 @@ def annotation(*rows):
     return "".join(f"{x}\n{y}\n{frame}\n" for x, y, frame in rows).encode()
 
 
-# A walk; one with a gap of two annotations behind which it goes on; and a leap.
+# A walk, a walk that goes on behind a gap of two annotations, and a leap.
 FILES = {
     "datasets/GC/H.json": json.dumps({"homog": H}).encode(),
     "datasets/GC/Annotation/000007.txt": annotation(
@@ -66,11 +66,12 @@ def test_an_archive_and_its_folder_are_the_same_recording(tmp_path):
     assert packed.sha256 == unpacked.sha256
     assert packed.tracks.source == ("7", "12#1", "12#2", "13")
     assert packed.tracks.group == ("7", "12", "12", "13")
-    found = kinds(packed.repairs)
-    assert (found["split"], found["fast-piece"]) == (1, 1)
-    assert any("tracks 13: a step above 4 m/s" in one.detail for one in packed.repairs)
-    # By hand: (x', y', w) = H (x, y, 1), and 25 frames a second from the first one of
-    # all.
+    counts = kinds(packed.repairs)
+    assert (counts["split"], counts["fast-piece"]) == (1, 1)
+    assert any(
+        "tracks 13: a step above 4 m/s" in repair.detail for repair in packed.repairs
+    )
+    # By hand: (x', y', w) = H (x, y, 1), and 25 frames a second from the first frame.
     np.testing.assert_allclose(packed.tracks.xy[0], [6.0 / 1.1, 3.0 / 1.1], rtol=1e-12)
     np.testing.assert_allclose(packed.tracks.t[:3], [1.6, 2.4, 3.2], rtol=1e-12)
 
@@ -85,9 +86,9 @@ def test_the_digest_is_that_of_sha256sum(tmp_path):
 
 
 def member(name, *, size=0, kind=tarfile.REGTYPE, to=""):
-    found = tarfile.TarInfo(name)
-    found.size, found.type, found.linkname = size, kind, to
-    return found
+    info = tarfile.TarInfo(name)
+    info.size, info.type, info.linkname = size, kind, to
+    return info
 
 
 @pytest.mark.parametrize(
@@ -127,9 +128,8 @@ def test_a_member_that_should_not_be_there(added, message, tmp_path):
     assert message in str(caught.value)
     assert str(caught.value).startswith(str(path))
     assert "\n" not in str(caught.value)
-    assert [one.name for one in tmp_path.iterdir()] == [
-        "gc.tgz"
-    ]  # nothing is ever unpacked
+    # Nothing is ever unpacked.
+    assert [file.name for file in tmp_path.iterdir()] == ["gc.tgz"]
 
 
 def test_limits_end_a_bomb_and_a_crowd_of_members_without_reading_on(
@@ -143,11 +143,8 @@ def test_limits_end_a_bomb_and_a_crowd_of_members_without_reading_on(
             [member(f"map{n}.xml", size=60_000) for n in range(2)],
             "to over 100000 bytes",
         ),
-        (
-            "name",
-            [member("n" * 200_000)],
-            "to over 100000 bytes",
-        ),  # a name as long is read whole
+        # A name as long is read whole.
+        ("name", [member("n" * 200_000)], "to over 100000 bytes"),
         ("count", [member(f"{n}") for n in range(60)], "over 50 members"),
     ):
         with pytest.raises(DataError, match=message):
@@ -176,7 +173,7 @@ def test_what_is_wrong_in_a_file_is_named(change, message, tmp_path):
     files = FILES | {f"datasets/GC/{name}": data for name, data in change.items()}
     path = archive(
         tmp_path / "gc.tgz",
-        {name: one for name, one in files.items() if one is not None},
+        {name: content for name, content in files.items() if content is not None},
     )
     with pytest.raises(DataError, match=message):
         load(path, format="gc")
@@ -205,9 +202,9 @@ def test_by_name_it_must_be_the_recording_and_may_be_a_link(
     data_folder, monkeypatch, capsys
 ):
     assert main(["fetch", "gc"]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith("error: gc: no licence is issued")
-    assert "ISAC_TRACK_DATA=DIR" in told
+    output = capsys.readouterr().err
+    assert output.startswith("error: gc: no licence is issued")
+    assert "ISAC_TRACK_DATA=DIR" in output
     (data_folder / "elsewhere").mkdir()
     archive(data_folder / "elsewhere" / "gc.tgz")
     (data_folder / "gc").symlink_to(data_folder / "elsewhere")
@@ -224,7 +221,9 @@ def test_by_name_it_must_be_the_recording_and_may_be_a_link(
 
 @pytest.mark.usefixtures("gc")
 def test_grand_central_itself():
-    found = load("gc")
-    assert (len(found.tracks), len(set(found.tracks.group))) == (17_865, 12_682)
-    assert kinds(found.repairs)["fast-piece"] == 2175
-    np.testing.assert_allclose(np.ptp(found.tracks.xy, axis=0), [28.1, 73.0], atol=0.05)
+    dataset = load("gc")
+    assert (len(dataset.tracks), len(set(dataset.tracks.group))) == (17_865, 12_682)
+    assert kinds(dataset.repairs)["fast-piece"] == 2175
+    np.testing.assert_allclose(
+        np.ptp(dataset.tracks.xy, axis=0), [28.1, 73.0], atol=0.05
+    )

@@ -34,9 +34,10 @@ A, B = walk(0, 1), walk(0, 1, person="b")
          "f: lines 4, 5, 6, 7, 8 and 4 more: a single sample"),
         (walk(0, 1, 2, 6, 7, 8), {"gap": 1},
          "f: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); kept"),
-        ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))], {"id-reuse": 1},
-         "f: line 5: at another place, where no walk leads; the id is taken for another person"),
-        ([(step, "a", x) for step, x in enumerate((0, 0.4, 9, 9.4, 1.6, 2))], {"jump": 2},
+        ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))],
+         {"id-reuse": 1}, "f: line 5: at another place, where no walk leads; the id"),
+        ([(step, "a", x) for step, x in enumerate((0, 0.4, 9, 9.4, 1.6, 2))],
+         {"jump": 2},
          "f: lines 4, 6: from the sample before, further than anybody walks; cut"),
         ([*walk(0, 1, 2, 3, 9, 10, 20, 30, 31), *B], {"split": 3, "one-point": 1},
          "f: lines 6, 8, 9: behind a gap (longest 4 s, usual step 0.4 s); too long"),
@@ -53,7 +54,7 @@ def test_what_is_mended_is_counted_and_says_where(rows, expected, detail):
     dropped = sum(expected.get(kind, 0) for kind in ("duplicate", "one-point"))
     assert tracks.t.size == len(rows) - dropped
     assert {group.removesuffix("~2") for group in tracks.group} <= {"a", "b"}
-    for track in tracks:  # sorted, none twice
+    for track in tracks:  # sorted, without copies
         assert (np.diff(track.t) > 0).all()
 
 
@@ -94,7 +95,7 @@ def test_a_group_is_never_called_like_another_person():
     )
 
 
-def test_students03_is_kept_whole(ucy):
+def test_students03_is_read_whole(ucy):
     loaded = load("students03")
     tracks = loaded.tracks
     assert (len(tracks), tracks.t.size) == (428, 21846)
@@ -116,7 +117,7 @@ def test_students03_is_kept_whole(ucy):
     assert set(group.values()) & set(tracks.source) == set(alone)
 
 
-def test_zara01_is_kept_whole(ucy):
+def test_zara01_is_read_whole(ucy):
     if not (ucy / "zara01").is_dir():
         pytest.skip("needs zara01")
     loaded = load("zara01")

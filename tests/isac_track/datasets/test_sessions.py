@@ -1,4 +1,4 @@
-"""Several files as sessions of one recording, and who of them comes back."""
+"""Several files as sessions of one recording, and the people who come back."""
 
 import os
 from pathlib import Path
@@ -13,34 +13,33 @@ from isac_track.errors import DataError
 T = np.arange(0.0, 24.0, 0.4)
 
 
-def walk(who, *, marker=None, unit="m", step=10):
+def walk(person, *, marker=None, unit="m", step=10):
     """Rows of PeTrack: id, frame, x, y, z and the person's marker."""
     scale = {"m": 1.0, "cm": 100.0}[unit]
     return [
-        f"{who} {n * step} {0.5 * t * scale:.4f} {who * scale:.4f} 1.7 {marker or ''}".strip()
+        f"{person} {n * step} {0.5 * t * scale:.4f} {person * scale:.4f} 1.7"
+        + (f" {marker}" if marker else "")
         for n, t in enumerate(T)
     ]
 
 
 def petrack(path, people, *, marked=True, unit="m", rate=25, step=10):
-    names = f"# id frame x/{unit} y/{unit} z/{unit}" + " markerID" * marked
+    names = f"# id frame x/{unit} y/{unit} z/{unit}"
+    if marked:
+        names += " markerID"
     rows = [
         row
-        for who, marker in people
-        for row in walk(who, marker=marker, unit=unit, step=step)
+        for person, marker in people
+        for row in walk(person, marker=marker, unit=unit, step=step)
     ]
-    lines = [
-        f"# framerate: {rate}",
-        f"# {path.stem}",
-        names,
-        *rows,
-    ]  # no two files are alike
+    # The name of the file makes its bytes unique.
+    lines = [f"# framerate: {rate}", f"# {path.stem}", names, *rows]
     path.write_text("\n".join(lines) + "\n")
     return path
 
 
 def csv(path, people):
-    rows = [f"{t:.2f},{who},{0.5 * t:.4f},{who}" for who in people for t in T]
+    rows = [f"{t:.2f},{person},{0.5 * t:.4f},{person}" for person in people for t in T]
     path.write_text("\n".join(["t,id,x,y", *rows]) + "\n")
     return path
 
@@ -48,8 +47,8 @@ def csv(path, people):
 def test_a_marker_is_the_person_whatever_the_id_and_heights_are_never_used(tmp_path):
     petrack(tmp_path / "a.txt", [(1, 701), (2, 702)])
     petrack(tmp_path / "b.txt", [(1, 702), (2, 703)])
-    found = load(tmp_path)
-    tracks = found.tracks
+    dataset = load(tmp_path)
+    tracks = dataset.tracks
     assert tracks.source == ("a:701", "a:702", "b:702", "b:703")
     assert tracks.person == ("701", "702", "702", "703")
     assert tracks.session == ("a", "a", "b", "b")
@@ -61,16 +60,16 @@ def test_a_marker_is_the_person_whatever_the_id_and_heights_are_never_used(tmp_p
     taller = (tmp_path / "b.txt").read_text().replace(" 1.7 ", " 2.1 ")
     (tmp_path / "b.txt").write_text(taller)
     assert np.array_equal(load(tmp_path).tracks.xy, tracks.xy)
-    assert load(tmp_path).sha256 != found.sha256
+    assert load(tmp_path).sha256 != dataset.sha256
 
 
-def test_who_wears_no_marker_is_nobody_whom_another_session_knows(tmp_path):
+def test_a_person_without_a_marker_is_not_known_in_another_session(tmp_path):
     petrack(tmp_path / "a.txt", [(1, -1), (2, 702), (3, -1)])
     petrack(tmp_path / "b.txt", [(1, -1), (2, 702)])
     tracks = load(tmp_path).tracks
     assert len(tracks) == 5
-    at = [tracks.source.index(one) for one in ("a:702", "b:702")]
-    assert len({tracks.person[one] for one in at}) == 1
+    rows = [tracks.source.index(row) for row in ("a:702", "b:702")]
+    assert len({tracks.person[row] for row in rows}) == 1
     assert len(set(tracks.person)) == len(set(tracks.group)) == 4
 
 
@@ -78,7 +77,9 @@ def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(
     tmp_path,
 ):
     files = [csv(tmp_path / "a.csv", (1, 2)), csv(tmp_path / "b.csv", (2, 3))]
-    apart, same = (load(sessions=files, persistent_ids=one) for one in (False, True))
+    apart, same = (
+        load(sessions=files, persistent_ids=lasting) for lasting in (False, True)
+    )
     assert (apart.tracks.person, len(set(apart.tracks.group))) == (None, 4)
     assert same.tracks.person == ("1", "2", "2", "3")
     assert len(set(same.tracks.group)) == 3
@@ -123,24 +124,24 @@ def test_sessions_that_do_not_fit_are_one_line_and_2(
             csv(tmp_path / name, (1, 2))
         else:
             marked = second.get("marked", True)
-            unmarked = [(who, None) for who, _ in people]
+            unmarked = [(person, None) for person, _ in people]
             petrack(
                 tmp_path / name, **({"people": people if marked else unmarked} | second)
             )
     assert main([*words, *options, "--out", str(tmp_path / "out"), "--jobs", "1"]) == 2
-    said = capsys.readouterr().err
-    error = said[said.index("error:") :]
+    output = capsys.readouterr().err
+    error = output[output.index("error:") :]
     assert message in " ".join(error.split())
     assert not (tmp_path / "out").exists()
 
 
 def test_what_is_no_set_of_sessions(tmp_path):
-    one = csv(tmp_path / "a.csv", (1,))
-    for given in ({"sessions": [one]}, {"name": "plaza", "sessions": [one, one]}):
+    path = csv(tmp_path / "a.csv", (1,))
+    for options in ({"sessions": [path]}, {"name": "plaza", "sessions": [path, path]}):
         with pytest.raises(
             DataError, match="two files or more, and the place of --dataset"
         ):
-            load(**given)
+            load(**options)
     (tmp_path / "empty").mkdir()
     with pytest.raises(
         DataError, match=r"this is a folder, and holds no session \(.csv"
@@ -152,8 +153,8 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
     for path in single_file.glob("*.txt"):
         (data_folder / "singlefile").mkdir(exist_ok=True)
         (data_folder / "singlefile" / path.name).symlink_to(path)
-    found = load("singlefile")
-    assert (len(found.tracks), len(set(found.tracks.person)), found.notice) == (
+    dataset = load("singlefile")
+    assert (len(dataset.tracks), len(set(dataset.tracks.person)), dataset.notice) == (
         48,
         20,
         None,
@@ -174,11 +175,11 @@ def test_single_file_experiments_and_a_further_run_of_theirs(single_file, data_f
 
 def test_a_copy_is_no_session(tmp_path):
     rows = "".join(
-        f"{0.4 * i},{who},{i},{who}\n" for who in range(3) for i in range(60)
+        f"{0.4 * i},{person},{i},{person}\n" for person in range(3) for i in range(60)
     )
     paths = [tmp_path / name for name in ("monday.csv", "tuesday.csv", "copy.csv")]
-    for path, more in zip(paths, ("", "30.0,9,1,1\n30.4,9,1,2\n", ""), strict=True):
-        path.write_text(f"t,id,x,y\n{rows}{more}")
+    for path, added in zip(paths, ("", "30.0,9,1,1\n30.4,9,1,2\n", ""), strict=True):
+        path.write_text(f"t,id,x,y\n{rows}{added}")
     assert len(load(sessions=paths[:2]).tracks) > 0
     with pytest.raises(DataError, match="hold the same bytes"):
         load(sessions=paths)
@@ -193,6 +194,6 @@ def test_the_bytes_of_a_known_recording_under_another_rate_get_a_notice(tmp_path
     copy.write_bytes(
         (Path(os.environ["ISAC_TRACK_DATA"]) / "zara01" / "obsmat.txt").read_bytes()
     )
-    found = load(copy, format="obsmat", fps=50.0)
-    assert "the bytes of zara01, recorded at 25 frames/s, read at 50" in found.notice
+    dataset = load(copy, format="obsmat", fps=50.0)
+    assert "the bytes of zara01, recorded at 25 frames/s, read at 50" in dataset.notice
     assert load(copy, format="obsmat", fps=25.0).notice is None

@@ -1,4 +1,4 @@
-"""What all filters and smoothers have in common: batches, and arguments that cannot be."""
+"""All filters and smoothers: their batches, and arguments out of range."""
 
 from dataclasses import astuple, fields, replace
 
@@ -109,8 +109,8 @@ def test_wrong_batches_are_named(name, change, message):
         ("imm, last", {"gate": 0.0}, "gate must be positive"),
         ("positions", {"passes": 0}, "passes >= 1"),
         *(
-            ("positions", {"anneal": one}, "0 <= anneal < 1")
-            for one in (1.0, -0.1, np.nan)
+            ("positions", {"anneal": anneal}, "0 <= anneal < 1")
+            for anneal in (1.0, -0.1, np.nan)
         ),
     ],
 )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
 from helpers.kalman_cases import batch as walks
-from helpers.kalman_cases import close, hard_tracks, one_by_one, prefixes, sound
+from helpers.kalman_cases import close, hard_tracks, prefixes, sound, track_by_track
 from helpers.strategies import reproducible
 from hypothesis import given
 from scipy.linalg import expm
@@ -32,17 +32,17 @@ def batch(*, sizes=(30, 1, 6), seed=0):
 
 
 def tracks(case, moods=MOODS):
-    """The samples of each track, and what the oracles are called with."""
+    """The samples of each track, and the arguments of the oracles."""
     rates = 1.0 / np.array(moods.stay_s)
     chain = {
         "rates": np.diag(rates) @ [[-1, 1], [1, -1]],
         "probability": moods.probability,
     }
-    return one_by_one(case, q=moods.q, **chain)
+    return track_by_track(case, q=moods.q, **chain)
 
 
 def expected_smoother(track):
-    """Mean and covariance of every state by expectation correction on the textbook's filter."""
+    """Mean and covariance of states: expectation correction of a textbook filter."""
     filtered = oracle.imm_track(**track)
     chosen = {name: track[name] for name in ("t", "q", "rates")}
     chosen |= {name: filtered[name] for name in ("mean", "cov", "probability")}
@@ -64,9 +64,8 @@ class TestAgainstTheTextbook:
         ((_, track),) = tracks(case)
         expected = oracle.imm_track(**track)["probability"]
         assert expected[6, 1] > 0.999999  # only the restless mode can have done that
-        close(
-            result.probability, expected
-        )  # filterpy's likelihoods underflow to one floor
+        # Likelihoods of filterpy would underflow to the same floor.
+        close(result.probability, expected)
 
     @pytest.mark.parametrize("gate", [np.inf, 4.0])
     def test_every_state_of_the_filter(self, gate):
@@ -99,8 +98,8 @@ class TestAgainstTheTextbook:
             last = kalman.imm_last(prefixes(case), MOODS)
             filtered = np.einsum("kj,kjad->kad", last.probability, last.mean)[..., 0]
             position, variance = kalman.imm_smoother(case, MOODS)
-            for name, found in (("filter", filtered), ("smoother", position)):
-                error = np.abs(found - exact)
+            for name, estimate in (("filter", filtered), ("smoother", position)):
+                error = np.abs(estimate - exact)
                 away[name].append(error / np.sqrt(variance)[:, None])
         assert np.mean(away["smoother"]) < 0.25
         assert np.mean(away["smoother"]) < np.mean(away["filter"]) / 3
@@ -108,11 +107,11 @@ class TestAgainstTheTextbook:
     def test_a_mood_that_never_ends_is_one_model(self):
         case = batch()
         lasting = kalman.Moods((0.5, 4.0), (1e15, 1e-6))
-        last, one = kalman.imm_last(case, lasting), kalman.kalman_last(case, q=0.5)
-        close(last.mean[:, 0], one.mean)
+        last, single = kalman.imm_last(case, lasting), kalman.kalman_last(case, q=0.5)
+        close(last.mean[:, 0], single.mean)
         close(last.probability, np.tile([1.0, 0.0], (3, 1)))
         position, variance = kalman.imm_smoother(case, lasting)
-        for rows, track in one_by_one(case, q=0.5):
+        for rows, track in track_by_track(case, q=0.5):
             mean, cov, _ = oracle.joint_posterior(**track)
             close(position[rows], mean[:, :, 0], 1e-8)
             close(variance[rows], cov[:, 0, 0], 1e-8)
@@ -129,9 +128,8 @@ def test_transitions_are_the_matrix_exponential(stay_s, step_s):
     close(matrix, expm(np.array([[-leave, leave], [come, -come]]) * step_s), limit)
     close(matrix.sum(axis=1), 1.0, 1e-15)
     assert (matrix >= 0).all()
-    close(
-        moods.probability @ matrix, moods.probability, 1e-12
-    )  # the chain's law in the long run
+    # The chain's law in the long run.
+    close(moods.probability @ matrix, moods.probability, 1e-12)
 
 
 @reproducible
@@ -149,6 +147,6 @@ def test_sound_over_five_decades_of_noise_and_four_of_steps(hard):
     assert (variance > 0).all()
 
 
-def test_modes_that_are_alike_share_their_probability():
+def test_equal_modes_share_their_probability():
     last = kalman.imm_last(batch(), replace(MOODS, q=(0.3, 0.3)))
     close(last.probability, np.tile(MOODS.probability, (3, 1)), 1e-12)

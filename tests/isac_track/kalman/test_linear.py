@@ -1,4 +1,4 @@
-"""The Kalman filter's last state against filterpy, a dense posterior, hand examples and chance."""
+"""The Kalman filter's last state against filterpy, a dense posterior and by hand."""
 
 from dataclasses import replace
 
@@ -12,9 +12,9 @@ from helpers.kalman_cases import (
     batch,
     close,
     hard_tracks,
-    one_by_one,
     prefixes,
     sound,
+    track_by_track,
 )
 from helpers.strategies import reproducible
 from hypothesis import given
@@ -32,7 +32,7 @@ def after_every_sample(case, *, q=Q, gate=np.inf):
 
 
 def accepted(log_likelihood):
-    """Of one track's prefixes: a rejected sample adds nothing to the likelihood."""
+    """Whether samples of a track were used: others add nothing to the likelihood."""
     return np.diff(log_likelihood, prepend=0.0) != 0
 
 
@@ -46,7 +46,7 @@ def test_every_state_is_filterpy_s_and_the_likelihood_that_of_the_samples_used(d
     close(result.mean, mean)
     close(result.cov, cov)
     rejected = 0
-    for rows, track in one_by_one(case):
+    for rows, track in track_by_track(case):
         used = accepted(result.log_likelihood[rows])
         close(
             result.log_likelihood[rows][-1],
@@ -61,7 +61,7 @@ def test_gated_samples_are_as_if_never_seen_by_the_dense_posterior(d):
     case = batch(prior_std=PRIOR_STD[:d])
     case.xy[[10, 11, 25]] += 100.0
     last = kalman.kalman_last(case, q=Q, gate=50.0)
-    _, track = next(one_by_one(case))
+    _, track = next(track_by_track(case))
     used = ~np.isin(np.arange(40), [10, 11, 25])
     mean, cov, density = oracle.joint_posterior(**track, used=used)
     close(last.mean[0], mean[-1])
@@ -70,7 +70,7 @@ def test_gated_samples_are_as_if_never_seen_by_the_dense_posterior(d):
 
 
 class TestGate:
-    """Somebody who stands, sampled each second; by hand, with q so small that nothing moves."""
+    """A person who stands, sampled each second; q is so small that nothing moves."""
 
     def run(self, x, *, gate=9.0, q=1e-20, speed_std=1e-9, variance=1.0):
         case = kalman.Batch(
@@ -97,9 +97,9 @@ class TestGate:
     def test_the_threshold_itself_is_accepted(self):
         x = np.array([0.0, np.sqrt(18.0)])
         exactly = x[1] ** 2 / 2  # predicted variance 1/2 + 3/2
-        told = {"variance": np.array([1.0, 1.5])}
-        assert accepted(self.run(x, gate=exactly, **told).log_likelihood).all()
-        below = self.run(x, gate=np.nextafter(exactly, 0), **told)
+        options = {"variance": np.array([1.0, 1.5])}
+        assert accepted(self.run(x, gate=exactly, **options).log_likelihood).all()
+        below = self.run(x, gate=np.nextafter(exactly, 0), **options)
         assert accepted(below.log_likelihood).tolist() == [True, False]
 
     def test_a_track_is_never_lost(self):
@@ -128,7 +128,7 @@ class TestNumerics:
         result = after_every_sample(case, q=q)
         sound(result.mean, result.cov)
         assert np.isfinite(result.log_likelihood).all()
-        for rows, alone in one_by_one(case, q=q):
+        for rows, alone in track_by_track(case, q=q):
             mean, cov, _ = oracle.precise_states(**alone)
             scale = np.sqrt(np.diagonal(cov, axis1=1, axis2=2))
             # Errors in units of the standard deviation that goes with them
@@ -155,6 +155,6 @@ class TestNumerics:
             prior_std=(1.0, 1.0, 1.0)[:d],
         )
         result = kalman.kalman_last(case, q=1e-3)
-        ((_, track),) = one_by_one(case, q=1e-3)
+        ((_, track),) = track_by_track(case, q=1e-3)
         _, _, density = oracle.precise_states(**track)
         assert result.log_likelihood[0] == pytest.approx(density, rel=1e-6)

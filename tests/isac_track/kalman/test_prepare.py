@@ -1,4 +1,4 @@
-"""Where the compiled loops come from: not imported early, compiled once, cached if possible."""
+"""Compiled loops: not imported early, compiled once, cached if possible."""
 
 import os
 import pwd
@@ -28,8 +28,8 @@ NOTICE = "isac-track: compiling filters, once, a few seconds\n"
 
 
 def run(code, *, user=None, cwd=None, **environment):
-    """Run Python code as someone would: warnings are errors, and nothing of this process leaks."""
-    kept = {key: os.environ[key] for key in ("PATH", "LANG") if key in os.environ}
+    """Run Python code in a clean environment; warnings are errors."""
+    variables = {key: os.environ[key] for key in ("PATH", "LANG") if key in os.environ}
     return subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         capture_output=True,
@@ -37,7 +37,7 @@ def run(code, *, user=None, cwd=None, **environment):
         check=False,
         cwd=cwd,
         user=user,
-        env=kept | environment,
+        env=variables | environment,
         timeout=120,
     )
 
@@ -71,7 +71,7 @@ def test_first_use_compiles_for_seconds_and_says_so_and_later_use_is_silent(tmp_
 
 @pytest.fixture
 def read_only_copy():
-    """A copy of the package that nobody may write to, outside root's private folders."""
+    """A read-only copy of the package, outside root's private folders."""
     folder = Path(tempfile.mkdtemp(prefix="isac-track-read-only-"))
     copy = folder / "isac_track"
     ignored = shutil.ignore_patterns("__pycache__", "*.npz")
@@ -87,7 +87,7 @@ def read_only_copy():
 
 
 def ordinary_user():
-    """Return an account without privileges, or skip: root may write to read-only folders."""
+    """An account without privileges, or a skip: root may write to read-only folders."""
     if os.geteuid() != 0:
         return None
     try:

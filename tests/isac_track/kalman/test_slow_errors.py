@@ -1,4 +1,4 @@
-"""Filter and smoother behind a slow error: against the dense posterior of the same model."""
+"""Filter and smoother behind a slow error, against the model's dense posterior."""
 
 from itertools import pairwise
 
@@ -28,11 +28,11 @@ ERRORS = [
 
 
 LONG = 100
-"""Samples; beyond them scipy calls the matrix singular, and its density is not looked at."""
+"""Samples above which scipy calls the matrix singular; the density is then ignored."""
 
 
 def dense(case, error, *, q=Q):
-    """Positions, their variances and the log density of each track, by one Gaussian of them all."""
+    """Positions, variances and log densities of tracks, by a joint Gaussian of each."""
     position, spread, density = np.empty_like(case.xy), np.empty(case.t.size), []
     amplitude = np.broadcast_to(error.std_m, case.t.shape)
     for lo, hi in pairwise(case.offsets):
@@ -42,8 +42,8 @@ def dense(case, error, *, q=Q):
         walk = q * first**2 * (3 * last - first) / 6
         walk += case.prior_std[0] ** 2 + case.prior_std[1] ** 2 * np.outer(t, t)
         gap = last - first
-        alike = np.exp(-gap / error.tau_s) if error.tau_s else np.eye(t.size)
-        seen = walk + np.outer(s, s) * alike + np.diag(case.variance[lo:hi])
+        correlation = np.exp(-gap / error.tau_s) if error.tau_s else np.eye(t.size)
+        seen = walk + np.outer(s, s) * correlation + np.diag(case.variance[lo:hi])
         gain = np.linalg.solve(seen, walk).T
         position[lo:hi] = start + gain @ (case.xy[lo:hi] - start)
         spread[lo:hi] = np.diag(walk - gain @ walk)
@@ -93,18 +93,16 @@ def test_an_amplitude_for_every_sample_and_exact_places_among_them():
 
 def test_without_an_error_they_are_those_of_a_walk_alone():
     case, none = batch(prior_std=(100.0, 10.0)), SlowError(0.0, 5.0)
-    last, wanted = (
-        filter_tracks(case, none, q=Q, gate=9.0)[0],
-        kalman_last(case, q=Q, gate=9.0),
-    )
+    last, _ = filter_tracks(case, none, q=Q, gate=9.0)
+    wanted = kalman_last(case, q=Q, gate=9.0)
     np.testing.assert_allclose(last.mean[:, :, :2], wanted.mean, atol=1e-9)
     np.testing.assert_allclose(last.cov[:, :2, :2], wanted.cov, atol=1e-9)
     np.testing.assert_allclose(last.log_likelihood, wanted.log_likelihood, atol=1e-9)
     for passes in (1, 4):
         ours = smooth_tracks(case, none, q=Q, passes=passes, anneal=0.15)
         theirs = smooth_positions(case, q=Q, passes=passes, anneal=0.15)
-        for one, other in zip(ours, theirs, strict=True):
-            np.testing.assert_allclose(one, other, atol=1e-9)
+        for actual, expected in zip(ours, theirs, strict=True):
+            np.testing.assert_allclose(actual, expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("tau_s", [0.0, 0.3, 5.0])
@@ -117,9 +115,9 @@ def test_innovations_take_their_share_of_a_slow_error_for_noise(tau_s):
         unit = correlated_errors(
             t=t, offsets=offsets, law="isotropic", tau_s=tau_s, rng=rng
         )
-    found = innovation_variance_m2(t=t, xy=0.6 * unit, offsets=offsets).mean()
+    variance_m2 = innovation_variance_m2(t=t, xy=0.6 * unit, offsets=offsets).mean()
     share = SlowError(0.6, tau_s).innovation_share(t=t, offsets=offsets).mean()
-    assert found == pytest.approx(0.36 * share, rel=0.05)
+    assert variance_m2 == pytest.approx(0.36 * share, rel=0.05)
 
 
 @pytest.mark.parametrize(

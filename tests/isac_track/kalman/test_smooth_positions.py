@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from helpers import kernel_oracles as oracle
-from helpers.kalman_cases import PRIOR_STD, VAGUE_STD, Q, batch, close, one_by_one
+from helpers.kalman_cases import PRIOR_STD, VAGUE_STD, Q, batch, close, track_by_track
 from helpers.strategies import reproducible
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +16,7 @@ VAGUE = VAGUE_STD[:2]
 
 
 def reweighted(*, passes, anneal, **track):
-    """The documented iteration of one track on its dense posterior; pass 1 is the Gaussian one."""
+    """The documented iteration on a track's dense posterior; pass 1 is Gaussian."""
     square = 2.0 * track["variance"]
     variance = track["variance"]
     for number in range(1, passes + 1):
@@ -47,7 +47,7 @@ class TestOnePass:
             variance=(sigma_m**2, 2 * sigma_m**2),
         )
         position, variance = kalman.smooth_positions(case, q=Q)
-        for rows, track in one_by_one(case):
+        for rows, track in track_by_track(case):
             mean, cov = oracle.exact_smoother(**track)
             spread = cov[:, 0, 0]
             close(position[rows], mean[:, :, 0], 1e-7 * np.sqrt(spread.min()))
@@ -62,7 +62,7 @@ class TestSeveralPasses:
         position, variance = kalman.smooth_positions(
             case, q=Q, passes=passes, anneal=anneal
         )
-        for rows, track in one_by_one(case):
+        for rows, track in track_by_track(case):
             expected, spread = reweighted(**track, passes=passes, anneal=anneal)
             np.testing.assert_allclose(position[rows], expected, rtol=0, atol=1e-9)
             np.testing.assert_allclose(variance[rows], spread, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""Closed forms of the steady state against a Riccati equation, the smoother and simulation."""
+"""Closed forms of the steady state against a Riccati equation and simulation."""
 
 import numpy as np
 import pytest
@@ -23,12 +23,14 @@ def test_variances_are_those_of_the_riccati_equation(std_m, q, dt_s):
     now = ahead - ahead @ h.T @ h @ ahead / (ahead[0, 0] + r)
     gain = now @ f.T @ np.linalg.inv(ahead)  # Rauch-Tung-Striebel, in the long run
     later = solve_discrete_lyapunov(gain, now - gain @ ahead @ gain.T)
-    found = {"variance_m2": r, "dt_s": dt_s, "q": q}
-    assert steady.smoothed_variance_m2(**found) == pytest.approx(later[0, 0], rel=1e-5)
-    # The limit of frequent samples lacks the newest one: dt over the filter's own time
+    options = {"variance_m2": r, "dt_s": dt_s, "q": q}
+    assert steady.smoothed_variance_m2(**options) == pytest.approx(
+        later[0, 0], rel=1e-5
+    )
+    # The limit of frequent samples lacks the newest sample: dt over the filter's time
     # constant.
     lag = dt_s * (q / (r * dt_s)) ** 0.25 / np.sqrt(2.0)
-    over = steady.filtered_variance_m2(**found) / now[0, 0] - 1.0
+    over = steady.filtered_variance_m2(**options) / now[0, 0] - 1.0
     assert over == pytest.approx(lag, rel=0.1)
 
 
@@ -38,8 +40,8 @@ def test_the_smoother_is_that_of_a_long_track(std_m):
     t, offsets = np.arange(n) * DT_S, np.array([0, n])
     batch = Batch(t, np.zeros((n, 2)), np.full(n, std_m**2), offsets, (100.0, 10.0))
     middle = smooth_positions(batch, q=Q)[1][n // 2]
-    found = steady.smoothed_variance_m2(variance_m2=std_m**2, dt_s=DT_S, q=Q)
-    assert found == pytest.approx(middle, rel=1e-3)
+    expected = steady.smoothed_variance_m2(variance_m2=std_m**2, dt_s=DT_S, q=Q)
+    assert expected == pytest.approx(middle, rel=1e-3)
 
 
 @pytest.mark.parametrize("plr", [0.1, 0.5, 0.9])
@@ -57,8 +59,8 @@ def test_a_plr_that_cannot_be_asked_for_is_refused(plr):
         steady.variance_for(plr=plr, dt_s=DT_S, q=Q, epsilon_m=EPSILON_M)
 
 
-def walks_of(motion, *, n_walks, t, rng):
-    """True walks, (N, M, 2), that start anywhere: nothing else may say where they are."""
+def draw_walks(motion, *, n_walks, t, rng):
+    """True walks, (N, M, 2), that start anywhere: the start gives no information."""
     start = rng.uniform(-1e3, 1e3, (n_walks, 1, 2))
     if motion == "stands":
         return start + np.zeros((1, t.size, 1))
@@ -72,7 +74,7 @@ def walks_of(motion, *, n_walks, t, rng):
 def estimates(attack, *, shared, truth, t, tau_s):
     if attack == "as shared":
         return shared
-    # These know how everybody moves but for where: the best that any attack could know.
+    # These attacks know every walk but for its place: no attack could know more.
     shape = truth - truth[:, :1]
     error = shared - shape
     if attack == "mean":
@@ -93,7 +95,7 @@ def test_no_attack_beats_the_bound_without_motion_on_average(motion, tau_s):
     rng = stream(0, "test", "bound", motion, str(tau_s))
     n_walks, t, std_m = 4000, np.arange(60) * 0.25, 0.6
     offsets = np.arange(n_walks + 1) * t.size
-    truth = walks_of(motion, n_walks=n_walks, t=t, rng=rng)
+    truth = draw_walks(motion, n_walks=n_walks, t=t, rng=rng)
     every, slow_s = np.tile(t, n_walks), min(tau_s, 1e12)
     drawn = {"t": every, "offsets": offsets, "law": "isotropic", "rng": rng}
     errors = correlated_errors(tau_s=slow_s, **drawn).reshape(truth.shape)
@@ -102,12 +104,13 @@ def test_no_attack_beats_the_bound_without_motion_on_average(motion, tau_s):
     )
     best = 0.0
     for attack in ("as shared", "mean", "best"):
-        told = estimates(
+        estimate = estimates(
             attack, shared=truth + std_m * errors, truth=truth, t=t, tau_s=tau_s
         )
-        known = (np.hypot(*np.moveaxis(told - truth, 2, 0)) <= EPSILON_M).mean(axis=1)
+        known = (np.hypot(*np.moveaxis(estimate - truth, 2, 0)) <= EPSILON_M).mean(
+            axis=1
+        )
         assert known.mean() <= bound + 4.0 * known.std() / np.sqrt(n_walks)
         best = max(best, known.mean())
-    assert (
-        best >= bound - 0.03
-    )  # who knows the shape of every walk comes close: it is not idle
+    # An attack that knows the shape of every walk comes close: the bound is tight.
+    assert best >= bound - 0.03

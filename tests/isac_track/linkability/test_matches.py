@@ -10,22 +10,22 @@ from isac_track.linkability.matches import most_probable
 
 
 def marginals(log_ratios, alone):
-    """Return how probable each pair is over all matchings; `alone` weighs one left alone."""
+    """The probability of each pair over all matchings; `alone` weighs unmatched."""
     n_probes, n_gallery = log_ratios.shape
     total, pairs = 0.0, np.zeros(log_ratios.shape)
     for size in range(min(n_probes, n_gallery) + 1):
         for probes in combinations(range(n_probes), size):
             for columns in permutations(range(n_gallery), size):
-                at = list(probes), list(columns)
-                weight = np.exp(log_ratios[at].sum()) * alone ** (
+                pair = list(probes), list(columns)
+                weight = np.exp(log_ratios[pair].sum()) * alone ** (
                     n_probes + n_gallery - 2 * size
                 )
                 total += weight
-                pairs[at] += weight
+                pairs[pair] += weight
     return pairs / total
 
 
-def test_margins_are_kept():
+def test_margins_have_the_expected_sums():
     scores = 3.0 * np.random.default_rng(0).normal(size=(7, 10))
     pairs = open_matches(scores, n_links=5.5)
     assert pairs.sum() == pytest.approx(5.5, abs=1e-3)
@@ -36,7 +36,7 @@ def test_margins_are_kept():
 
 
 def test_it_names_whom_the_exact_marginals_name():
-    """The probabilities themselves are but near: permanents are what scaling approximates."""
+    """The probabilities themselves are only near: scaling approximates permanents."""
     rng, exact_mates = np.random.default_rng(1), []
     for _ in range(30):
         scores = rng.normal(size=(4, 5))
@@ -47,7 +47,7 @@ def test_it_names_whom_the_exact_marginals_name():
     assert np.mean(exact_mates) >= 0.9
 
 
-def test_who_fits_somebody_else_better_is_no_mate():
+def test_a_candidate_that_fits_another_probe_better_is_no_mate():
     scores = np.array([[4.0, 3.9], [4.0, 0.0]])
     pairs = open_matches(scores, n_links=2.0)
     assert most_probable(np.arange(2), pairs)[0].tolist() == [1, 0]
@@ -58,7 +58,7 @@ def test_who_fits_somebody_else_better_is_no_mate():
 
 
 def test_a_scale_is_that_of_ratios():
-    """Scores of which the mate's is drawn as a logit says, times a factor."""
+    """Mates are drawn by a logit of the scores, which are then divided by 7."""
     rng = np.random.default_rng(2)
     ratios = rng.normal(scale=2.0, size=(4000, 6))
     chance = np.exp(ratios) / np.exp(ratios).sum(axis=1, keepdims=True)

@@ -51,14 +51,14 @@ def test_rank1_among_is_the_mean_over_all_galleries_that_could_be_drawn(levels):
         others = [column for column in range(n) if column != row]
         drawn = np.array([[row, *some] for some in combinations(others, gallery - 1)])
         hits = [
-            oracles.over_mates(scores[row, one][None], [0], lambda r: r == 1)
-            for one in drawn
+            oracles.over_mates(scores[row, columns][None], [0], lambda r: r == 1)
+            for columns in drawn
         ]
         expected.append(np.mean(hits))
     own = np.diag(scores)[:, None]
     counts = {"above": (scores > own).sum(axis=1), "tied": (scores == own).sum(axis=1)}
-    found = rank1_among(**counts, candidates=np.full(n, n), gallery=gallery)
-    assert found == pytest.approx(expected, abs=1e-12)
+    rate = rank1_among(**counts, candidates=np.full(n, n), gallery=gallery)
+    assert rate == pytest.approx(expected, abs=1e-12)
     few = rank1_among(**counts, candidates=np.full(n, gallery - 1), gallery=gallery)
     assert np.isnan(few).all()
 
@@ -172,10 +172,10 @@ class TestSoftMatches:
         scores = stream(1, "test", "soft").normal(0.0, spread, (30, 30))
         log_p = scores
         for _ in range(100):
-            of_rows = logsumexp(log_p, axis=1, keepdims=True)
-            log_p = log_p - of_rows
+            row_sums = logsumexp(log_p, axis=1, keepdims=True)
+            log_p = log_p - row_sums
             log_p = log_p - logsumexp(log_p, axis=0, keepdims=True)
-            if np.abs(of_rows).max() < 1e-6:
+            if np.abs(row_sums).max() < 1e-6:
                 break
         np.testing.assert_allclose(soft_matches(scores), log_p, rtol=1e-9, atol=1e-9)
 
@@ -192,8 +192,8 @@ class TestSoftMatches:
             exact = np.stack(
                 [chance @ (orders == column) for column in range(6)], axis=1
             )
-            for place, found in enumerate((ratio, soft_matches(ratio), exact)):
-                hits[place] += (found.argmax(axis=1) == np.arange(6)).sum()
+            for place, scores in enumerate((ratio, soft_matches(ratio), exact)):
+                hits[place] += (scores.argmax(axis=1) == np.arange(6)).sum()
         alone, softly, exactly = hits / 1800
         assert alone + 0.05 < softly < exactly + 0.01
         assert softly > exactly - 0.03

@@ -57,7 +57,7 @@ def test_tpr_at_fpr_is_brute_force(decimals, alpha):
     assert actual == pytest.approx(expected, abs=1e-12)
 
 
-def test_tpr_is_refused_below_thirty_expected_false_links_and_allows_a_share_at_the_level():
+def test_tpr_needs_thirty_expected_false_links_and_allows_a_share_at_the_level():
     mated, non_mated = np.ones(3), np.zeros(3_000)
     assert tpr_at_fpr(mated=mated, non_mated=non_mated, alpha=0.01) == (1.0, 0.0)
     refused = tpr_at_fpr(mated=mated, non_mated=non_mated[1:], alpha=0.01)
@@ -68,14 +68,12 @@ def test_tpr_is_refused_below_thirty_expected_false_links_and_allows_a_share_at_
 
 
 def test_the_published_program_loses_half_of_either_outer_bin():
-    """Forty mated scores at the top, all others at the bottom: nothing could link better."""
+    """Forty mated scores at the top, all others at the bottom: a perfect link."""
     classes = {"mated": np.full(40, 3.0), "non_mated": np.zeros(80)}
     assert d_sys(**classes) == (1.0, 4)
     assert d_sys_published(**classes) == 0.5
-    few = {
-        "mated": np.full(19, 3.0),
-        "non_mated": np.zeros(80),
-    }  # one bin: no trapezium
+    # A single bin has no trapezium.
+    few = {"mated": np.full(19, 3.0), "non_mated": np.zeros(80)}
     assert d_sys_published(**few) == 0.0
 
 

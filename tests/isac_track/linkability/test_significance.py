@@ -27,8 +27,8 @@ from isac_track.linkability.significance import (
     add_shuffles,
     holm,
     mated_probes,
-    people_of,
     rank_rows,
+    searched_people,
     shuffled_log_ranks,
     shuffled_mates,
 )
@@ -50,16 +50,14 @@ def test_rising_maps_leave_ranks_and_p_alone(scores):
 
 
 def clustered(rng, sizes):
-    """A search with clusters of these sizes in a random order, and two probes without a mate."""
+    """A search with shuffled clusters of these sizes; two probes have no mate."""
     n = sum(sizes)
     cluster = 3 * np.repeat(np.arange(len(sizes)), sizes)
     mate, probes = np.full(n + 2, -1), rng.permutation(n + 2)[:n]
     mate[probes] = rng.permutation(n + 1)[:n]
-    # Whoever has no mate belongs to somebody's cluster all the same.
-    probe_cluster, gallery_cluster = (
-        np.zeros(n + 2, dtype=int),
-        np.zeros(n + 1, dtype=int),
-    )
+    # A probe without a mate belongs to a cluster, too.
+    probe_cluster = np.zeros(n + 2, dtype=int)
+    gallery_cluster = np.zeros(n + 1, dtype=int)
     probe_cluster[probes] = cluster
     gallery_cluster[mate[probes]] = cluster
     return Search(
@@ -75,49 +73,51 @@ CLUSTERED = {
     (1, 2, 4): 2 * 24,
     (): 1,
 }
-"""How many sets of mates the null allows: products of factorials."""
+"""Numbers of sets of mates that the null allows: products of factorials."""
 
 
 def test_the_shuffles_are_those_of_all_rows_however_many_are_ranked_at_a_time(
     monkeypatch,
 ):
-    one = gaussian(stream(15, "test", "rows"), 30, 0.5, decimals=1)
-    mates = np.where(np.arange(30) % 3 > 0, one.mate, -1)
-    clustered = replace(one, mate=mates, probe_cluster=np.arange(30) // 4)
-    found = []
+    whole = gaussian(stream(15, "test", "rows"), 30, 0.5, decimals=1)
+    mates = np.where(np.arange(30) % 3 > 0, whole.mate, -1)
+    clustered = replace(whole, mate=mates, probe_cluster=np.arange(30) // 4)
+    results = []
     for n_at_once in (1, 100, 10**6):
-        monkeypatch.setattr("isac_track.linkability.significance._AT_ONCE", n_at_once)
-        found.append(
-            shuffled_log_ranks([clustered, one], stream(0, "test", "shuffles"), 999)
+        monkeypatch.setattr(
+            "isac_track.linkability.significance._SCORES_AT_ONCE", n_at_once
         )
-    for observed, null, standings in found[:2]:
-        assert observed == pytest.approx(found[2][0], abs=1e-10)
-        assert null == pytest.approx(found[2][1], abs=1e-10)
-        assert all(map(np.array_equal, standings, found[2][2]))
+        results.append(
+            shuffled_log_ranks([clustered, whole], stream(0, "test", "shuffles"), 999)
+        )
+    for observed, null, standings in results[:2]:
+        assert observed == pytest.approx(results[2][0], abs=1e-10)
+        assert null == pytest.approx(results[2][1], abs=1e-10)
+        assert all(map(np.array_equal, standings, results[2][2]))
 
 
 @pytest.mark.parametrize("sizes", CLUSTERED)
 def test_the_null_is_the_law_over_all_possible_mates(sizes):
     rng = stream(16, "test", "law")
-    one = clustered(rng, sizes)
-    score_bin = rng.integers(0, 3, one.scores.shape, dtype=np.uint8)
-    mates = oracles.possible_mates(one)
-    sums = [np.nansum(log_rank(scores=one.scores, mate=mate)) for mate in mates]
+    case = clustered(rng, sizes)
+    score_bin = rng.integers(0, 3, case.scores.shape, dtype=np.uint8)
+    mates = oracles.possible_mates(case)
+    sums = [np.nansum(log_rank(scores=case.scores, mate=mate)) for mate in mates]
     bins = [
         np.bincount(score_bin[mate >= 0, mate[mate >= 0]], minlength=3)
         for mate in mates
     ]
     n = 300 * len(mates)
     null, null_bins = np.zeros(n), np.zeros((3, n), np.uint16)
-    mated, counts = mated_probes(people_of(one)), np.zeros((1, 2), dtype=int)
-    ranked = rank_rows(one.scores, one.mate, np.empty(0), counts)[0]
+    mated, counts = mated_probes(searched_people(case)), np.zeros((1, 2), dtype=int)
+    ranked = rank_rows(case.scores, case.mate, np.empty(0), counts)[0]
     columns = shuffled_mates(mated, stream(17, "test", "law"), n)
     observed = add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     assert observed == pytest.approx(
-        np.nansum(log_rank(scores=one.scores, mate=one.mate))
+        np.nansum(log_rank(scores=case.scores, mate=case.mate))
     )
-    # Jointly: the bins are those of the same mates as the sum. Less than ten are in
-    # each.
+    # Jointly: the bins are those of the same mates as the sum. Each holds less than
+    # ten.
     (expected, weight), (actual, counts) = (
         np.unique(np.round(rows, 9) + 1j * (held @ [1, 10, 100]), return_counts=True)
         for rows, held in ((sums, np.array(bins)), (null, null_bins.T))
@@ -125,20 +125,18 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     assert actual == pytest.approx(expected)
     assert (np.abs(counts - 300 * weight) < 5 * np.sqrt(300 * weight)).all()
     # And so says the test.
-    p = permutation_p(searches=[one], rng=stream(18, "test", "law"), n_shuffles=20_000)
+    p = permutation_p(searches=[case], rng=stream(18, "test", "law"), n_shuffles=20_000)
     assert p == pytest.approx((np.array(sums) >= observed - 1e-9).mean(), abs=0.018)
 
 
 def test_sums_and_bins_of_many_probes_are_those_of_the_mates_that_were_drawn():
     rng = stream(19, "test", "many")
-    one = clustered(rng, [1] * 40 + [2] * 20)
-    mated, n = mated_probes(people_of(one)), 25
+    case = clustered(rng, [1] * 40 + [2] * 20)
+    mated, n = mated_probes(searched_people(case)), 25
     columns = shuffled_mates(mated, rng, n)
     assert (np.sort(columns.T, axis=1) == np.sort(mated.mate)).all()
-    ranks, score_bin = (
-        rng.random(one.scores.shape),
-        rng.integers(0, 5, one.scores.shape),
-    )
+    ranks = rng.random(case.scores.shape)
+    score_bin = rng.integers(0, 5, case.scores.shape)
     null, null_bins = np.ones(n), np.ones((5, n), np.uint16)
     add_shuffles(mated, columns, ranks, score_bin.astype(np.uint8), null, null_bins)
     drawn = mated.probes, columns.T
@@ -156,8 +154,8 @@ def test_the_permutation_test_has_its_size_on_null_data_of_several_searches():
     assert 0.162 <= (p <= 0.2).mean() <= 0.238
 
 
-def alike(rng, sizes):
-    """Scores of people who resemble their group within a session, and nobody across sessions."""
+def similar_groups(rng, sizes):
+    """Scores of people who resemble their group within a session only."""
     group = np.repeat(np.arange(len(sizes)), sizes)
     probes, gallery = (
         rng.standard_normal((len(sizes), 3))[group]
@@ -167,36 +165,39 @@ def alike(rng, sizes):
     return search(-np.linalg.norm(probes[:, None] - gallery, axis=2), cluster=group)
 
 
-def test_the_permutation_test_has_its_size_where_groups_are_alike():
+def test_the_permutation_test_has_its_size_where_groups_are_similar():
     rng = stream(19, "test", "groups", "mixed")
     groups = [1] * 30 + [2] * 15 + [3] * 5 + [4] * 3
-    p = [permutation_p(searches=[alike(rng, groups)], rng=rng) for _ in range(1_000)]
+    p = [
+        permutation_p(searches=[similar_groups(rng, groups)], rng=rng)
+        for _ in range(1_000)
+    ]
     # Three standard deviations are 2 points.
     assert 0.03 <= np.mean(np.array(p) <= 0.05) <= 0.07
 
 
-def test_a_link_is_found_between_clusters_and_among_members_but_not_without_choice():
+def test_a_link_is_detected_between_clusters_and_among_members_but_not_without_choice():
     rng = stream(21, "test", "found")
     pairs, own = np.repeat(np.arange(15), 2), np.eye(30)
-    of_pair = (pairs[:, None] == pairs).astype(float)
+    pair_scores = (pairs[:, None] == pairs).astype(float)
     noise = 0.1 * rng.standard_normal((30, 30))
     together, apart = np.zeros(30, dtype=int), np.arange(30)
     for scores, cluster in (
-        (of_pair, pairs),
+        (pair_scores, pairs),
         (own, pairs),
         (own, together),
         (own, apart),
     ):
-        one = search(scores + noise, cluster=cluster)
-        assert permutation_p(searches=[one], rng=rng) == 1 / 1000
+        case = search(scores + noise, cluster=cluster)
+        assert permutation_p(searches=[case], rng=rng) == 1 / 1000
         assert (
-            permutation_p(searches=[replace(one, scores=-one.scores)], rng=rng) > 0.99
+            permutation_p(searches=[replace(case, scores=-case.scores)], rng=rng) > 0.99
         )
     # Two clusters of different sizes cannot be mistaken for each other: only members
     # count.
     sizes = np.repeat([0, 1], [10, 20])
-    one = search((sizes[:, None] == sizes) + noise, cluster=sizes)
-    assert permutation_p(searches=[one], rng=rng) > 0.05
+    case = search((sizes[:, None] == sizes) + noise, cluster=sizes)
+    assert permutation_p(searches=[case], rng=rng) > 0.05
 
 
 @pytest.mark.parametrize("n_hits", [0, 1, 2.5, 3, 6])
@@ -263,12 +264,16 @@ def test_holm_is_the_closed_test_by_bonferroni_of_what_is_known():
     # Bonferroni.
     p_values = np.random.default_rng(0).uniform(0, 0.4, 6)
     sets = [
-        list(one)
+        list(members)
         for size in range(1, 7)
-        for one in itertools.combinations(range(6), size)
+        for members in itertools.combinations(range(6), size)
     ]
     closed = [
-        max(min(1.0, len(of) * p_values[of].min()) for of in sets if n in of)
+        max(
+            min(1.0, len(members) * p_values[members].min())
+            for members in sets
+            if n in members
+        )
         for n in range(6)
     ]
     assert holm(np.array([*p_values, np.nan])) == pytest.approx(

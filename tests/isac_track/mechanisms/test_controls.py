@@ -1,4 +1,4 @@
-"""Mechanisms that move the descriptors and what can be linked apart from each other."""
+"""Controls, which change descriptors and linkability independently."""
 
 from itertools import pairwise
 from math import exp, sqrt
@@ -14,7 +14,7 @@ from isac_track.sharing import Fixed
 
 TAU_S = 2.0
 INSTANTS_S = np.array([10.0, 10.1, 10.9, 11.0, 13.5, 16.0])
-"""Of every track: irregular, and some far apart."""
+"""Instants of every track: irregular, and some far apart."""
 N_TRACKS = 20_000
 SQUARE = {"radial": 1.0, "isotropic": 2.0}
 """E[|c|^2] of a standardised error."""
@@ -22,14 +22,14 @@ SQUARE = {"radial": 1.0, "isotropic": 2.0}
 
 def many_tracks(law, *, tau_s=TAU_S):
     """Errors at the same instants of many tracks, (N, K, 2)."""
-    found = correlated_errors(
+    errors = correlated_errors(
         t=np.tile(INSTANTS_S, N_TRACKS),
         offsets=np.arange(N_TRACKS + 1) * INSTANTS_S.size,
         law=law,
         tau_s=tau_s,
         rng=rng("errors", law),
     )
-    return found.reshape(N_TRACKS, INSTANTS_S.size, 2)
+    return errors.reshape(N_TRACKS, INSTANTS_S.size, 2)
 
 
 @pytest.mark.parametrize("law", LAWS)
@@ -43,9 +43,8 @@ class TestSlowErrors:
                 assert abs(product.mean() - expected) < 5 * product.std() / sqrt(
                     N_TRACKS
                 )
-        product = (errors[:-1, -1] * errors[1:, 0]).sum(
-            axis=1
-        )  # of one track with the next
+        # Of a track with the next one.
+        product = (errors[:-1, -1] * errors[1:, 0]).sum(axis=1)
         assert abs(product.mean()) < 5 * product.std() / sqrt(N_TRACKS)
 
     def test_have_the_law_of_the_sensing_error_from_the_first_sample_to_the_last(
@@ -54,7 +53,7 @@ class TestSlowErrors:
         errors = many_tracks(law)
         white = unit_errors(n_samples=N_TRACKS, law=law, rng=rng("white"))
         for k in (0, 2, -1):
-            norms = [np.hypot(*one.T) for one in (errors[:, k], white)]
+            norms = [np.hypot(*unit.T) for unit in (errors[:, k], white)]
             assert stats.ks_2samp(*norms).pvalue > 1e-3
             angle = np.arctan2(errors[:, k, 1], errors[:, k, 0])
             assert (
@@ -68,7 +67,7 @@ class TestSlowErrors:
             [np.cumsum(rng("t", n).uniform(0.05, 3.0, n)) for n in sizes]
         )
         offsets = np.concatenate([[0], np.cumsum(sizes)])
-        found = correlated_errors(
+        errors = correlated_errors(
             t=t, offsets=offsets, law=law, tau_s=TAU_S, rng=rng("one")
         )
         draws = rng("one").standard_normal((t.size, 3))
@@ -78,14 +77,14 @@ class TestSlowErrors:
             for k in range(lo, hi):
                 if k > lo:
                     dt_s = t[k] - t[k - 1]
-                    kept = exp(-dt_s / tau_s)
-                    level = kept * level + sqrt(1 - kept**2) * draws[k]
+                    decay = exp(-dt_s / tau_s)
+                    level = decay * level + sqrt(1 - decay**2) * draws[k]
                     angle += sqrt(dt_s / TAU_S) * draws[k, 1]
                 if law == "isotropic":
                     expected = level[1:]
                 else:
                     expected = level[0] * np.array([np.cos(angle), np.sin(angle)])
-                np.testing.assert_allclose(found[k], expected, rtol=0, atol=1e-9)
+                np.testing.assert_allclose(errors[k], expected, rtol=0, atol=1e-9)
 
 
 def slow_errors(batch, law="radial", tau_s=TAU_S):
@@ -104,7 +103,7 @@ def test_an_unknown_law_is_refused():
 
 class TestCorrelated:
     @pytest.mark.parametrize("adding", ADDING)
-    def test_declares_what_fixed_declares(self, adding):
+    def test_declares_the_same_as_fixed(self, adding):
         batch = sensed()
         slow = Correlated(0.75, adding=adding).share(batch, rng())
         np.testing.assert_array_equal(
@@ -129,14 +128,14 @@ class TestCorrelated:
 
 
 class TestOffset:
-    def test_moves_each_track_as_a_whole_in_any_direction_alike(self):
+    def test_moves_each_track_as_a_whole_in_a_uniform_direction(self):
         batch = sensed(sizes=(7, 1, 30) * 1000)
         moved = Offset(0.4).share(batch, rng()).xy - batch.xy
-        each = moved[batch.offsets[:-1]]
-        repeated = np.repeat(each, np.diff(batch.offsets), axis=0)
+        shift = moved[batch.offsets[:-1]]
+        repeated = np.repeat(shift, np.diff(batch.offsets), axis=0)
         np.testing.assert_allclose(moved, repeated, rtol=0, atol=1e-12)
         np.testing.assert_allclose(np.hypot(*moved.T), 0.4, rtol=0, atol=1e-12)
-        angle = np.arctan2(each[:, 1], each[:, 0])
+        angle = np.arctan2(shift[:, 1], shift[:, 0])
         assert stats.kstest(angle, stats.uniform(-np.pi, 2 * np.pi).cdf).pvalue > 1e-3
 
     def test_levels_share_their_directions_and_declare_the_raw_uncertainty(self):
@@ -151,18 +150,18 @@ class TestOffset:
 class TestThin:
     @pytest.mark.parametrize("adding", ADDING)
     @pytest.mark.parametrize(
-        ("every", "kept"),
+        ("every", "shared"),
         [(1, range(16)), (3, [1, 4, 5, 6, 9, 12, 15]), (1000, [4, 5, 12, 15])],
     )
-    def test_keeps_of_fixed_what_is_counted_back_from_the_last(
-        self, adding, every, kept
+    def test_shares_samples_of_fixed_counted_back_from_the_last(
+        self, adding, every, shared
     ):
         batch = sensed(sizes=(5, 1, 7, 3))
         thin = Thin(every, adding, 0.75).share(batch, rng())
         fixed = Fixed(0.75, adding).share(batch, rng())
-        assert thin.offsets.tolist() == np.searchsorted(kept, batch.offsets).tolist()
+        assert thin.offsets.tolist() == np.searchsorted(shared, batch.offsets).tolist()
         assert thin.pseudonym == fixed.pseudonym
         for name in ("t", "xy", "sigma"):
             np.testing.assert_array_equal(
-                getattr(thin, name), getattr(fixed, name)[list(kept)]
+                getattr(thin, name), getattr(fixed, name)[list(shared)]
             )

@@ -1,4 +1,4 @@
-"""Mechanisms against filters: their errors are those that they say, fresh or of a session."""
+"""Protections: their errors have the stated laws, fresh or per session."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def test_two_releases_of_a_session_bear_one_path():
 
 
 @pytest.mark.parametrize(
-    "make", [Ou, lambda std, **of: OuFid(1e-9, std / 0.5, 1.0, **of)]
+    "make", [Ou, lambda std, **options: OuFid(1e-9, std / 0.5, 1.0, **options)]
 )
 def test_reuse_decides_whether_a_second_release_has_the_same_error(make):
     sensed = sensed_walks(law="isotropic")
@@ -68,7 +68,7 @@ def test_reuse_decides_whether_a_second_release_has_the_same_error(make):
     assert not np.allclose(*fresh)
 
 
-def test_ou_on_the_fid_rule_adds_as_much_as_the_rule_asks_for():
+def test_ou_fid_adds_as_much_as_the_fid_rule():
     sensed = sensed_walks()
     eta = float(np.median(sensed.fid))
     extra = fid_d_sigma(fid=sensed.fid, eta=eta, alpha_m=0.5, beta=1.5)
@@ -92,23 +92,23 @@ def test_laplace_has_its_density_and_its_epsilon():
 def test_a_forecast_is_the_filtered_position_once_a_second():
     sensed = sensed_walks(sizes=(40, 1, 70), law="isotropic")
     release = Forecast(0.0).share(sensed, draws())
-    for mine, whole in zip(release, sensed, strict=True):
-        assert mine.t[-1] == whole.t[-1]
-        apart_s = whole.t[-1] - mine.t
-        assert np.array_equal(np.floor(apart_s), np.arange(len(mine.t))[::-1])
-        end = np.searchsorted(whole.t, mine.t[-1]) + 1
+    for shared, walk in zip(release, sensed, strict=True):
+        assert shared.t[-1] == walk.t[-1]
+        apart_s = walk.t[-1] - shared.t
+        assert np.array_equal(np.floor(apart_s), np.arange(len(shared.t))[::-1])
+        end = np.searchsorted(walk.t, shared.t[-1]) + 1
         known = Batch(
-            whole.t[:end],
-            whole.xy[:end],
-            whole.sigma_raw[:end] ** 2,
+            walk.t[:end],
+            walk.xy[:end],
+            walk.sigma_raw[:end] ** 2,
             np.array([0, end]),
             (100.0, 10.0),
         )
-        assert mine.xy[-1] == pytest.approx(kalman_last(known, q=0.057).mean[0, :, 0])
+        assert shared.xy[-1] == pytest.approx(kalman_last(known, q=0.057).mean[0, :, 0])
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: Ou(-1.0), "std_m"),
         (lambda: Ou(float("nan")), "std_m"),
@@ -121,8 +121,8 @@ def test_a_forecast_is_the_filtered_position_once_a_second():
         (lambda: Forecast(1.0, every_s=0.0), "every_s"),
     ],
 )
-def test_what_cannot_be_is_refused(make, says):
-    with pytest.raises(ValueError, match=says):
+def test_wrong_parameters_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
         make()
 
 

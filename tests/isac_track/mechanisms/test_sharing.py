@@ -54,13 +54,13 @@ class TestIndependentAdding:
         batch = sensed(sizes=(LARGE,), sigma_raw=0.6, law=raw_law)
         release = perturb(batch, 0.8, rng("variances", law), **INDEPENDENT, law=law)
         error = release.xy - truth(LARGE)
-        # Both axes: the radial law has variance sigma^2 in all, the isotropic one on
-        # each axis.
+        # Over both axes: the radial law has the variance sigma^2, the isotropic one
+        # twice as much.
         axes = {"radial": 1, "isotropic": 2}
         expected = axes[raw_law] * 0.6**2 + axes[law] * 0.8**2
         square = (error**2).sum(axis=1)
         assert abs(square.mean() - expected) < 5 * square.std() / sqrt(LARGE)
-        for axis in range(2):  # half of it each, and none of it in common
+        for axis in range(2):  # each has half of it, uncorrelated
             axis_square = error[:, axis] ** 2
             assert abs(
                 axis_square.mean() - expected / 2
@@ -68,7 +68,7 @@ class TestIndependentAdding:
         product = error[:, 0] * error[:, 1]
         assert abs(product.mean()) < 5 * product.std() / sqrt(LARGE)
 
-    def test_takes_the_law_of_the_raw_error_unless_told(self, law):
+    def test_takes_the_law_of_the_raw_error_by_default(self, law):
         batch = sensed(law=law)
         default = perturb(batch, 0.8, rng(), **INDEPENDENT)
         named = perturb(batch, 0.8, rng(), **INDEPENDENT, law=law)
@@ -77,9 +77,8 @@ class TestIndependentAdding:
         )
         assert_array_equal(default.xy, named.xy)
         assert not np.allclose(default.xy, changed.xy)
-        perturb(
-            batch, 0.8, rng(), **INDEPENDENT, law="fixed_direction"
-        )  # of each track
+        # One direction for each track.
+        perturb(batch, 0.8, rng(), **INDEPENDENT, law="fixed_direction")
 
     def test_levels_share_their_draws_and_pseudonyms_take_none(self, law):
         batch = sensed(law=law)
@@ -114,8 +113,8 @@ def test_an_error_that_is_given_is_added_as_it_is():
     ("d_sigma", "names", "message"),
     [
         *(
-            (one, {}, "d_sigma must be finite and not negative")
-            for one in (-0.1, np.nan, inf)
+            (d_sigma, {}, "d_sigma must be finite and not negative")
+            for d_sigma in (-0.1, np.nan, inf)
         ),
         (np.r_[np.zeros(12), -0.1], {}, "d_sigma must be finite and not negative"),
         (np.zeros(12), {}, ".*broadcast"),
@@ -171,9 +170,8 @@ class TestMechanisms:
     )
     @pytest.mark.parametrize("law", LAWS)
     def test_fid_far_above_its_threshold_is_fixed_075(self, rule, law):
-        batch = sensed(
-            law=law
-        )  # fid of at least 72; exp(-71) is below the last digit of 1.5
+        # The fid is at least 72; exp(-71) is below the last digit of 1.5.
+        batch = sensed(law=law)
         fid = Fid(1.0, **rule).share(batch, rng())
         fixed = Fixed(0.75, **rule).share(batch, rng())
         assert_array_equal(fid.xy, fixed.xy)
@@ -188,8 +186,8 @@ class TestMechanisms:
     def test_fid_uses_its_parameters_sample_by_sample(self):
         batch = sensed()
         d_sigma = [
-            oracles.fid_d_sigma(fid=one, eta=700.0, alpha_m=0.3, beta=2.0)
-            for one in batch.fid
+            oracles.fid_d_sigma(fid=fid, eta=700.0, alpha_m=0.3, beta=2.0)
+            for fid in batch.fid
         ]
         assert 0 < np.count_nonzero(d_sigma) < len(d_sigma)
         release = Fid(700.0, alpha=0.3, beta=2.0).share(batch, rng())
@@ -226,7 +224,7 @@ class TestMechanisms:
     ("law", "norm"), [("radial", stats.halfnorm), ("isotropic", stats.rayleigh)]
 )
 class TestErrorLaws:
-    """Seeded draws, so a p-value above 0.001 is a fact about them and does not flicker."""
+    """Draws are seeded, so that p-values do not change from run to run."""
 
     def test_norm_and_direction_have_their_laws_and_do_not_depend_on_each_other(
         self, law, norm

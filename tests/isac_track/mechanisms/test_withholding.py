@@ -1,4 +1,4 @@
-"""Mechanisms that withhold samples: what leaves the network is a part of what `fixed` shares."""
+"""Mechanisms that withhold samples: they share a part of the samples of `fixed`."""
 
 import numpy as np
 import pytest
@@ -54,6 +54,6 @@ class TestWindow:
     @pytest.mark.parametrize(
         "spec", ["window:0", "window:-1", "window:1,d_sigma=-1", "window"]
     )
-    def test_a_spec_that_cannot_be_meant_is_a_settings_error(self, spec):
+    def test_a_wrong_spec_is_a_settings_error(self, spec):
         with pytest.raises(SettingsError, match="window"):
             parse("mechanisms", spec)

@@ -1,8 +1,8 @@
-"""Misses at equal false alarms: a hand-made curve, and plain loops over made-up people."""
+"""Misses at equal false alarms: curves by hand, and plain loops over a crowd."""
 
 import numpy as np
 import pytest
-from helpers.patrols import SETTINGS, network_of
+from helpers.patrols import SETTINGS, make_network
 
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import disclose
@@ -25,10 +25,10 @@ def crowd(request):
     tracks = request.getfixturevalue("tracks")
     settings = SETTINGS.changed({"patrol.segment_s": 15.0})
     patrol = make_patrol(tracks, settings=settings, seed=0)
-    return network_of(patrol, Fid(1.0), settings=settings)
+    return make_network(patrol, Fid(1.0), settings=settings)
 
 
-def curve_of(alarms, missed, trials=10.0):
+def make_curve(alarms, missed, trials=10.0):
     """The curve of one robot and one cluster at some alarm distances."""
     return AlarmCurve(
         alarms=np.array(alarms, dtype=float)[:, None],
@@ -47,13 +47,13 @@ def curve_of(alarms, missed, trials=10.0):
     ],
 )
 def test_the_distance_is_that_at_which_alarms_are_those_allowed(allowed, misses):
-    curve = curve_of(alarms=[0, 0, 2, 4, 5], missed=[10, 8, 6, 4, 3])
+    curve = make_curve(alarms=[0, 0, 2, 4, 5], missed=[10, 8, 6, 4, 3])
     estimate = missed_at_equal_alarms(curve, reference=np.array([allowed]), seed=0)
     assert estimate.value == pytest.approx(misses / 10)
 
 
-def test_alarms_that_fall_again_farther_off_are_not_waited_for():
-    curve = curve_of(alarms=[0, 2, 6, 1], missed=[10, 8, 4, 0])
+def test_the_first_distance_with_too_many_alarms_decides():
+    curve = make_curve(alarms=[0, 2, 6, 1], missed=[10, 8, 4, 0])
     estimate = missed_at_equal_alarms(curve, reference=np.array([3.0]), seed=0)
     assert estimate.value == pytest.approx(0.7)
 
@@ -61,7 +61,7 @@ def test_alarms_that_fall_again_farther_off_are_not_waited_for():
 @pytest.mark.parametrize(
     "policy", [Near(3.0), RandomPeople(0.5), State(), Flag(), Everything()]
 )
-def test_who_is_nearer_than_the_radius_is_foreseen_within_the_horizon(crowd, policy):
+def test_people_nearer_than_the_radius_are_foreseen_within_the_horizon(crowd, policy):
     answers = answer_forecasts(crowd, disclose(crowd, policy), LeastSquares())
     foreseen = conflicts_in(crowd.patrol, answers, safety_radius_m=0.9)
     for horizon in (11, 36):
@@ -87,6 +87,6 @@ def test_at_the_robots_own_alarms_it_misses_no_more(crowd):
         metrics = utility_metrics(task, everything, horizon=horizon, seed=0)
         missed = curve.missed[9].sum() / curve.trials.sum()
         assert metrics["missed_future_rate"].value == pytest.approx(missed)
-        # No alarm more is raised at 0.9 m: the farthest such distance misses no more.
+        # The largest distance without further alarms is at least 0.9 m.
         assert metrics["missed_future_at_equal_alarms"].value <= missed
         assert (np.diff(curve.alarms, axis=0) >= 0).all()

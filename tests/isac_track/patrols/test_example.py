@@ -22,7 +22,7 @@ def example():
     return module
 
 
-def rows_of(
+def compare_rows(
     example, tracks, *, policies, mechanisms=("raw",), predictors=("least_squares",)
 ):
     return list(
@@ -45,8 +45,8 @@ def numbers(row):
 
 
 def test_a_row_depends_on_no_other_policy_mechanism_or_robot(example, tracks):
-    alone = rows_of(example, tracks, policies=["random:0.5"])
-    among = rows_of(
+    alone = compare_rows(example, tracks, policies=["random:0.5"])
+    among = compare_rows(
         example,
         tracks,
         policies=["ahead:2", "random:0.5", "everything"],
@@ -78,9 +78,8 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(
             rows = [
                 line for line in lines if line.startswith(f"| {mechanism} | {policy} |")
             ]
-            assert (
-                len(rows) == 1 + 1 + 2 * 2
-            )  # Log, who follows by it, robots and horizons.
+            # The log, an adversary who follows people by it, robots and horizons.
+            assert len(rows) == 1 + 1 + 2 * 2
     assert sum(line.startswith("Robot kalman_cv, horizon") for line in lines) == 2
 
 

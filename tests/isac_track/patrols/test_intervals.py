@@ -1,4 +1,4 @@
-"""Two-way intervals: against plain loops, and how often they hold the truth."""
+"""Two-way intervals: against plain loops, and their coverage."""
 
 import numpy as np
 import pytest
@@ -37,8 +37,12 @@ def test_clusters_are_numbered_by_first_appearance_and_summed():
 def test_value_and_replicates_are_those_of_a_plain_loop():
     hits, trials = planted(n_clusters=20, n_routes=20)
     estimate = two_way_ratio(numerator=hits, denominator=trials, seed=3, n_replicates=5)
-    people = cluster_weights(n_clusters=20, n_replicates=5, seed=3, of=("people",))
-    routes = cluster_weights(n_clusters=20, n_replicates=5, seed=3, of=("routes",))
+    people = cluster_weights(
+        n_clusters=20, n_replicates=5, seed=3, stream_names=("people",)
+    )
+    routes = cluster_weights(
+        n_clusters=20, n_replicates=5, seed=3, stream_names=("routes",)
+    )
     assert estimate.value == hits.sum() / trials.sum()
     for b in range(5):
         sums = np.zeros(2)
@@ -50,7 +54,7 @@ def test_value_and_replicates_are_those_of_a_plain_loop():
     assert estimate.n == 20
 
 
-def test_holds_the_truth_about_as_often_as_it_says():
+def test_the_coverage_is_about_nominal():
     share, n_held = truth(), 0
     for seed in range(200):
         hits, trials = planted(seed=seed)

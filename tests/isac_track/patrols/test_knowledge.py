@@ -1,4 +1,4 @@
-"""What a log tells: closed forms for one walk, a dense posterior, and plain loops."""
+"""Knowledge from a log: closed forms, a dense posterior, and plain loops."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from helpers.patrols import (
     SETTINGS,
     clean_network,
-    network_of,
+    make_network,
     patrol_past,
     straight_walks,
 )
@@ -32,17 +32,17 @@ from predictors.constant_position import ConstantPosition
 
 EPSILON_M = 0.3
 CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
-"""She is within 2 m of the robot at (0, 0) at the queries of 9, 10, 11 and 12 s."""
+"""A person within 2 m of the robot at (0, 0) at the queries of 9, 10, 11 and 12 s."""
 
 
-def known_of(network, policy, *, epsilon_m=EPSILON_M):
+def know_places(network, policy, *, epsilon_m=EPSILON_M):
     guesses = guesses_from_map(network.patrol, epsilon_m=epsilon_m)
     disclosure = disclose(network, policy)
     return known_places(network, disclosure, guesses=guesses, epsilon_m=epsilon_m)
 
 
 def positions_on_grid(log, patrol, **options):
-    """What a log states at all instants of the grid of a patrol."""
+    """Estimated positions at all instants of the grid of a patrol."""
     return state_positions(log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options)
 
 
@@ -55,44 +55,43 @@ def shares(known):
 class TestOneCrossing:
     def test_everything_discloses_all_up_to_the_last_query(self):
         tracks = straight_walks((0, 20.4, (-10.05, 0), (1, 0)), step_s=0.1)
-        known = known_of(clean_network(patrol_past(tracks, (0, 0))), Everything())
+        known = know_places(clean_network(patrol_past(tracks, (0, 0))), Everything())
         assert known.instants.tolist() == [205]
         assert known.disclosed.tolist() == [[201]]  # The last query is at 20 s.
         assert known.seen.all()
 
     def test_near_discloses_a_stretch_and_holding_adds_what_it_may(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, Near(2.0, window_s=0.5), epsilon_m=0.25)
+        known = know_places(network, Near(2.0, window_s=0.5), epsilon_m=0.25)
         assert known.disclosed.tolist() == [[24]]  # six scans at each of four queries
-        # She is 0.1 m and 0.2 m away at the next two instants, and before the first
-        # entry.
+        # The last entry is 0.1 m and 0.2 m away at the next two instants, the first
+        # entry at the two instants before it.
         hold = ESTIMATORS.index("hold")
         assert known.known_undisclosed[hold].tolist() == [[4 * 2 + 2]]
         assert known.known[hold].tolist() == [[24 + 10]]
 
     @pytest.mark.parametrize("estimator", ["smooth", "extrapolate"])
-    def test_who_walks_straight_is_known_all_the_way_from_a_stretch(self, estimator):
+    def test_a_straight_walk_is_known_entirely_from_a_part(self, estimator):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, Near(2.0, window_s=0.5))
+        known = know_places(network, Near(2.0, window_s=0.5))
         share = shares(known)[estimator]
-        # The filter knows nothing of the 8.5 s before the first entry, the smoother
-        # all.
+        # Before the first entry, at 8.5 s, the filter knows nothing, the smoother all.
         assert share == pytest.approx(
             {"smooth": 1.0, "extrapolate": 116 / 201}[estimator], abs=0.02
         )
 
     def test_lines_join_the_entries_and_no_further(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, Near(2.0, window_s=0.5), epsilon_m=0.25)
+        known = know_places(network, Near(2.0, window_s=0.5), epsilon_m=0.25)
         # 36 instants from 8.5 s to 12 s, and two on either side.
         assert known.known[ESTIMATORS.index("interpolate")].tolist() == [[36 + 4]]
 
     def test_a_state_tells_the_time_until_the_next_query(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, State())
+        known = know_places(network, State())
         assert known.disclosed.tolist() == [[21]]
         assert shares(known)["interpolate"] > 0.9
-        log = _log_of(network, State())
+        log = make_log(network, State())
         assert log.t.size == 201
         late = log.t > 2.0
         np.testing.assert_allclose(
@@ -101,7 +100,7 @@ class TestOneCrossing:
 
     def test_a_flag_tells_no_position(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, Flag())
+        known = know_places(network, Flag())
         assert not known.seen.any()
         assert not known.disclosed.any()
         np.testing.assert_array_equal(
@@ -110,7 +109,7 @@ class TestOneCrossing:
 
     def test_a_robot_that_meets_nobody_learns_what_the_map_says(self):
         network = clean_network(patrol_past(CROSSING, (0, 50)))
-        known = known_of(network, Near(2.0))
+        known = know_places(network, Near(2.0))
         metrics = knowledge_metrics(known, group=network.patrol.people.group, seed=0)
         assert metrics["people_seen"].value == 0.0
         assert metrics["disclosed_share"].value == 0.0
@@ -118,11 +117,11 @@ class TestOneCrossing:
 
     def test_plr_of_the_walk_counts_samples_that_were_not_sent_as_safe(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
-        known = known_of(network, Near(2.0, window_s=0.5))
+        known = know_places(network, Near(2.0, window_s=0.5))
         assert known.leaked.tolist() == [[24 / 201]]
 
 
-def _log_of(network, policy, robots=(0,)):
+def make_log(network, policy, robots=(0,)):
     disclosure = disclose(network, policy)
     sent = disclosure.sent(network.patrol, robots=np.array(robots))
     return fleet_log(network, disclosure, sent=sent)
@@ -133,13 +132,13 @@ def crowd(request):
     """A small crowd with three robots, and the network that senses it."""
     tracks = request.getfixturevalue("tracks")
     settings = SETTINGS.changed({"patrol.segment_s": 12.0})
-    return network_of(make_patrol(tracks, settings=settings, seed=0))
+    return make_network(make_patrol(tracks, settings=settings, seed=0))
 
 
 def dense_posterior(t, xy, variance, at_s, *, start_s, start_xy):
-    """The mean place at some times by the joint Gaussian of all, without recursion.
+    """The posterior mean of positions by the joint Gaussian, without recursion.
 
-    Integrated Brownian motion behind an uncertain place and velocity: Rasmussen and
+    Integrated Brownian motion with an uncertain place and velocity: Rasmussen and
     Williams, Gaussian Processes for Machine Learning, 2006, eq. 2.25 and sec. 6.3.
     """
 
@@ -155,8 +154,8 @@ def dense_posterior(t, xy, variance, at_s, *, start_s, start_xy):
 class TestEstimators:
     @pytest.mark.parametrize("policy", [Near(6.0), RandomPeople(0.2), State(4.0)])
     def test_the_smoother_is_the_mean_of_the_dense_posterior(self, crowd, policy):
-        log, grid = _log_of(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
-        stated = positions_on_grid(
+        log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
+        estimate = positions_on_grid(
             log, crowd.patrol, estimator="smooth", otherwise=np.zeros(grid.xy.shape)
         )
         people = np.flatnonzero(np.diff(log.offsets) > 0)
@@ -172,10 +171,10 @@ class TestEstimators:
                 start_s=min(log.t[entries][0], grid.t[instants][0]),
                 start_xy=log.xy[entries][0],
             )
-            np.testing.assert_allclose(stated[instants], expected, atol=2e-3)
+            np.testing.assert_allclose(estimate[instants], expected, atol=2e-3)
 
     def test_extrapolating_uses_no_later_entry(self, crowd):
-        log, patrol = _log_of(crowd, Near(3.0)), crowd.patrol
+        log, patrol = make_log(crowd, Near(3.0)), crowd.patrol
         person = int(np.diff(log.offsets).argmax())
         entries = slice(*log.offsets[person : person + 2])
         middle = log.offsets[person] + (entries.stop - entries.start) // 2
@@ -201,7 +200,7 @@ class TestEstimators:
 
     @pytest.mark.parametrize("policy", [Near(3.0), Ahead(1.5), RandomPeople(0.2)])
     def test_lines_and_held_places_are_those_of_a_plain_loop(self, crowd, policy):
-        log, grid = _log_of(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
+        log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
         otherwise = np.full(grid.xy.shape, 99.0)
         lines, held = (
             positions_on_grid(log, crowd.patrol, estimator=name, otherwise=otherwise)
@@ -228,18 +227,18 @@ class TestEstimators:
                 )
 
     def test_more_entries_with_less_error_tell_more(self, crowd):
-        everything = shares(known_of(crowd, Everything()))
-        near = shares(known_of(crowd, Near(3.0)))
-        noisy = shares(known_of(network_of(crowd.patrol, Fid(1.0)), Everything()))
+        everything = shares(know_places(crowd, Everything()))
+        few = shares(know_places(crowd, Near(3.0)))
+        noisy = shares(know_places(make_network(crowd.patrol, Fid(1.0)), Everything()))
         for name in ESTIMATORS:
-            assert near[name] < everything[name]
+            assert few[name] < everything[name]
             assert noisy[name] < everything[name]
 
 
 class TestCounts:
     def test_a_fleet_knows_what_its_robots_were_sent_together(self, tracks):
         settings = SETTINGS.changed({"patrol.segment_s": 12.0, "patrol.robots": 3})
-        network = network_of(make_patrol(tracks, settings=settings, seed=0))
+        network = make_network(make_patrol(tracks, settings=settings, seed=0))
         disclosure = disclose(network, Near(2.5))
         guesses = np.zeros((len(network.patrol.people), 2))
         known = known_places(network, disclosure, guesses=guesses, epsilon_m=EPSILON_M)
@@ -283,10 +282,10 @@ class TestCounts:
     def test_forecasts_without_a_covariance_will_do_for_a_state(self):
         patrol = patrol_past(CROSSING, (0, 0))
         network = clean_network(patrol, forecaster=ConstantPosition())
-        assert (_log_of(network, State()).variance == 0.25).all()
+        assert (make_log(network, State()).variance == 0.25).all()
 
     def test_metrics_are_ratios_over_people_and_fleets(self, crowd):
-        known = known_of(crowd, Near(3.0))
+        known = know_places(crowd, Near(3.0))
         metrics = knowledge_metrics(known, group=crowd.patrol.people.group, seed=0)
         total = 3 * known.instants.sum()
         assert metrics["disclosed_share"].value == pytest.approx(
@@ -301,7 +300,7 @@ class TestCounts:
 
 
 class TestMap:
-    def test_guesses_where_others_stand_and_not_where_she_does(self):
+    def test_guesses_where_others_stand_and_not_the_person_itself(self):
         place = {"a": (0.0, 0.0), "b": (5.0, 0.0), "c": (5.1, 0.0), "d": (9.0, 9.0)}
         xy = np.repeat(np.array(list(place.values())), 10, axis=0)
         offsets = np.arange(5) * 10
@@ -309,7 +308,7 @@ class TestMap:
         for row in (0, 3):  # Two others stand at 5 m.
             assert np.hypot(*(guesses[row] - (5.05, 0.0))) < EPSILON_M
 
-    def test_each_person_weighs_the_same_however_long_she_stays(self):
+    def test_each_person_weighs_the_same_for_any_length_of_stay(self):
         xy = np.concatenate(
             [np.zeros((1000, 2)), np.full((5, 2), 7.0), np.full((5, 2), 7.0)]
         )
@@ -339,5 +338,7 @@ def test_an_empty_log_is_no_error():
     )
     otherwise = np.ones(patrol.grid.xy.shape)
     for name in ESTIMATORS:
-        stated = positions_on_grid(nothing, patrol, estimator=name, otherwise=otherwise)
-        np.testing.assert_array_equal(stated, otherwise)
+        estimate = positions_on_grid(
+            nothing, patrol, estimator=name, otherwise=otherwise
+        )
+        np.testing.assert_array_equal(estimate, otherwise)

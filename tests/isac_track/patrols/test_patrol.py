@@ -1,8 +1,8 @@
-"""The world of a patrol: who is present when, where robots walk, and what is sensed."""
+"""Patrols: the presence of people, the routes of robots, and the sensing."""
 
 import numpy as np
 import pytest
-from helpers.patrols import ROUND, SETTINGS, network_of, straight_walks
+from helpers.patrols import ROUND, SETTINGS, make_network, straight_walks
 
 from isac_track.errors import DataError, SettingsError
 from isac_track.mechanisms.withholding import Window
@@ -28,10 +28,8 @@ def patrol_with(tracks=CROSSING, *, seed=0, settings=ROUND, **changes):
 class TestPeople:
     def test_are_sampled_at_every_scan_of_their_presence_and_no_other(self):
         patrol = patrol_with()
-        assert np.diff(patrol.people.offsets).tolist() == [
-            201,
-            9,
-        ]  # 0.0..20.0 and 3.3..4.1
+        # At 0.0..20.0 s and 3.3..4.1 s.
+        assert np.diff(patrol.people.offsets).tolist() == [201, 9]
         np.testing.assert_allclose(patrol.people[1].t, np.arange(3.3, 4.15, 0.1))
         np.testing.assert_allclose(patrol.people.t, patrol.scan_s[patrol.scan])
 
@@ -66,8 +64,8 @@ class TestPeople:
             make_patrol(tracks, settings=SETTINGS, seed=0).people.group == tracks.group
         )
 
-    def test_who_are_never_present_are_one_clear_error(self):
-        # One person of one sample, who sets the clock, and another between two scans.
+    def test_that_are_never_present_are_one_clear_error(self):
+        # A person of one sample, where the clock starts, and one between two scans.
         tracks = straight_walks(
             (0, 0, (0, 0), (1, 0)), (0.2, 0.8, (0, 0), (1, 0)), step_s=0.1
         )
@@ -76,7 +74,7 @@ class TestPeople:
         ):
             patrol_with(tracks, scan_s=1.0)
 
-    def test_who_are_present_at_no_query_are_one_clear_error(self):
+    def test_that_are_present_at_no_query_are_one_clear_error(self):
         tracks = straight_walks((0.0, 0.0, (0, 0), (1, 0)), (1.0, 3.0, (0, 0), (1, 0)))
         with pytest.raises(DataError, match=r"set patrol\.query_s lower"):
             patrol_with(tracks, query_s=5.0)
@@ -155,7 +153,7 @@ class TestRobots:
 
 
 class TestSensing:
-    def test_errors_belong_to_a_person_whoever_else_is_there(self):
+    def test_errors_of_a_person_depend_on_no_other_person(self):
         both = sense_people(patrol_with(), settings=ROUND, seed=0)
         walk_alone = straight_walks((0, 20, (-10, 0), (1, 0)), step_s=0.05)
         alone = sense_people(patrol_with(walk_alone), settings=ROUND, seed=0)
@@ -168,23 +166,23 @@ class TestSensing:
         assert np.sqrt(np.mean(error**2)) == pytest.approx(1.0, abs=0.05)
 
     def test_one_release_serves_everybody_and_depends_on_no_route(self):
-        few, many = (network_of(patrol_with(fleets=fleets)) for fleets in (1, 4))
+        few, many = (make_network(patrol_with(fleets=fleets)) for fleets in (1, 4))
         np.testing.assert_array_equal(few.release.xy, many.release.xy)
         np.testing.assert_array_equal(few.release.xy, few.sensed.xy)
 
     def test_mechanisms_share_their_draws(self):
         patrol = patrol_with()
         names = [
-            network_of(patrol, plugin.instance).release.pseudonym
+            make_network(patrol, plugin.instance).release.pseudonym
             for plugin in parse("mechanisms", "fixed:0.1..0.5/2")
         ]
-        assert names[0] == names[1] == network_of(patrol, Raw()).release.pseudonym
+        assert names[0] == names[1] == make_network(patrol, Raw()).release.pseudonym
 
     def test_a_mechanism_that_leaves_samples_out_is_refused(self):
         with pytest.raises(
             SettingsError, match="a policy selects samples, such as window"
         ):
-            network_of(patrol_with(), Window(1.0))
+            make_network(patrol_with(), Window(1.0))
 
 
 @pytest.mark.parametrize(
@@ -199,6 +197,6 @@ class TestSensing:
         ("grid_s", "wide", "patrol.grid_s must be a number"),
     ],
 )
-def test_a_setting_that_cannot_be_meant_is_one_clear_error(name, value, message):
+def test_a_wrong_setting_is_one_clear_error(name, value, message):
     with pytest.raises(SettingsError, match=message):
         SETTINGS.changed({f"patrol.{name}": value})

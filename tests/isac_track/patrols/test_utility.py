@@ -1,4 +1,4 @@
-"""What robots on patrol foresee: hand-made crossings, and plain loops over made-up people."""
+"""Forecasts of robots on patrol: crossings by hand, and plain loops over a crowd."""
 
 from dataclasses import replace
 
@@ -7,10 +7,10 @@ import pytest
 from helpers.patrols import (
     ROUND,
     SETTINGS,
-    answers_of,
     clean_network,
-    network_of,
+    make_network,
     patrol_past,
+    sent_answers,
     straight_walks,
 )
 
@@ -37,9 +37,9 @@ from predictors.least_squares import LeastSquares
 
 RADIUS_M = 0.9
 CROSSING = straight_walks((0, 20, (-10.05, 0), (1, 0)))
-"""She passes the robot at (0, 0): inside from the scan at 9.2 s to that at 10.9 s."""
+"""A person passes the robot at (0, 0): inside from the scan at 9.2 s to 10.9 s."""
 LEAVING = straight_walks((0, 9.0, (-10.05, 0), (1, 0)))
-"""She leaves 0.2 s before she would come inside."""
+"""A person leaves 0.2 s before coming inside."""
 
 
 def foreseen(network, policy, predictor=None):
@@ -53,7 +53,7 @@ def foreseen(network, policy, predictor=None):
 
 
 class TestOneCrossing:
-    def test_is_labelled_by_the_scans_until_she_is_inside(self):
+    def test_is_labelled_by_the_scans_until_the_person_is_inside(self):
         patrol = patrol_past(CROSSING, (0, 0))
         actual = true_conflicts(patrol, safety_radius_m=RADIUS_M)[:, 0]
         # At 5 s it is 42 scans ahead, beyond the reach of 40.
@@ -66,7 +66,7 @@ class TestOneCrossing:
         actual = true_conflicts(network.patrol, safety_radius_m=RADIUS_M)
         np.testing.assert_array_equal(foreseen(network, Everything()), actual)
 
-    def test_does_not_count_after_she_left_in_truth_or_forecast(self):
+    def test_does_not_count_after_leaving_in_truth_or_forecast(self):
         network = clean_network(patrol_past(LEAVING, (0, 0)))
         assert (true_conflicts(network.patrol, safety_radius_m=RADIUS_M) == NEVER).all()
         assert (foreseen(network, Everything()) == NEVER).all()
@@ -86,11 +86,11 @@ class TestOneCrossing:
             assert futures.rate == 1.0
             assert missed_futures(actual, actual, horizon=horizon).rate == 0.0
 
-    def test_near_withholds_those_who_are_still_far_away(self):
+    def test_near_withholds_people_that_are_still_far_away(self):
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         actual = true_conflicts(network.patrol, safety_radius_m=RADIUS_M)
-        # 2 m: she is in the answers of 9, 10, 11 and 12 s; conflicts within 3 s begin
-        # at 7 s.
+        # The person is within 2 m at 9, 10, 11 and 12 s; conflicts within 3 s begin at
+        # 7 s.
         near = foreseen(network, Near(2.0))
         withheld = withheld_conflicts(actual, near, actual, horizon=30)
         assert (
@@ -106,7 +106,7 @@ class TestOneCrossing:
         self, radius_m, lead, missed
     ):
         # Entry at 9.2 s: the last query 0.9 s before is that of 8 s, 3 s before that of
-        # 6 s. She is then 2.05 m and 4.05 m away.
+        # 6 s. The person is then 2.05 m and 4.05 m away.
         network = clean_network(patrol_past(CROSSING, (0, 0)))
         entries = first_entries(network.patrol, safety_radius_m=RADIUS_M)
         counts = missed_encounters(
@@ -119,8 +119,8 @@ class TestOneCrossing:
         assert counts.trials.tolist() == [[True]]
         assert counts.hits.tolist() == [[missed]]
 
-    def test_who_comes_too_early_to_be_forecast_is_no_encounter(self):
-        # Inside 0.95 s after she came: no query saw her two scans before the lead.
+    def test_a_person_without_history_before_the_lead_is_no_encounter(self):
+        # Inside after 0.95 s: no query had two samples of the person before the lead.
         tracks = straight_walks((0, 5, (-1.95, 0), (1, 0)))
         network = clean_network(patrol_past(tracks, (0, 0)))
         entries = first_entries(network.patrol, safety_radius_m=RADIUS_M)
@@ -182,11 +182,13 @@ def crowd(request):
     """A small crowd with three robots, and the network that senses it."""
     tracks = request.getfixturevalue("tracks")
     settings = SETTINGS.changed({"patrol.segment_s": 12.0})
-    return network_of(make_patrol(tracks, settings=settings, seed=0), settings=settings)
+    return make_network(
+        make_patrol(tracks, settings=settings, seed=0), settings=settings
+    )
 
 
 def slow_wait(patrol, robot, presence, places):
-    """Scans until a person at these places is inside, while she stays: a plain loop."""
+    """Scans until a person at these places is inside, before leaving: a plain loop."""
     pairs = patrol.presences
     sample, now = pairs.sample[presence], patrol.query_scan[pairs.query[presence]]
     end = patrol.people.offsets[pairs.person[presence] + 1]
@@ -229,7 +231,7 @@ class TestAgainstPlainLoops:
     def test_forecasts_from_the_samples_that_were_sent(self, crowd, policy, predictor):
         patrol, release = crowd.patrol, crowd.release
         expected = np.full((len(patrol.presences), patrol.n_robots), NEVER)
-        for (robot, presence), samples in answers_of(crowd, policy).items():
+        for (robot, presence), samples in sent_answers(crowd, policy).items():
             walk = Release(
                 release.t[samples],
                 release.xy[samples],
@@ -251,7 +253,7 @@ class TestAgainstPlainLoops:
                 return np.arange(query.t.size) % 2 == 0
 
         patrol, release = crowd.patrol, crowd.release
-        sent = answers_of(crowd, EveryOther())
+        sent = sent_answers(crowd, EveryOther())
         waits = foreseen(crowd, EveryOther())
         assert (waits < NEVER).any()
         for (robot, presence), samples in sent.items():
@@ -272,7 +274,7 @@ class TestPolicies:
     def test_ahead_withholds_nothing_from_its_own_forecaster(self, tracks, predictor):
         settings = SETTINGS.changed({"patrol.segment_s": 12.0})
         patrol = make_patrol(tracks, settings=settings, seed=0)
-        network = network_of(patrol, forecaster=predictor)
+        network = make_network(patrol, forecaster=predictor)
         reach_s = patrol.ahead_s[-1]
         everything = foreseen(network, Everything(), predictor)
         ahead = Ahead(RADIUS_M, window_s=None, horizon_s=reach_s)
@@ -289,7 +291,7 @@ class TestPolicies:
         )
 
     def test_a_flag_on_raw_is_free_of_the_added_error_and_a_state_is_not(self, crowd):
-        noisy = network_of(crowd.patrol, Fid(1.0))
+        noisy = make_network(crowd.patrol, Fid(1.0))
         np.testing.assert_array_equal(foreseen(noisy, Flag()), foreseen(crowd, Flag()))
         shared = foreseen(noisy, Everything(), KalmanCV())
         np.testing.assert_array_equal(foreseen(noisy, Flag(select_on="shared")), shared)
@@ -308,21 +310,19 @@ class TestPolicies:
     def test_by_construction_needs_the_same_forecaster_and_the_same_positions(
         self, crowd
     ):
-        noisy = network_of(crowd.patrol, Fid(1.0))
+        noisy = make_network(crowd.patrol, Fid(1.0))
         ahead, on_shared = Ahead(1.0, None), Ahead(1.0, None, select_on="shared")
         assert is_by_construction(crowd, ahead, KalmanCV())
         assert not is_by_construction(crowd, ahead, KalmanCV(q=0.1))
-        assert not is_by_construction(
-            crowd, Ahead(1.0), KalmanCV()
-        )  # It reads 1.3 s only.
+        # The robot reads 1.3 s only.
+        assert not is_by_construction(crowd, Ahead(1.0), KalmanCV())
         assert not is_by_construction(crowd, Near(1.0), KalmanCV())
         assert not is_by_construction(noisy, ahead, KalmanCV())
         assert is_by_construction(noisy, on_shared, KalmanCV())
         assert is_by_construction(noisy, State(), KalmanCV())
         assert is_by_construction(crowd, State(2.0), KalmanCV())
-        assert not is_by_construction(
-            noisy, State(2.0), KalmanCV()
-        )  # It selects on raw.
+        # The policy selects on raw.
+        assert not is_by_construction(noisy, State(2.0), KalmanCV())
         assert is_by_construction(noisy, Everything(), LeastSquares())
 
     def test_everything_withholds_nothing(self, crowd):

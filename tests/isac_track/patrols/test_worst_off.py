@@ -1,4 +1,4 @@
-"""The worst-off tenth against a plain loop, and against people who are all exposed alike."""
+"""The worst-off tenth against a plain loop, and for people of equal exposure."""
 
 import numpy as np
 import pytest
@@ -32,9 +32,8 @@ def test_it_is_the_mean_on_one_half_of_the_tenth_that_the_other_half_chose():
     assert estimate.ci_low < estimate.value < estimate.ci_high
 
 
-def test_chance_raises_nobody():
-    # All are exposed alike: a quantile of the noisy shares would be higher by two
-    # points.
+def test_chance_adds_no_exposure():
+    # All are equally exposed: a quantile of noisy shares would be two points higher.
     values = []
     for seed in range(30):
         _, known, instants = draw(seed=seed)
@@ -49,7 +48,7 @@ def test_chance_raises_nobody():
     assert np.mean(values) == pytest.approx(0.3, abs=0.003)
 
 
-def test_who_differs_is_found():
+def test_differing_people_are_identified():
     truth, known, instants = draw(spread=0.15)
     estimate = worst_tenth(
         known=known, instants=instants, cluster=np.arange(200), seed=0

@@ -1,8 +1,7 @@
-"""Figures: a curve stands where its numbers are, odd data survive, and files are well formed."""
+"""Figures: curves stand where their numbers are; odd data survive; files are valid."""
 
 import re
 import xml.etree.ElementTree as ET
-from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -21,8 +20,8 @@ from helpers.finished_runs import (
 )
 
 from evaluation.estimates.frontier import WHITE
-from evaluation.reporting.charts import Axis, Curve, Look, curves_chart
-from evaluation.reporting.figures.figure import figures_of, write
+from evaluation.reporting.charts import Axis, Curve, Look, Mark, curves_chart
+from evaluation.reporting.figures.figure import make_figures, write
 from evaluation.reporting.rows import schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
@@ -44,33 +43,32 @@ NAMES = (
     "operating_points",
     "after_attack",
     "linkability",
+    "by_speed",
 )
-NAMES += ("by_speed",)
 
 
 def drawn(**changes):
     """The figures of a run by name."""
-    return {one.name: one for one in figures_of(make_run(**changes))}
+    return {figure.name: figure for figure in make_figures(make_run(**changes))}
 
 
 def values(places, chart, *, log):
-    """What the ticks say of places, (P, 2)."""
-    found = []
+    """Values of places, (P, 2), by the ticks."""
+    rows = []
     for x, y in places:
-        at = []
+        row = []
         for place, ticks, is_log in (
             (x, chart.x_ticks, log[0]),
             (y, chart.y_ticks, log[1]),
         ):
-            short = [one for one in ticks if one[1].isascii()]  # not 10⁴
-            places, numbers = np.array(short, dtype=float).T
+            plain = [tick for tick in ticks if tick[1].isascii()]  # not 10⁴
+            tick_places, numbers = np.array(plain, dtype=float).T
             numbers = np.log10(numbers) if is_log else numbers
-            slope, start = np.polyfit(places, numbers, 1)
-            at.append(
-                10 ** (start + slope * place) if is_log else start + slope * place
-            )
-        found.append(at)
-    return np.array(found)
+            slope, start = np.polyfit(tick_places, numbers, 1)
+            value = start + slope * place
+            row.append(10**value if is_log else value)
+        rows.append(row)
+    return np.array(rows)
 
 
 @pytest.mark.parametrize("log", [(False, False), (True, False), (True, True)])
@@ -78,7 +76,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     x, y = np.array([1.0, 20.0, 300.0, 900.0]), np.array([0.5, 30.0, np.nan, 60.0])
     curve = Curve(Look(1), "mine", x, np.stack([y, 0.9 * y, 1.1 * y]))
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
-    marked = [(Look(6), np.inf, 10.0, "paper")]
+    marked = [Mark(Look(6), np.inf, 10.0, "paper")]
     chart = curves_chart(
         [curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked
     )
@@ -104,22 +102,27 @@ def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
     summary = make_summary(LINEAR)
     _, chart = drawn(summary=summary)["fid_threshold"].panels[1]
     (_, path, name), *papers = chart.marks
-    of = summary[(summary["mechanism"] == "fid") & (summary["consumer"] == "shared")]
-    plr = 100.0 * of[of["metric"] == "plr"].sort_values("level")["value"].to_numpy()
+    is_plr = (summary["consumer"] == "shared") & (summary["metric"] == "plr")
+    rows = summary[is_plr & (summary["mechanism"] == "fid")].sort_values("level")
+    plr = 100.0 * rows["value"].to_numpy()
     np.testing.assert_allclose(
         values(path, chart, log=(True, False))[:, 1], plr, atol=0.5
     )
     assert name == f"PLR: {plr[0]:.1f} % at eta 1 to {plr[-1]:.1f} % at eta 100000"
-    assert sorted(told for *_, told in papers) == [
-        "paper: PLR 18.4 % at eta 1", "paper: PLR 24 % at eta 1000", "paper: PLR 52.6 % at raw",
-    ]  # fmt: skip
+    assert sorted(text for *_, text in papers) == [
+        "paper: PLR 18.4 % at eta 1",
+        "paper: PLR 24 % at eta 1000",
+        "paper: PLR 52.6 % at raw",
+    ]
 
 
 def test_the_paper_is_marked_on_its_own_recording_under_linear_adding_only():
     def papers(dataset, name="fid_threshold", at=BOTH):
-        one = drawn(dataset=dataset, summary=make_summary(at, dataset=dataset))[name]
+        summary = make_summary(at, dataset=dataset)
+        figure = drawn(dataset=dataset, summary=summary)[name]
         return [
-            sum("paper: " in mark[2] for mark in chart.marks) for _, chart in one.panels
+            sum("paper: " in mark[2] for mark in chart.marks)
+            for _, chart in figure.panels
         ]
 
     assert papers("students03") == [3, 0, 3, 0, 4, 0]
@@ -137,25 +140,22 @@ def test_plr_over_speed_has_a_curve_a_level_under_its_rules():
             f"raw positions after radial_rts (informed): {ends}",
             f"FID noise, eta 1 after radial_rts (informed): {ends}",
         ]
-        assert [one.text for one in chart.labels] == [
-            "raw positions",
-            "FID noise, eta 1",
-        ]
-        of = speeds[
-            (speeds["mechanism"] == f"fid{rule}") & (speeds["consumer"] != "shared")
-        ]
-        expected = of[["speed_mps", "value"]].to_numpy() * [1.0, 100.0]
-        found = values(chart.marks[1][1], chart, log=(False, False))
-        np.testing.assert_allclose(found, expected, rtol=0.03, atol=0.4)
+        labels = [label.text for label in chart.labels]
+        assert labels == ["raw positions", "FID noise, eta 1"]
+        is_curve = speeds["mechanism"] == f"fid{rule}"
+        rows = speeds[is_curve & (speeds["consumer"] != "shared")]
+        expected = rows[["speed_mps", "value"]].to_numpy() * [1.0, 100.0]
+        marked = values(chart.marks[1][1], chart, log=(False, False))
+        np.testing.assert_allclose(marked, expected, rtol=0.03, atol=0.4)
     assert "by_speed" not in drawn(speeds=speeds.head(0))
 
 
 class TestFiles:
     def test_the_users_own_style_changes_no_byte_and_each_kind_is_there(self, tmp_path):
-        of = figures_of(with_links(make_run(summary=make_summary(LINEAR))))
-        write(of, folder=tmp_path / "a", dataset="mine", pdf=True)
+        figures = make_figures(with_links(make_run(summary=make_summary(LINEAR))))
+        write(figures, folder=tmp_path / "a", dataset="mine", pdf=True)
         with mpl.rc_context({"font.size": 30, "lines.linewidth": 9}):
-            write(of, folder=tmp_path / "b", dataset="mine", pdf=True)
+            write(figures, folder=tmp_path / "b", dataset="mine", pdf=True)
         paths = sorted((tmp_path / "a").iterdir())
         assert [path.name for path in paths] == sorted(
             f"{name}.{kind}" for name in NAMES for kind in ("pdf", "svg")
@@ -167,10 +167,8 @@ class TestFiles:
     def test_odd_names_are_drawn_as_they_are(self, tmp_path, name):
         frame = make_summary([("fid", 1.0), ("fid", 10.0)], dataset=name, attacks=())
         frame = frame[frame["metric"] == "plr"]
-        of = figures_of(
-            make_run(dataset=name, **emptied(make_run()) | {"summary": frame})
-        )
-        write(of, folder=tmp_path, dataset=name, pdf=True)
+        run = make_run(dataset=name, **emptied(make_run()) | {"summary": frame})
+        write(make_figures(run), folder=tmp_path, dataset=name, pdf=True)
         assert {path.name for path in tmp_path.iterdir()} == {
             "fid_threshold.pdf", "fid_threshold.svg",
         }  # fmt: skip
@@ -183,7 +181,7 @@ class TestFiles:
             ("my.module:Mine,a=../x", 1.0),
             ("my.module:Mine,a=.._x", 2.0),
         ]
-        names = [one.name for one in figures_of(make_run(at=at))]
+        names = [figure.name for figure in make_figures(make_run(at=at))]
         assert len(set(names)) == len(names)
         assert all(
             Path(name).name == name and not name.startswith(".") for name in names
@@ -191,23 +189,23 @@ class TestFiles:
         assert sum(name.startswith("sweep-my.module") for name in names) == 2
 
 
+def names(swept):
+    return [scheme.name for scheme in swept]
+
+
 def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
-    names = [one.name for one in schemes(make_summary(levels()))]
-    assert names == ["fid", "fid", "fixed", "fixed"]
+    assert names(schemes(make_summary(levels()))) == ["fid", "fid", "fixed", "fixed"]
     at = [("ou:tau=3", 1.0), ("ou:tau=3,adding=independent", 1.0), ("ou:tau=9", 1.0)]
-    assert [one.name for one in schemes(make_summary(at))] == ["ou:tau=3"] * 2 + [
-        "ou:tau=9"
-    ]
+    by_rule = ["ou:tau=3", "ou:tau=3", "ou:tau=9"]
+    assert names(schemes(make_summary(at))) == by_rule
     few = make_summary([("ou", 0.2), ("ou", 0.4), *levels()])
-    assert {one.name for one in schemes(few)} == {
-        "fid",
-        "fixed",
-    }  # beside three, two are no curve
-    assert {one.name for one in schemes(few, as_points=True)} == {"fid", "fixed", "ou"}
-    found = schemes(
+    # Beside mechanisms of three levels, two levels are no curve.
+    assert set(names(schemes(few))) == {"fid", "fixed"}
+    assert set(names(schemes(few, as_points=True))) == {"fid", "fixed", "ou"}
+    swept = schemes(
         make_summary([*STRANGERS, *levels(rules=(INDEPENDENT,), others=[])])
     )
-    assert [(one.mechanism, one.log, one.rule_text) for one in found] == [
+    assert [(scheme.mechanism, scheme.log, scheme.rule_text) for scheme in swept] == [
         ("fid", True, "linear adding"),
         (f"fid{INDEPENDENT}", True, "independent adding"),
         ("fixed", False, "linear adding"),
@@ -215,13 +213,11 @@ def test_each_mechanism_is_a_scheme_but_controls_and_its_rules_stand_together():
         ("ou", False, "any adding"),
         ("mine", True, "linear adding"),
     ]
-    assert found[4].rules == (
-        "linear",
-        "independent",
-    )  # without a rule it is shown under both
+    # A mechanism without a rule is shown under both.
+    assert swept[4].rules == ("linear", "independent")
 
 
-def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow():
+def test_the_frontier_stands_beside_white_noise_and_further_adversaries_are_hollow():
     usual = make_frontier().assign(
         criterion="missed_at_equal_false_alarms", robot="kalman_cv"
     )
@@ -236,26 +232,26 @@ def test_the_frontier_is_drawn_beside_white_noise_and_who_knows_more_is_hollow()
     knows = many[1][many[1]["metric"] == "plr"].assign(
         consumer="ou_rts", knowledge="anchor"
     )
-    told = pd.concat([*many, knows.assign(value=0.95)])
-    made = {one.name: one for one in figures_of(replace(make_run(), frontier=told))}[
-        "frontier"
-    ]
+    made = drawn(frontier=pd.concat([*many, knows.assign(value=0.95)]))["frontier"]
     assert [heading for heading, _ in made.panels] == [
         "robot: Kalman, 1",
         "robot: Kalman, 2",
     ]
     chart = made.panels[0][1]
     assert not made.key
-    assert {one.text for one in chart.labels} == {"white", *(f"m{n}" for n in range(6))}
-    names = [name for _, _, name in chart.marks]
-    assert names[1] == "m0: 77 % at +3, 75 % at +5, 73 % at +7.5"
-    (look, places, _), *_ = [one for one in chart.marks if "anchor" in one[2]]
+    assert {label.text for label in chart.labels} == {
+        "white",
+        *(f"m{n}" for n in range(6)),
+    }
+    marked = [name for _, _, name in chart.marks]
+    assert marked[1] == "m0: 77 % at +3, 75 % at +5, 73 % at +7.5"
+    (look, places, _), *_ = [mark for mark in chart.marks if "anchor" in mark[2]]
     assert look.hollow
     assert values(places, chart, log=(False, False)) == pytest.approx(
         np.array([[3.0, 95.0]]), abs=0.3
     )
-    at = values(chart.marks[1][1], chart, log=(False, False))
-    assert at == pytest.approx(
+    points = values(chart.marks[1][1], chart, log=(False, False))
+    assert points == pytest.approx(
         np.array([[3.0, 77.0], [5.0, 75.0], [7.5, 72.5]]), abs=0.4
     )
     assert "frontier" not in drawn()  # none where alarms differ

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from helpers.recordings import same, tracks_of
+from helpers.recordings import build_tracks, same
 
 import isac_track
 from isac_track import datasets
@@ -40,8 +40,8 @@ def short(*, session=1, seed=5):
     return crowd.generate(SHORT, seed=seed, session=session)
 
 
-def test_the_generator_makes_the_very_millimetres_that_it_made_and_others_if_told():
-    """So do the bundled sessions, among the slow tests: a short one is its own witness."""
+def test_the_generator_makes_the_same_millimetres_unless_seed_or_session_change():
+    """The slow tests check the bundled sessions; this is a short one."""
     xy_mm = np.rint(1000 * short().xy).astype("<i8")
     assert sha256(xy_mm.tobytes()).hexdigest()[:16] == "b10c98829f94bbc4"
     for change in ({"seed": 6}, {"session": 2}):
@@ -63,13 +63,13 @@ def test_last_bits_of_the_machine_do_not_reach_the_tracks(monkeypatch):
 def test_traits_do_not_depend_on_how_many_others_there_are_and_their_spread_scales():
     usual = plan.draw_traits(CrowdSettings(), seed=5)
     assert np.array_equal(plan.draw_traits(SHORT, seed=5), usual[: SHORT.n_people])
-    alike = plan.draw_traits(CrowdSettings(trait_strength=0.0), seed=5)
+    equal = plan.draw_traits(CrowdSettings(trait_strength=0.0), seed=5)
     double = plan.draw_traits(CrowdSettings(trait_strength=2.0), seed=5)
     for name, (median, spread) in plan.TRAIT_MEDIAN_AND_SPREAD.items():
         logs = np.log(usual[name] / median)
         assert logs.std() == pytest.approx(spread, rel=0.1)
         assert np.allclose(np.log(double[name] / median), 2 * logs)
-        assert np.allclose(alike[name], median)
+        assert np.allclose(equal[name], median)
 
 
 # the forces
@@ -118,46 +118,50 @@ def test_plaza_is_in_metres_near_the_place_of_the_real_crowd(plaza):
 def test_people_keep_their_speed_between_the_bundled_sessions(plaza, stats):
     second = datasets.load("plaza-session2").tracks
     assert second.source == plaza.source
-    one, two = stats.moving_speeds_mps(plaza), stats.moving_speeds_mps(second)
-    walked = np.isfinite(one) & np.isfinite(two)
+    speed_1, speed_2 = stats.moving_speeds_mps(plaza), stats.moving_speeds_mps(second)
+    walked = np.isfinite(speed_1) & np.isfinite(speed_2)
     alone = np.ones(len(plaza), dtype=bool)
     for tracks in (plaza, second):
         sizes = Counter(tracks.group)
         alone &= [sizes[name] == 1 for name in tracks.group]
-    assert np.corrcoef(one[walked], two[walked])[0, 1] > 0.2
-    assert np.corrcoef(one[walked & alone], two[walked & alone])[0, 1] > 0.5
+    assert np.corrcoef(speed_1[walked], speed_2[walked])[0, 1] > 0.2
+    assert np.corrcoef(speed_1[walked & alone], speed_2[walked & alone])[0, 1] > 0.5
 
 
 def test_groups_walk_together(plaza):
     rows = pd.Series(range(len(plaza))).groupby(np.array(plaza.group)).agg(list)
     gaps, together = [], []
     for first, other in rows[rows.str.len() == 2]:
-        one, two = plaza[first], plaza[other]
+        track_1, track_2 = plaza[first], plaza[other]
         _, i, j = np.intersect1d(
-            np.rint(one.t / 0.4), np.rint(two.t / 0.4), return_indices=True
+            np.rint(track_1.t / 0.4), np.rint(track_2.t / 0.4), return_indices=True
         )
-        together.append(i.size / max(one.t.size, two.t.size))
-        gaps.append(np.median(np.hypot(*(one.xy[i] - two.xy[j]).T)))
+        together.append(i.size / max(track_1.t.size, track_2.t.size))
+        gaps.append(np.median(np.hypot(*(track_1.xy[i] - track_2.xy[j]).T)))
     assert np.quantile(together, 0.05) > 0.7
     assert 0.4 < np.median(gaps) < 1.0
     assert np.quantile(gaps, 0.95) < 1.5
 
 
 def test_company_is_new_in_the_second_session(plaza):
-    both = [
+    parties = [
         set(
-            pd.DataFrame({"who": one.source, "party": one.group})
+            pd.DataFrame({"person": tracks.source, "party": tracks.group})
             .groupby("party")
-            .who.agg(tuple)
+            .person.agg(tuple)
         )
-        for one in (plaza, datasets.load("plaza-session2").tracks)
+        for tracks in (plaza, datasets.load("plaza-session2").tracks)
     ]
-    assert sum(len(members) > 1 for members in both[0] & both[1]) <= 2
+    assert sum(len(members) > 1 for members in parties[0] & parties[1]) <= 2
 
 
 def documented(column):
     """A column of the table in the document."""
-    text = (ROOT / "docs" / "plaza.md").read_text().partition("| statistic |")[2]
+    text = (
+        (ROOT / "docs" / "explanation" / "plaza.md")
+        .read_text()
+        .partition("| statistic |")[2]
+    )
     text = text.partition("\n\n")[0]  # other tables follow
     rows = [
         line.split("|")[1:-1] for line in text.splitlines()[2:] if line.startswith("| ")
@@ -201,19 +205,19 @@ def test_the_command_writes_both_sessions_and_a_file_gives_back_the_millimetres(
 def test_the_statistics_by_hand(stats):
     # 1 m/s east for 1.6 s, then north: one turn of 90 degrees, sampled across the
     # corner.
-    corner = tracks_of(
+    corner = build_tracks(
         [(0, 0), (0.4, 0), (0.8, 0), (0.8, 0.4), (0.8, 0.8)], [(5, 5)] * 2
     )
     assert np.allclose(stats.step_speeds_mps(corner), [1, 1, 1, 1, 0])
     assert np.allclose(stats.turn_rates_dps(corner), 90 / 0.8)
     assert np.allclose(stats.moving_speeds_mps(corner), [1.0, np.nan], equal_nan=True)
-    people = tracks_of([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
+    people = build_tracks([(0, 0), (0, 0)], [(3, 4), (0, 1)], [(9, 9)])
     nearest, present = stats.neighbour_distances_m(people)
     assert present.tolist() == [3, 2]
     assert np.allclose(sorted(nearest), [1, 1, 5, 5, np.hypot(6, 5)])
     t = 0.4 * np.arange(80)
     straight, bent = (
-        tracks_of(np.stack([x, -0.5 * t], axis=1)) for x in (t, 0.05 * t**2)
+        build_tracks(np.stack([x, -0.5 * t], axis=1)) for x in (t, 0.05 * t**2)
     )
     assert stats.line_errors_m(straight) == pytest.approx([0.0], abs=1e-9)
     # x = a t^2 / 2: the line through a window of length w, at h past its end, errs by

@@ -1,0 +1,118 @@
+"""Call every user's plug-in once before a run that computes with it."""
+
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from evaluation.compute.plugin_call import (
+    PluginCall,
+    check_plugin,
+    defined_at,
+    plugin_code,
+)
+from evaluation.compute.sharing import declared
+from evaluation.plan.fingerprint import has_strangers, is_strange
+from evaluation.plan.plan import Plan, Unit
+from evaluation.pool.pieces import unfinished
+from evaluation.pool.workers import spread
+from evaluation.store.files import PLUGIN_ERROR, write_whole
+from evaluation.store.folder import usable
+from isac_track.errors import UNNAMED, PluginError
+
+# A call that takes longer is given up, and shows nothing about the plug-in.
+MOST_S: Final = 60.0
+# Cloudpickle's file name for code that it sent.
+_TRAVELLED: Final = "<dynamic-code>"
+
+
+def try_plugins(ready: Plan, *, keeps_traceback: bool = True) -> list[str]:
+    """Call every user's plug-in whose cells are missing; return those given up.
+
+    Each is called in a worker that computes nothing of the run. A folder that holds a
+    run stays as it is, except for the file with the traceback, which goes as soon as
+    there is none. Without `keeps_traceback` that is not written.
+
+    Raises PluginError if one fails, or takes longer than a cell may.
+    """
+    with usable(ready.out):
+        if (ready.out / PLUGIN_ERROR).exists():
+            (ready.out / PLUGIN_ERROR).unlink()
+        if not has_strangers(ready.axes):
+            return []
+        missing = ready.units if ready.settings.fresh else unfinished(ready)
+    given_up = []
+    allowed_s = ready.settings.cell_timeout_s
+    limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
+    call = partial(check_plugin, stages=ready.settings.stages)
+    make_error: Callable[[str, str], PluginError] = _error_without_traceback
+    if keeps_traceback:
+        make_error = partial(_error_with_traceback, ready.out)
+    works = deque(_plugin_calls(missing))
+    for plugin_call, results in spread(
+        call, works, jobs=1, limit_s=limit_s, in_workers=True, is_separate=True
+    ):
+        plugin = plugin_call.plugin
+        for result in results:
+            if isinstance(result, tuple):
+                message, trace = result
+                raise make_error(
+                    _located(message, plugin.instance), _located(trace, plugin.instance)
+                )
+            if result.timed_out and limit_s != allowed_s:
+                given_up.append(plugin.spec)
+            else:
+                why = f"{result.message}{defined_at(plugin.instance)}"
+                raise make_error(
+                    f"plug-in {plugin.spec!r}: {why}", "its process left no traceback"
+                )
+    return given_up
+
+
+def _located(text: str, instance: Any) -> str:  # noqa: ANN401 - a user's object
+    """Return a text with the file of a plug-in's code, whose name did not travel."""
+    code = plugin_code(instance)
+    if code is None or not Path(code.co_filename).is_file():
+        return text.replace(
+            _TRAVELLED, f"<{type(instance).__name__}, defined in the session>"
+        )
+    file = Path(code.co_filename)
+    located = text.replace(_TRAVELLED, str(file))
+    return located.replace(f"({UNNAMED}, ", f"({file.name}, ")
+
+
+def _error_with_traceback(out: Path, why: str, trace: str) -> PluginError:
+    """Write a traceback into the folder of a run; return the error that names it."""
+    path = out / PLUGIN_ERROR
+    write_whole(path, f"{why}\n\n{trace}\n".encode(errors="backslashreplace"))
+    return PluginError(
+        f"{why}; found by a call before the run, whose traceback is in {path}"
+    )
+
+
+def _error_without_traceback(why: str, _trace: str) -> PluginError:
+    return PluginError(f"{why}; found by a call on a few made-up people")
+
+
+def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
+    """Return a call per plug-in; an attack has the most knowledge that it gets."""
+    calls: dict[tuple[str, str], PluginCall] = {}
+    for unit in missing:
+        if is_strange(unit.mechanism):
+            calls["mechanism", unit.mechanism.spec] = PluginCall(unit.mechanism)
+        for consumer in unit.consumers.values():
+            for plugin in filter(is_strange, consumer.plugins):
+                caller = consumer
+                if plugin is consumer.behind:
+                    caller = replace(
+                        consumer,
+                        kind="attack",
+                        plugin=plugin,
+                        behind=None,
+                        granted=consumer.granted & declared(plugin),
+                    )
+                # Blind comes before informed, and that before oracle.
+                calls[caller.kind, plugin.spec] = PluginCall(plugin, caller)
+    return list(calls.values())
