@@ -70,7 +70,7 @@ class Estimate:
 
     @property
     def standard_error(self) -> float:
-        """Standard error in closed form, or that of finite replicates; NaN below two."""
+        """Standard error in closed form, or of at least two replicates, or NaN."""
         if self.closed_error is not None:
             return self.closed_error
         drawn = self.replicates[np.isfinite(self.replicates)]

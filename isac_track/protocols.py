@@ -38,7 +38,7 @@ __all__ += ["attack_kind", "grants", "knowing"]
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """Function from a release to its reconstruction, sample for sample."""
 Linker: TypeAlias = "Callable[[Release, Release], Floats]"
-"""Function from P probes and G gallery tracks to scores, (P, G), higher for the same person."""
+"""Function from P probes and G candidates to scores, (P, G), higher for a match."""
 _INFORMED = frozenset({Knowledge.MECHANISM, Knowledge.TRAIN})
 ADVERSARIES: dict[str, frozenset[Knowledge]] = {
     "blind": frozenset(),

@@ -62,3 +62,16 @@ def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
     del sys.modules[name]  # the name is free again for other tests
     failed = [result for result in run_checks(attack) if result.status == "failed"]
     assert failed == []
+
+
+PAGE_OF_ONE_NUMBER = ROOT / "docs" / "explanation" / "how-a-number-is-made.md"
+FUNCTIONS = re.findall(
+    r"`((?:isac_track|attacks|evaluation)\.[\w.]+)`",
+    PAGE_OF_ONE_NUMBER.read_text(encoding="utf-8"),
+)
+
+
+@pytest.mark.parametrize("name", dict.fromkeys(FUNCTIONS))
+def test_the_functions_behind_one_number_exist(name):
+    module, _, attribute = name.rpartition(".")
+    assert callable(getattr(importlib.import_module(module), attribute))

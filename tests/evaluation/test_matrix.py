@@ -297,7 +297,7 @@ def test_what_a_reader_must_know_is_a_notice(csv_recording, tmp_path, ran):
     )
     assert "2 notices in full: tables.txt" in shown.err
     doubts = " ".join(shown.out.partition("Doubts: ")[2].split())
-    message = "12 usable tracks: too few to decide anything; 2 more: tables.txt. "
+    message = "12 usable tracks: too few to decide anything; 2 more in tables.txt. "
     assert doubts.startswith(message)
     message = (tmp_path / "run" / "tables.txt").read_text(encoding="utf-8")
     assert re.search(r"\d+ background agents keep their last draw", message)
