@@ -54,10 +54,7 @@ def plan_lines(*, plr: float, epsilon_m: float, q: float, dt_s: float) -> list[s
             f"  No attack knows more on average over {_SEEN_S:g} s, however well it"
             " knows walking."
         ),
-        (
-            "  A map, a known position, repeats or companions void this:"
-            " docs/explanation/mechanisms.md."
-        ),
+        "  A map, a known position, repeats or companions void this (mechanisms.md).",
         "Only a run tells how many conflicts a robot then misses:",
         f"  python -m evaluation.matrix --mechanism raw --mechanism ou:{slow:.2f} \\",
         f"    --mechanism fixed:{total_m:.2f},adding=independent,law=isotropic",

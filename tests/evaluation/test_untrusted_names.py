@@ -85,13 +85,13 @@ class TestOddNames:
             for item in (results, plain)
         )
         structure, expected = (
-            {(tag, *sorted(attributes)) for tag, attributes in item.found}
+            {(tag, *sorted(attributes)) for tag, attributes in item.opened}
             for item in (page, usual)
         )
         assert structure == expected
         assert name in "".join(page.text)
         values = [
-            value for _, attributes in page.found for value in attributes.values()
+            value for _, attributes in page.opened for value in attributes.values()
         ]
         assert not any(str(value).strip().startswith("javascript:") for value in values)
 
