@@ -35,16 +35,26 @@ html_theme = "furo"
 html_title = "isac-track"
 
 
-_FORWARD = re.compile(r"TypeAliasForwardRef\('(\w+)'\)")
+_ALIASES = {
+    r"TypeAliasForwardRef\('(\w+)'\)": r"\1",
+    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[float64\]\]": "Floats",
+    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[int64\]\]": "Ints",
+    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[bool\]\]": "Bools",
+}
+"""What Sphinx writes for an alias of a type, and the name of the alias."""
+
+
+def _plain(text: str | None) -> str | None:
+    """Return a signature with the names of aliases instead of what they stand for."""
+    for written, name in _ALIASES.items():
+        text = text and re.sub(written, name, text)
+    return text
 
 
 def _plain_signature(*event: str | None) -> tuple[str | None, str | None]:
-    """Return a signature and its result type with the bare names of aliases."""
+    """Return the signature and the type of the result of an object, in plain names."""
     signature, result = event[-2:]
-    return (
-        signature and _FORWARD.sub(r"\1", signature),
-        result and _FORWARD.sub(r"\1", result),
-    )
+    return _plain(signature), _plain(result)
 
 
 def setup(app: Any) -> None:  # noqa: ANN401 - Sphinx's application
