@@ -357,7 +357,7 @@ def doubts(run: Results, table: Headline) -> list[str]:
     )
     failures = list(run.failed["why"])
     controls = f"{counted(n_controls, 'positive control')} of the descriptors failed"
-    weak = f"{counted(n_weak, 'sign')} that an attack is too weak"
+    weak = f"{counted(n_weak, 'sign')} of a weak attack"
     texts = [
         f"{counted(len(failures), 'cell')} FAILED ({failures[0]})" if failures else "",
         *plugin_doubts(run),
