@@ -1,7 +1,7 @@
 """The simulated plaza beside real crowds: ``python -m benchmarks.crowd_table``.
 
-Prints the table of ``docs/explanation/plaza.md``. Real recordings take part where they are found in
-``ISAC_TRACK_DATA`` or the cache; nothing is downloaded.
+Prints the table of ``docs/explanation/plaza.md``. Real recordings take part where they
+are found in ``ISAC_TRACK_DATA`` or the cache; nothing is downloaded.
 """
 
 from __future__ import annotations

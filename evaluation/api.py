@@ -56,7 +56,11 @@ from evaluation.plan.constants import (
 from evaluation.plan.plan import Plan, plan, plan_stronger
 from evaluation.plan.settings import Settings, check_drawing
 from evaluation.pool.execute import execute, execute_stronger
-from evaluation.pool.workers import ahead, aside, given_back
+from evaluation.pool.workers import (
+    release_memory_after,
+    run_in_idle_worker,
+    start_workers_early,
+)
 from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.answers import answers
@@ -233,13 +237,13 @@ def _carry_out(
 ) -> Results:
     """Compute the cells of a plan; write and return its results."""
     numeric = np.errstate(all="warn", under="ignore")  # whatever a plug-in's module set
-    with given_back(), locked(ready.out), _limit_threads(), numeric:
-        with ahead():
+    with release_memory_after(), locked(ready.out), _limit_threads(), numeric:
+        with start_workers_early():
             execute(ready, update, keeps_walks=walks)
             _try_stronger(ready, update)
         # Use a fresh worker: those of cells hold too much memory, and have run users'
         # plug-ins.
-        with ahead(int(ready.jobs > 1), (__name__,)):
+        with start_workers_early(int(ready.jobs > 1), (__name__,)):
             return build(ready.out, pictures=pictures)
 
 
@@ -310,7 +314,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     results, searched = _results(out)
     results = replace(results, make_first_table=first_table)
     frames = [getattr(results, name) for name in FRAMES]
-    with aside(partial(_to_csv_files, frames)) as wait_for_csv:
+    with run_in_idle_worker(partial(_to_csv_files, frames)) as wait_for_csv:
         write_whole(out / "flags.json", weak_attacks.to_json(results.flags, searched))
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
@@ -489,7 +493,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
     families = families_in(manifest["cells"])
-    with aside(partial(_link_estimates, out, manifest)) as wait_for_links:
+    with run_in_idle_worker(partial(_link_estimates, out, manifest)) as wait_for_links:
         scenes = _scene_estimates(out, manifest)
         links = wait_for_links()
     flagged, searched = weak_attacks.flags(
@@ -500,7 +504,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     describe_people = partial(
         _people_tables, out, manifest, compared.people_sweeps(), best, compared.choices
     )
-    with aside(describe_people) as wait_for_people:
+    with run_in_idle_worker(describe_people) as wait_for_people:
         frontiers, matches = _frontiers_and_matches(manifest, scenes, compared)
         tidy = summary.to_frame(
             {**scenes.estimates, **links.estimates},

@@ -225,7 +225,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         sys.stderr.writelines(f"{line}\n" for line in listing.broken_plugins())
         return DONE
     settings = settings_from(options)
-    from evaluation.pool.workers import ahead  # noqa: PLC0415 - as said below
+    from evaluation.pool.workers import start_workers_early  # noqa: PLC0415 - as said below
     from evaluation.reporting.progress import (  # noqa: PLC0415 - as said below
         progress_bar,
     )
@@ -234,7 +234,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     shows_all = options.verbose or options.dry_run
     with (
         progress_bar(heading) as update,
-        ahead(0 if options.dry_run else _n_workers(settings)),
+        start_workers_early(0 if options.dry_run else _n_workers(settings)),
     ):
         update(0, None, "reading the recording")
         # Heavy imports only now: --help, --list and a typing error answer at once.
@@ -312,12 +312,12 @@ def _n_workers(settings: Settings) -> int:
         most_workers,
     )
     from evaluation.plan.fingerprint import (  # noqa: PLC0415 - as said
-        has_strangers,
+        has_user_plugins,
     )
 
     crossed = axes(settings)
     jobs = min(choose_jobs(crossed, settings), most_workers(crossed, settings))
-    has_users = has_strangers(crossed)
+    has_users = has_user_plugins(crossed)
     is_needed = jobs > 1 or has_users or settings.cell_timeout_s is not None
     if not is_needed or settings.scheduler is not None:
         return 0

@@ -5,7 +5,8 @@
 
 The script prints how much a log discloses, how much an adversary knows from it, and how
 long the adversary can follow people by it; then the conflicts that each robot misses.
-Intervals are 95 % over people and routes. docs/explanation/need-to-know.md explains every column.
+Intervals are 95 % over people and routes. docs/explanation/need-to-know.md explains
+every column.
 """
 
 # ruff: noqa: T201 - a comparison is printed

@@ -1,10 +1,10 @@
 """Frozen settings of each stage: a field for each parameter, its unit in the name.
 
 A field marked *paper* is a value of the paper's table or text, *reading* settles what
-the paper leaves open (``docs/explanation/reproduction.md``), *fitted* is an output of ``python
-scripts/calibrate.py``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML file
-change them. A range reaches far beyond useful values, but only as far as arithmetic
-and memory allow.
+the paper leaves open (``docs/explanation/reproduction.md``), *fitted* is an output of
+``python scripts/calibrate.py``. ``--set STAGE.KEY=VALUE`` and the same keys in a TOML
+file change them. A range reaches far beyond useful values, but only as far as
+arithmetic and memory allow.
 """
 
 from collections.abc import Mapping

@@ -165,8 +165,8 @@ def disc_probability(*, mean: Floats, cov: Floats, radius_m: float) -> Floats:
     >>> round(float(disc_probability(mean=np.zeros(2), cov=np.eye(2), radius_m=1.0)), 4)
     0.3935
     """
-    # Integrate along the axis of the smaller spread, where the closed form does the
-    # sharp part.
+    # Quadrature along the wide axis; the closed form is exact across, where the
+    # density is sharp.
     half_trace = 0.5 * (cov[..., 0, 0] + cov[..., 1, 1])
     half_gap = 0.5 * (cov[..., 0, 0] - cov[..., 1, 1])
     reach = np.hypot(half_gap, cov[..., 0, 1])

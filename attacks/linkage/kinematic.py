@@ -37,8 +37,8 @@ class Kinematic:
     gallery walk. The probe's last state, predicted across the gap, differs from the
     gallery walk's first. The score is the log density of that difference under both
     covariances and the process noise of the gap. The density is Student's t with five
-    degrees of freedom, whose tail is a gate that never closes. The score also contains
-    the log likelihood ratio of the noise levels on both sides
+    degrees of freedom: its heavy tail rules no pair out entirely. The score also
+    contains the log likelihood ratio of the noise levels on both sides
     (`noise_levels.log_ratios`).
 
     References
@@ -100,12 +100,15 @@ def _scores(
     """Return the function from q and floor to the scores of a training set, (P, G)."""
     # As releases of their own: filters over the people of the whole release would cost
     # more than memoising them saves.
-    sides, gap_s = (derived(train.probe), derived(train.gallery)), rivals(train)
+    sides, gap_s = (
+        (derived(train.probe), derived(train.gallery)),
+        mate_gap_range_s(train),
+    )
     noise = level_ratios(train.probe, train.gallery, model)
     return lambda q, floor_m2: continuations(*sides, q, floor_m2, gap_s=gap_s) + noise
 
 
-def rivals(train: LinkageTrainingSet) -> tuple[float, float]:
+def mate_gap_range_s(train: LinkageTrainingSet) -> tuple[float, float]:
     """Return the least and the longest gap, s, of possible mates in a training set."""
     # Where pseudonyms rotate more than once, two walks may be mates only if their gap
     # is that of one rotation.

@@ -42,7 +42,7 @@ class _Choice(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class KalmanRTS:
-    """Constant velocity with white-noise acceleration.
+    """A constant-velocity smoother with white-noise acceleration.
 
     It is exact for Gaussian errors of known variance.
     """
@@ -64,7 +64,7 @@ class KalmanRTS:
 
 @dataclass(frozen=True, slots=True)
 class RadialRTS:
-    """Constant velocity; in every pass, samples close to the walk count for more.
+    """A constant-velocity smoother that gives samples close to the walk more weight.
 
     That is right under the radial error law alone. No adversary is granted the law, but
     the release shows it (`looks_radial`). Under another law there is one pass. Every

@@ -1,4 +1,4 @@
-"""Smooth a walk together with an error that changes slowly: a state of its own.
+"""Smooth a walk and its slow error together: the error is an extra Kalman state.
 
 An adversary who knows the mechanism knows how large and how slow the error is; others
 fit it to the release. Without a slow error the attack is `radial_rts`. Repeats are

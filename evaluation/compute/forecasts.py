@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.compute.sharing import guarded, handed, showing, track_samples
+from evaluation.compute.sharing import (
+    copy_for_user_plugin,
+    guarded,
+    hide_sigma,
+    track_samples,
+)
 from evaluation.compute.tables import (
     Rows,
     descriptors,
@@ -55,7 +60,9 @@ def sharing_rows(
             **descriptors(release, truth=scenes.xy, settings=stages.privacy),
         }
     name = f"predictor {predictor.spec!r}"
-    shown = handed(showing(release, predictor.instance.requires), predictor)
+    shown = copy_for_user_plugin(
+        hide_sigma(release, predictor.instance.requires), predictor
+    )
     robot_predictor = guarded(
         name, lambda: knowing(predictor.instance, mechanism.instance)
     )

@@ -33,7 +33,11 @@ from evaluation.compute.link_scores import (
     score_links,
 )
 from evaluation.compute.link_setup import SIDES, Pairing, SensedSessions
-from evaluation.compute.sharing import declared, reconstructed, showing
+from evaluation.compute.sharing import (
+    declared,
+    hide_sigma,
+    reconstructed,
+)
 from evaluation.compute.tables import (
     DESCRIPTORS,
     ON_TRIAL,
@@ -126,7 +130,7 @@ class LinkedLevel:
         self.blind.windows.clear()
         self.seen.windows.clear()
 
-    def showing(self, granted: frozenset[Knowledge]) -> _View:
+    def view_for(self, granted: frozenset[Knowledge]) -> _View:
         """Return both releases as they show, the same objects every time."""
         return self.seen if Knowledge.SIGMA in granted else self.blind
 
@@ -147,7 +151,7 @@ class LinkedLevel:
 
 
 def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
-    """Share both sessions of a task."""
+    """Return the releases of both sessions of a task under a mechanism."""
     family = full_setup.sessions.task.family
     setup, shared, seen = full_setup, [], list[Release]()
     for number, (side, sensed) in enumerate(zip(SIDES, full_setup.sensed, strict=True)):
@@ -182,7 +186,7 @@ def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
 
 
 def view_key(consumer: Consumer) -> tuple[str, str]:
-    """Return the reconstruction in front and its knowledge: equal keys, equal releases.
+    """Return the smoother before a linker, and its knowledge: equal keys, equal views.
 
     Consumers are sorted by it, so that the memory holds the releases of one key only.
     """
@@ -353,7 +357,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     if consumer.plugin is not None:
         shows &= declared(consumer.plugin)
     if behind is None:
-        return level.showing(shows)
+        return level.view_for(shows)
     granted = consumer.granted & declared(behind)
     # Built-in attacks draw nothing: one without training is the same in both folds.
     is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
@@ -392,20 +396,22 @@ def _smoothed_view(
     """Return both releases with the positions that a reconstruction estimates."""
     name, setup = f"attack {behind.spec} (behind {consumer.label})", level.setup
     granted = consumer.granted & declared(behind)
-    view = level.showing(granted)
+    view = level.view_for(granted)
     learns, train = setup.halves[fold].learns, None
     if learns.probe.size:
         samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
         truth = _true_walks(level, 0)[samples.rows]
         probe, _ = view.pair_windows(learns)
-        train = TrainingSet(sharing.handed(probe, behind), truth)
+        train = TrainingSet(sharing.copy_for_user_plugin(probe, behind), truth)
     names = ("attacks", behind.spec, "linkage", level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
     attack = sharing.guarded(name, lambda: behind.instance.fit(context))
     smoothed, claimed_std = list[Release](), []
     for release, visible in zip(level.seen.releases, view.releases, strict=True):
-        result = reconstructed(attack, sharing.handed(visible, behind), name=name)
-        smooth = showing(derived(release, xy=result.xy), shows)
+        result = reconstructed(
+            attack, sharing.copy_for_user_plugin(visible, behind), name=name
+        )
+        smooth = hide_sigma(derived(release, xy=result.xy), shows)
         smoothed.append(record_shared(smooth, visible))
         claimed_std.append(result.std)
     return _View(tuple(smoothed), tuple(claimed_std))
@@ -438,7 +444,8 @@ def _fitted_linker(
                 "use a recording of more people or leave the attack out"
             )
         probe, gallery = (
-            sharing.handed(release, plugin) for release in view.pair_windows(learns)
+            sharing.copy_for_user_plugin(release, plugin)
+            for release in view.pair_windows(learns)
         )
         train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
     names = ("attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
@@ -460,7 +467,9 @@ def score_releases(
     Raises PluginError if the linker raises or returns anything else; the message says
     its `name`.
     """
-    shown = [sharing.handed(release, plugin) for release in (probe, gallery)]
+    shown = [
+        sharing.copy_for_user_plugin(release, plugin) for release in (probe, gallery)
+    ]
     result = sharing.guarded(name, lambda: attack(*shown))
     if np.ma.isMaskedArray(result):
         raise PluginError(

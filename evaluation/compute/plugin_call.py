@@ -108,7 +108,7 @@ def _call_linker(
     releases = (
         sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)
     )
-    probe, gallery = (sharing.showing(release, granted) for release in releases)
+    probe, gallery = (sharing.hide_sigma(release, granted) for release in releases)
     copies = sharing.copied(probe), sharing.copied(gallery)
     context = AttackContext(
         rng=stream(_SEED, "attacks", "trial"),

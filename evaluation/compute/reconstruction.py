@@ -21,8 +21,8 @@ from evaluation.compute.sharing import (
     SHOWS,
     Frame,
     adversary_view,
+    hide_sigma,
     reconstructed,
-    showing,
 )
 from evaluation.compute.tables import Rows, described_rows, track_columns, track_means
 from evaluation.plan.constants import MOST_SCENES
@@ -317,7 +317,7 @@ def _views(
         seen, frame = adversary_view(release, granted=SHOWS - _SCENE | scene, rng=rng)
         for knowledge in visible:
             if knowledge & _SCENE == scene:
-                yield knowledge, (showing(seen, knowledge), frame)
+                yield knowledge, (hide_sigma(seen, knowledge), frame)
 
 
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
@@ -377,7 +377,7 @@ def _attack_half(
             fit = partial(consumer.plugin.instance.fit, context)
             attack = sharing.guarded(name, fit)
         rebuilt = reconstructed(
-            attack, sharing.handed(shown, consumer.plugin), name=name
+            attack, sharing.copy_for_user_plugin(shown, consumer.plugin), name=name
         )
         # Only the correction is turned back: positions that the attack leaves as they
         # are stay the same bit by bit.
@@ -515,7 +515,7 @@ def _context(
         repeats=tuple(repeats),
         anchor=_anchor(level, victims, frame) if Knowledge.ANCHOR in granted else None,
         companions=tuple(
-            frame.release(showing(release, granted)) for release in companions
+            frame.release(hide_sigma(release, granted)) for release in companions
         ),
     )
 

@@ -81,7 +81,7 @@ def guarded(name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatev
         ) from error
 
 
-def handed(batch: _Batch, to: Plugin) -> _Batch:
+def copy_for_user_plugin(batch: _Batch, to: Plugin) -> _Batch:
     """Return a batch as a plug-in gets it: a user's own plug-in gets a copy."""
     return batch if to.origin.startswith(OURS) else copied(batch)
 
@@ -105,7 +105,8 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     name, limit = f"mechanism {mechanism.spec!r}", f"{SHARED_LIMIT_M:g} m"
     rng = stream(seed, "sharing", *key)
     release = guarded(
-        name, lambda: mechanism.instance.share(handed(sensed, mechanism), rng)
+        name,
+        lambda: mechanism.instance.share(copy_for_user_plugin(sensed, mechanism), rng),
     )
     if not isinstance(release, Release):
         raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
@@ -214,7 +215,7 @@ def adversary_view(
     release: Release, *, granted: frozenset[Knowledge], rng: Generator
 ) -> tuple[Release, Frame]:
     """Return a release as an adversary sees it, and its frame: drawn without SCENE."""
-    release = showing(release, granted)
+    release = hide_sigma(release, granted)
     if Knowledge.SCENE in granted:
         return release, Frame()
     angle = float(rng.uniform(0.0, 2.0 * np.pi))
@@ -223,7 +224,7 @@ def adversary_view(
     return frame.release(release), frame
 
 
-def showing(release: Release, granted: frozenset[Knowledge]) -> Release:
+def hide_sigma(release: Release, granted: frozenset[Knowledge]) -> Release:
     """Return a release, without standard deviations unless SIGMA is granted."""
     return release if Knowledge.SIGMA in granted else release.without_sigma()
 

@@ -137,12 +137,12 @@ def frontier(
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
     `world` is the further horizon, if any, at which the robots of `sweeps` are judged.
-    docs/reference/metrics.md explains the numbers. A target out of reach keeps its row without
-    numbers. In three cases there is no interval, and no mechanism is held against
-    another: fewer than `ENOUGH_LEVELS` levels (raw is one of them) have a missed rate
-    within `NEAR` of the target; less than `MIN_DEFINED` of the replicates are in reach;
-    or there are too few people. `attacks` are the strongest ones, by default those of
-    `sweeps` with the `sums` of `strongest_on_each`.
+    docs/reference/metrics.md explains the numbers. A target out of reach keeps its row
+    without numbers. In three cases there is no interval, and no mechanism is held
+    against another: fewer than `ENOUGH_LEVELS` levels (raw is one of them) have a
+    missed rate within `NEAR` of the target; less than `MIN_DEFINED` of the replicates
+    are in reach; or there are too few people. `attacks` are the strongest ones, by
+    default those of `sweeps` with the `sums` of `strongest_on_each`.
     """
     if attacks is None:
         attacks = strongest_on_each(sweeps.estimates, sums or {}, sweeps.families)

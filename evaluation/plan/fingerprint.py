@@ -66,19 +66,19 @@ def code_hash() -> str:
 
 
 def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
-    """Return the modules whose import closures compute a stage, or are of plug-ins."""
+    """Return the root modules whose source, with all it imports, a key covers."""
     modules = _STAGES.get(stage, _LINKAGE) if stage else ()
     return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
 
 
-def has_strangers(crossed: Axes) -> bool:
+def has_user_plugins(crossed: Axes) -> bool:
     """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
     consumers = (*crossed.consumers, *(link for _, link in crossed.links))
     used = (plugin for consumer in consumers for plugin in consumer.plugins)
-    return any(map(is_strange, (*crossed.mechanisms, *used)))
+    return any(map(is_user_plugin, (*crossed.mechanisms, *used)))
 
 
-def strangers_in(crossed: Axes) -> dict[str, list[str]]:
+def list_user_plugins(crossed: Axes) -> dict[str, list[str]]:
     """Return the user's plug-ins by axis, by their names in the columns of the results.
 
     Axes without any are left out. Mechanisms have names without the level. A linker
@@ -86,17 +86,21 @@ def strangers_in(crossed: Axes) -> dict[str, list[str]]:
     """
     links = dict.fromkeys(link for _, link in crossed.links)
     strange = {
-        "mechanisms": [level.name for level in filter(is_strange, crossed.mechanisms)],
-        "predictors": [robot.spec for robot in filter(is_strange, crossed.predictors)],
-        "attacks": [attack.spec for attack in filter(is_strange, crossed.attacks)],
+        "mechanisms": [
+            level.name for level in filter(is_user_plugin, crossed.mechanisms)
+        ],
+        "predictors": [
+            robot.spec for robot in filter(is_user_plugin, crossed.predictors)
+        ],
+        "attacks": [attack.spec for attack in filter(is_user_plugin, crossed.attacks)],
     }
     strange["attacks"] += [
-        link.spec for link in links if any(map(is_strange, link.plugins))
+        link.spec for link in links if any(map(is_user_plugin, link.plugins))
     ]
     return {axis: [*dict.fromkeys(names)] for axis, names in strange.items() if names}
 
 
-def is_strange(plugin: Plugin) -> bool:
+def is_user_plugin(plugin: Plugin) -> bool:
     """Whether a plug-in is a user's, not one of the project's own."""
     return plugin.origin.partition(":")[0].partition(".")[0] not in OURS
 
@@ -181,8 +185,8 @@ def _import_root(module: str) -> tuple[Path | None, tuple[str, ...]]:
 def _read(
     name: str, *, root: Path | None, tops: tuple[str, ...]
 ) -> tuple[bytes, bool] | None:
-    is_strange = tops and name.partition(".")[0] not in tops
-    if root is None or not name or is_strange or _COMPUTES_NOTHING.fullmatch(name):
+    is_user_plugin = tops and name.partition(".")[0] not in tops
+    if root is None or not name or is_user_plugin or _COMPUTES_NOTHING.fullmatch(name):
         return None
     place = root.joinpath(*name.split("."))
     for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):

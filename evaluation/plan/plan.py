@@ -111,7 +111,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     units, code_digests = _units(crossed, settings, identity=identity)
     jobs = choose_jobs(crossed, settings)
     in_workers = settings.cell_timeout_s is not None or settings.scheduler is not None
-    if in_workers or jobs > 1 or fingerprint.has_strangers(crossed):
+    if in_workers or jobs > 1 or fingerprint.has_user_plugins(crossed):
         _check_sendable(units)
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(

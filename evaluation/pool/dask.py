@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.compute.current_cell import Failure, note_cell
 from evaluation.plan.fingerprint import OURS, code_hash, source_digest
-from evaluation.pool.workers import given_back
+from evaluation.pool.workers import release_memory_after
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, error_text
 
@@ -280,7 +280,7 @@ def _compute(
     # Never lifted: the limit is the process's, and other threads may be computing.
     threadpool_limits(limits=1)
     note_cell()
-    with given_back():
+    with release_memory_after():
         return list(function(work))
 
 

@@ -22,7 +22,7 @@ from evaluation.compute.loops import (
 )
 from evaluation.compute.sample_tracks import gallery_mechanisms, gallery_rows
 from evaluation.plan.constants import horizon_world
-from evaluation.plan.fingerprint import has_strangers
+from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool import pieces
 from evaluation.pool.plugin_calls import try_plugins
@@ -78,7 +78,7 @@ def execute(
     manifest, index_by_file, damaged = open_run(
         out, identity=ready.identity, fresh=ready.settings.fresh
     )
-    deque(prepare_loop(GAIN), maxlen=0)
+    deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
     names = prepare_names(ready, is_continued=bool(index_by_file))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = cell_places(index_by_file)
@@ -217,7 +217,9 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
         write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
         units = pieces.missing_units(ready, cell_places(files))
         wanted = {
-            (consumer.key, key) for consumer in units for key in consumer.consumers
+            (unit.key, consumer_key)
+            for unit in units
+            for consumer_key in unit.consumers
         }
         for source in sources:
             for name, index in sound_files(source)[0].items():
@@ -251,7 +253,7 @@ def _write_gallery(
     parts: list[pa.Table] = []
     failed = []
     # Workers have loaded all modules that this takes.
-    in_workers = ready.jobs > 1 or has_strangers(axes)
+    in_workers = ready.jobs > 1 or has_user_plugins(axes)
     limit_s = ready.settings.cell_timeout_s
     works = deque(gallery_mechanisms(mechanisms))
     for mechanism, results in spread(
@@ -339,7 +341,7 @@ def _spread_works(
             works,
             jobs=ready.jobs,
             limit_s=ready.settings.cell_timeout_s,
-            in_workers=has_strangers(ready.axes),
+            in_workers=has_user_plugins(ready.axes),
         )
     from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
 
@@ -365,7 +367,9 @@ def _prepare_loops(
     """
     cells = (cell for work in works for cell in pieces.planned_cells(work))
     loops = list_loops((cell.mechanism, cell.consumer) for cell in cells)
-    in_workers = has_strangers(ready.axes) or ready.settings.cell_timeout_s is not None
+    in_workers = (
+        has_user_plugins(ready.axes) or ready.settings.cell_timeout_s is not None
+    )
     started, states = time.monotonic(), dict[str, str]()
     prepared = spread(
         prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, in_workers=in_workers

@@ -14,7 +14,7 @@ from evaluation.compute.plugin_call import (
     plugin_code,
 )
 from evaluation.compute.sharing import declared
-from evaluation.plan.fingerprint import has_strangers, is_strange
+from evaluation.plan.fingerprint import has_user_plugins, is_user_plugin
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.pieces import unfinished
 from evaluation.pool.workers import spread
@@ -40,7 +40,7 @@ def try_plugins(ready: Plan, *, keeps_traceback: bool = True) -> list[str]:
     with usable(ready.out):
         if (ready.out / PLUGIN_ERROR).exists():
             (ready.out / PLUGIN_ERROR).unlink()
-        if not has_strangers(ready.axes):
+        if not has_user_plugins(ready.axes):
             return []
         missing = ready.units if ready.settings.fresh else unfinished(ready)
     given_up = []
@@ -100,10 +100,10 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
     """Return a call per plug-in; an attack has the most knowledge that it gets."""
     calls: dict[tuple[str, str], PluginCall] = {}
     for unit in missing:
-        if is_strange(unit.mechanism):
+        if is_user_plugin(unit.mechanism):
             calls["mechanism", unit.mechanism.spec] = PluginCall(unit.mechanism)
         for consumer in unit.consumers.values():
-            for plugin in filter(is_strange, consumer.plugins):
+            for plugin in filter(is_user_plugin, consumer.plugins):
                 caller = consumer
                 if plugin is consumer.behind:
                     caller = replace(

@@ -57,7 +57,7 @@ from evaluation.pool.workers import serve
 serve(pipe, parent=int(sys.argv[2]))
 """
 _idle_workers: Final["list[_Worker]"] = []
-"""Workers without work, for the next `spread`; `dismiss` and `ahead` end them."""
+"""Workers without work, for the next `spread`; `dismiss` and `start_workers_early` end them."""
 _CELL_MODULES: Final = (
     "evaluation.pool.pieces",
     "evaluation.compute.sample_tracks",
@@ -85,9 +85,9 @@ def spread(
     than `limit_s` for a cell is killed: the results that it has sent stay. The last of
     several works still gets a worker, since it may kill its process.
 
-    Workers without work wait for the next call until `ahead` ends. If `is_separate`,
-    the workers of this call end with it, and only those that it did not take wait.
-    Raises the errors of the function.
+    Workers without work wait for the next call until `start_workers_early` ends. If
+    `is_separate`, the workers of this call end with it, and only those that it did not
+    take wait. Raises the errors of the function.
     """
     if limit_s is None and jobs == 1 and not in_workers:
         with threadpool_limits(limits=1):
@@ -117,7 +117,9 @@ def spread(
 
 
 @contextlib.contextmanager
-def ahead(n_workers: int = 0, needed: Sequence[str] = _CELL_MODULES) -> Iterator[None]:
+def start_workers_early(
+    n_workers: int = 0, needed: Sequence[str] = _CELL_MODULES
+) -> Iterator[None]:
     """Start workers that import modules meanwhile; at the end dismiss all idle ones."""
     try:
         for _ in range(n_workers):
@@ -129,7 +131,7 @@ def ahead(n_workers: int = 0, needed: Sequence[str] = _CELL_MODULES) -> Iterator
 
 
 @contextlib.contextmanager
-def aside(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
+def run_in_idle_worker(call: Callable[[], R]) -> Iterator[Callable[[], R]]:
     """Let an idle worker make a call; yield the function that waits for its result.
 
     Without an idle worker, or if it dies, that function makes the call here: it raises
@@ -162,7 +164,7 @@ def dismiss() -> None:
 
 
 @contextlib.contextmanager
-def given_back() -> Iterator[None]:
+def release_memory_after() -> Iterator[None]:
     """Return freed memory to the system at the end: one process may do many runs.
 
     glibc gives threads arenas of their own, whose ends ``malloc_trim`` cannot reach,

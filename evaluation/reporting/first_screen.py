@@ -46,7 +46,7 @@ from evaluation.reporting.notices import (
     used_are_slower,
 )
 from evaluation.reporting.paper_hint import paper_hint
-from evaluation.reporting.recommendation import recommended_levels
+from evaluation.reporting.recommendation import named_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shorten_name
@@ -146,7 +146,7 @@ def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
         if table.known[where[0]].family != CLEAN
     ]
     chance = _chance_row(columns)
-    named = [reference_level(table), *recommended_levels(run)]
+    named = [reference_level(table), *named_levels(run)]
     for most in range(_MOST_ROWS - len(chance), _LEAST_ROWS - 1, -1):
         levels = screen_levels(table, known, most=most, named=named)
         rows = []
@@ -181,7 +181,7 @@ def first_table(run: Results) -> Table:
     table = run.headline
     robot = lead_robot(table, best=best_robot(run))
     columns = _flat_columns(screen_columns(table, robot))
-    named = [reference_level(table), *recommended_levels(run)]
+    named = [reference_level(table), *named_levels(run)]
     levels = screen_levels(
         table, _known_levels(table, columns), most=_MOST_ROWS, named=named
     )

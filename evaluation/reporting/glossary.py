@@ -1,7 +1,7 @@
 """The glossary: a plain sentence for each name that a screen, table or figure shows.
 
-The page takes its hover texts and its section of words from here. `docs/reference/glossary.md` is
-made of it.
+The page takes its hover texts and its section of words from here.
+`docs/reference/glossary.md` is made of it.
 """
 
 import re

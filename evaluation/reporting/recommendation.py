@@ -70,7 +70,7 @@ _RUN_LACKS: Final = ("no horizon", "no robot", "no handover", "adversary not tri
 """Reasons that name their subject themselves."""
 
 
-def recommended_levels(run: Results) -> list[Where]:
+def named_levels(run: Results) -> list[Where]:
     """Return the levels that the first screen names."""
     answer = run.recommendation()
     return [offer.where for offer in answer.proposals[:1] or answer.refused[:1]]

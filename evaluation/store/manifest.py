@@ -3,8 +3,8 @@
 Within the program `cells` is a list of flat entries, one for each consumer at each
 level. In the file an entry stands for all consumers of a level that share their files,
 and sets of consumers that many levels have are written once, in `consumers`. A seal
-over all of it shows that a run of this layout wrote the file: readers need not check
-every value.
+over all of it shows damage, and files of other layouts: readers need not check every
+value. It does not show a forgery.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ import numpy as np
 
 import isac_track
 from evaluation.plan.choices import PLUS
-from evaluation.plan.fingerprint import digest, strangers_in
+from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES
 from evaluation.store.files import MANIFEST, entry_label, read_regular_file, write_whole
 from evaluation.store.people import (
@@ -118,7 +118,7 @@ def checked_manifest(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
     """Return the manifest that a file holds; DataError if it has changed."""
     content = {name: value for name, value in manifest.items() if name != "seal"}
     is_sealed = manifest.get("seal") == digest([LAYOUT, content])
-    # Files are deleted by these names: a seal does not prove that a run wrote them.
+    # Files are deleted by these names, and a seal may be forged.
     if not is_sealed or not all(
         CELL_NAME.fullmatch(name)
         for level in content["cells"]
@@ -286,7 +286,7 @@ def describe(ready: Plan) -> dict[str, Any]:
         },
         "code": ready.code,
         "settings": _describe_settings(ready),
-        "own_plugins": strangers_in(axes),
+        "own_plugins": list_user_plugins(axes),
         "granted": {
             plugin.spec: sorted(item.name for item in plugin.instance.requires)
             for plugin in axes.predictors

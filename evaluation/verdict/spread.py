@@ -39,7 +39,7 @@ LEAST_SHARE: Final = 0.01  # Of the descriptor at raw: the least value for a log
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Contrasts:
-    """Basis of the spread of a descriptor in a task; fractions of people."""
+    """Linkage gaps to fixed noise at equal descriptor, by mechanism; shares of people."""
 
     gaps: Floats  # (1 + B, K) D_k and its bootstrap replicates
     errors: Floats  # (K,) standard error of D_k; NaN where nothing is known

@@ -1,4 +1,4 @@
-"""Section a of the verdict: whether equal descriptor values mean equal linkage.
+"""Whether equal descriptor values mean equal linkage: section a of the verdict.
 
 Over the levels of a single mechanism, descriptor and linkability always fall together.
 A measure of linkability must hold for every mechanism: at the same descriptor value,

@@ -263,7 +263,11 @@ class Offer:
 
     @property
     def coordinates(self) -> tuple[float, float, float]:
-        """Cost, PLR after attack, and linkage: less is better; unknown is 0."""
+        """Cost, PLR after attack, and linkage: less is better.
+
+        An unknown number is 0: it then neither orders levels nor rules one out. A level
+        with an unknown limit is never proposed (`met`).
+        """
         left = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
         numbers = np.nan_to_num([self.cost.value, left.value(EXPOSURE).value, linked])

@@ -70,7 +70,8 @@ _EXCEL = (
 class Repair:
     """A repair on reading: what was mended, left out or let pass, and how often."""
 
-    kind: str  # One of the kinds of ``docs/how-to/data.md``, such as `duplicate` or `gap`.
+    # One of the kinds of ``docs/how-to/data.md``, such as `duplicate` or `gap`.
+    kind: str
     count: int  # Rows, steps or tracks, as `detail` says.
     detail: str  # File, first line numbers, and what was done.
 

@@ -8,8 +8,8 @@ correlation; they share one covariance.
 
 Interacting multiple models (IMM) are two models of constant velocity, each with its own
 spectral density; the current model follows a Markov chain in continuous time. A cycle
-is Blom and Bar-Shalom's: mix, predict, update, weigh; `docs/reference/kernels.md` lists where
-filterpy's differs.
+is Blom and Bar-Shalom's: mix, predict, update, weigh; `docs/reference/kernels.md` lists
+where filterpy's differs.
 
 Nothing here imports numba before the first call (see `prepare`).
 

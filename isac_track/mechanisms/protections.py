@@ -15,7 +15,7 @@ from numpy.random import Generator
 from isac_track.kalman import Batch, kalman_last
 from isac_track.mechanisms.controls import correlated_errors
 from isac_track.mechanisms.paper import Fid, fid_d_sigma
-from isac_track.mechanisms.perturb import check_at_least, perturb
+from isac_track.mechanisms.perturb import check_at_least, draw_pseudonyms, perturb
 from isac_track.rng import stream
 from isac_track.types import (
     Adding,
@@ -96,7 +96,10 @@ def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
 
 
 def _block_value(block: int, known: dict[int, Floats]) -> Floats:
-    """Return the stationary process at the end of a block of draws, (2,)."""
+    """Return the stationary process after the draws up to a block, (2,).
+
+    It is the value at which the path over that block begins.
+    """
     decay = np.exp(-np.arange(_MEMORY_BLOCKS, dtype=float))
     scale = np.sqrt(-np.expm1(-2.0))
     draws = np.stack([known[block - age] for age in range(_MEMORY_BLOCKS)])
@@ -108,7 +111,8 @@ def _with_slow_error(
 ) -> Release:
     """Return the raw estimates with a slow error.
 
-    Both kinds of reuse make the same draws from `rng`.
+    Both kinds of reuse make the same draws from `rng`, so that what follows in its
+    stream does not depend on the kind.
     """
     t, offsets, tau_s = sensed.t, sensed.offsets, mechanism.tau_s
     unit = correlated_errors(
@@ -266,7 +270,7 @@ class Forecast:
             offsets=np.append(
                 0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))
             ),
-            pseudonym=perturb(sensed, 0.0, rng).pseudonym,
+            pseudonym=draw_pseudonyms(len(sensed), rng),
         )
 
 

@@ -43,7 +43,9 @@ ESTIMATORS: Final = (
 _Q: Final = 0.04  # m^2/s^3, of people's acceleration, as in the robot's `kalman_cv`.
 _PRIOR_STD: Final = (100.0, 10.0)  # m and m/s, more than in any walk.
 _UNINFORMATIVE_M2: Final = 1e12  # Variance of a measurement without information.
-_APART_S: Final = 1e-6  # Delay of an instant of the grid that coincides with an entry.
+_APART_S: Final = (
+    1e-6  # Added to every instant, so that an entry at the same time comes first.
+)
 _PASSES, _ANNEAL = 5, 0.15  # Options of the radial smoother.
 
 

@@ -1,6 +1,7 @@
 """Metrics of a policy on a patrol: numbers with intervals.
 
-`docs/explanation/need-to-know.md` explains them. Rates and shares are fractions, 0 to 1.
+`docs/explanation/need-to-know.md` explains them. Rates and shares are fractions, 0 to
+1.
 """
 
 from dataclasses import dataclass

@@ -1,10 +1,10 @@
 """The project's own pedestrian crowd: a generator, and two bundled sessions.
 
 ``plaza.npz`` and ``plaza_session2.npz`` are the output of ``python -m
-isac_track.datasets.crowd --out DIR``. ``docs/explanation/plaza.md`` describes the model, how it was
-tuned and what it must not be used for. The same settings, seed and session give the
-same millimetres, very likely on any machine: the state is rounded in every step
-(`model.GRID_DIGITS`).
+isac_track.datasets.crowd --out DIR``. ``docs/explanation/plaza.md`` describes the
+model, how it was tuned and what it must not be used for. The same settings, seed and
+session give the same millimetres, very likely on any machine: the state is rounded in
+every step (`model.GRID_DIGITS`).
 """
 
 import json

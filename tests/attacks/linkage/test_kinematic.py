@@ -7,7 +7,7 @@ import pytest
 from helpers import kernel_oracles as oracle
 from helpers.walks import Person, context, walk_release
 
-from attacks.linkage.kinematic import Kinematic, continuations, rivals
+from attacks.linkage.kinematic import Kinematic, continuations, mate_gap_range_s
 from attacks.linkage.learning import log_rank
 from isac_track.kalman import Batch
 from isac_track.noise import innovation_variance_m2
@@ -104,7 +104,11 @@ def test_rivals_are_those_of_one_rotation():
     known = np.where(on_time[mate], mate, -1)
     assert known.max() >= 0
     scores = continuations(
-        probe, late, Q, FLOOR_M2, gap_s=rivals(LinkageTrainingSet(probe, late, known))
+        probe,
+        late,
+        Q,
+        FLOOR_M2,
+        gap_s=mate_gap_range_s(LinkageTrainingSet(probe, late, known)),
     )
     assert np.array_equal(np.isfinite(scores), np.tile(on_time, (6, 1)))
 

@@ -9,7 +9,7 @@ from helpers.cells import STAGES, Spy, World, make_sessions, parsed, plugin
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.compute import work as work_module
-from evaluation.compute.sharing import guarded, handed
+from evaluation.compute.sharing import copy_for_user_plugin, guarded
 from evaluation.compute.work import LinkWork, compute_cells
 from evaluation.plan.axes import axes
 from evaluation.plan.settings import Settings
@@ -58,9 +58,11 @@ def test_a_plug_in_of_somebody_else_is_handed_a_copy_and_ours_the_very_object(tr
         "attacks.linkage:Shape",
         "predictors.kalman:Kalman",
     ):
-        assert handed(batch, replace(plugin(Spy()), origin=origin)) is batch
+        assert (
+            copy_for_user_plugin(batch, replace(plugin(Spy()), origin=origin)) is batch
+        )
     for origin in ("mine:Raw", "attackers.shape:Shape", "isac_tracks:Raw"):
-        theirs = handed(batch, replace(plugin(Spy()), origin=origin))
+        theirs = copy_for_user_plugin(batch, replace(plugin(Spy()), origin=origin))
         for item in fields(batch):
             ours, value = getattr(batch, item.name), getattr(theirs, item.name)
             assert np.array_equal(value, ours)

@@ -8,12 +8,16 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from evaluation.pool.workers import ahead, aside, given_back
+from evaluation.pool.workers import (
+    release_memory_after,
+    run_in_idle_worker,
+    start_workers_early,
+)
 
 
 def test_the_pool_is_the_users_again_even_after_an_error():
     before = pa.default_memory_pool().backend_name
-    with pytest.raises(LookupError, match="system"), given_back():
+    with pytest.raises(LookupError, match="system"), release_memory_after():
         raise LookupError(pa.default_memory_pool().backend_name)
     assert pa.default_memory_pool().backend_name == before
 
@@ -28,16 +32,16 @@ def process_unless(dies_in, *, raises=False):
 
 @pytest.mark.parametrize("n_workers", [0, 1])
 def test_a_call_is_made_by_a_worker_if_one_waits_and_here_if_it_dies(n_workers):
-    with ahead(n_workers):
+    with start_workers_early(n_workers):
         for _ in range(2):  # the worker goes on waiting
-            with aside(partial(process_unless, 0)) as answer:
+            with run_in_idle_worker(partial(process_unless, 0)) as answer:
                 assert (answer() != os.getpid()) == bool(n_workers)
         with (
             pytest.raises(LookupError),
-            aside(partial(process_unless, 0, raises=True)) as answer,
+            run_in_idle_worker(partial(process_unless, 0, raises=True)) as answer,
         ):
             answer()
-        with aside(partial(process_unless, os.getpid())) as answer:
+        with run_in_idle_worker(partial(process_unless, os.getpid())) as answer:
             assert answer() == os.getpid()
 
 
@@ -47,8 +51,10 @@ def test_what_a_worker_finds_comes_back_as_it_was():
     result = {"whole": grid, "columns": np.asfortranarray(grid), "some": grid[:, ::2]}
     result |= {"none": np.zeros((0, 3)), "objects": np.array(["a", None], dtype=object)}
     with (
-        ahead(1),
-        aside(partial(dict, **result, table=table, frame=pd.DataFrame(grid))) as answer,
+        start_workers_early(1),
+        run_in_idle_worker(
+            partial(dict, **result, table=table, frame=pd.DataFrame(grid))
+        ) as answer,
     ):
         back = answer()
     assert back.pop("table").equals(table)

@@ -22,7 +22,7 @@ from evaluation.reporting.announcements import condense_notices
 from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
 from evaluation.reporting.notices import data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
-from evaluation.reporting.recommendation import recommended_levels
+from evaluation.reporting.recommendation import named_levels
 
 MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
 
@@ -73,7 +73,7 @@ def test_the_level_that_the_last_answer_names_has_a_row_where_there_is_room_for_
         dataset=lambda rows: rows["dataset"].str.replace("walks", "students03")
     )
     run = make_run(at=[("ou", 0.4), *MANY], levels=planted)
-    assert recommended_levels(run) == [("ou", 0.4)]
+    assert named_levels(run) == [("ou", 0.4)]
     lines = first_screen(run, before=12)
     assert any(line.startswith("slow noise, 0.4 m ") for line in lines)
     text = " ".join(" ".join(lines).split())
