@@ -35,11 +35,12 @@ html_theme = "furo"
 html_title = "isac-track"
 
 
+_ARRAY = r"[~\w.]*ndarray\[tuple\[[~\w.]*Any, \.\.\.\], [~\w.]*dtype\[[~\w.]*{}\]\]"
 _ALIASES = {
     r"TypeAliasForwardRef\('(\w+)'\)": r"\1",
-    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[float64\]\]": "Floats",
-    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[int64\]\]": "Ints",
-    r"ndarray\[tuple\[Any, \.\.\.\], dtype\[bool\]\]": "Bools",
+    _ARRAY.format("float64"): "Floats",
+    _ARRAY.format("int64"): "Ints",
+    _ARRAY.format("bool"): "Bools",
 }
 """What Sphinx writes for an alias of a type, and the name of the alias."""
 
