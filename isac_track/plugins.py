@@ -57,11 +57,9 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "kalman_rts": "attacks.reconstruction.kalman_rts:KalmanRTS",
         "radial_rts": "attacks.reconstruction.kalman_rts:RadialRTS",
         "ou_rts": "attacks.reconstruction.ou_rts:OuRTS",
-        "imm_rts": "attacks.reconstruction.kalman_rts:ImmRTS",
         "gaussian_process": "attacks.reconstruction.gaussian_process:GaussianProcess",
         "averaging": "attacks.reconstruction.averaging:Averaging",
         "corrector": "attacks.reconstruction.corrector:Corrector",
-        "posterior": "attacks.reconstruction.posterior:Posterior",
         "shape": "attacks.linkage.alignment:Shape",
         "profile": "attacks.linkage.alignment:Profile",
         "likelihood_ratio": "attacks.linkage.likelihood_ratio:LikelihoodRatio",
@@ -70,7 +68,6 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "histogram": "attacks.linkage.histogram:Histogram",
         "kinematic": "attacks.linkage.kinematic:Kinematic",
         "mean_distance": "attacks.linkage.mean_distance:MeanDistance",
-        "fusion": "attacks.linkage.fusion:Fusion",
     },
     "policies": {
         "everything": "isac_track.policies.samples:Everything",
@@ -82,6 +79,10 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "flag": "isac_track.policies.summaries:Flag",
     },
 }
+_IN_PACKAGES: dict[Kind, dict[str, str]] = {
+    "attacks": dict.fromkeys(("imm_rts", "posterior", "fusion"), "examples/attacks")
+}
+"""Plug-ins that were built in once: by name, the folder of their package."""
 _MECHANISMS = (
     "isac_track.mechanisms.paper",
     "isac_track.mechanisms.controls",
@@ -368,9 +369,8 @@ def _load_class(kind: Kind, name: str) -> tuple[type, str]:
     origin = name if ":" in name else known.get(name)
     singular = _SINGULAR[kind]
     if origin is None:
-        raise SettingsError(
-            f"unknown {singular} {quoted(name)}{_nearest_hint(name, known)}"
-        )
+        hint = _package_hint(kind, name) or _nearest_hint(name, known)
+        raise SettingsError(f"unknown {singular} {quoted(name)}{hint}")
     module_name, _, attribute = origin.partition(":")
     try:
         cls = getattr(importlib.import_module(module_name), attribute)
@@ -620,6 +620,12 @@ def _format_value(value: object) -> str:
     if isinstance(value, bool):
         return str(value).lower()  # as in a SPEC
     return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def _package_hint(kind: Kind, name: str) -> str:
+    """Return how to get a plug-in that has a package of its own; "" for any other."""
+    folder = _IN_PACKAGES.get(kind, {}).get(name)
+    return f"; it has a package of its own: pip install ./{folder}" if folder else ""
 
 
 def _nearest_hint(name: str, known: Collection[str]) -> str:

@@ -12,7 +12,9 @@ MODULES = (
 )
 STABLE = {
     **{f"isac_track.{name}": None for name in MODULES},
-    "attacks.testing": ("run_checks",),
+    "isac_track.kalman": None,
+    "attacks.building_blocks": None,
+    "attacks.testing": ("kit_test", "run_checks"),
     "evaluation": ("Results", "Settings", "load", "run"),
 }
 """By module: the names that are stable; None stands for all of `__all__`."""

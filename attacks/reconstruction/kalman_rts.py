@@ -18,7 +18,7 @@ from attacks.reconstruction.own_motion import (
     white_probabilities,
 )
 from attacks.remembered import memoised, noise_m2
-from isac_track.kalman import Batch, Moods, imm_smoother, smooth_positions
+from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import SlowError
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
@@ -123,53 +123,6 @@ class RadialRTS:
             choices = motions(choices[0])
             choices = [choices[len(choices) // 2]]
         return make_smoother(context, _smooth, candidates=choices, refine=motions)
-
-
-@dataclass(frozen=True, slots=True)
-class ImmRTS:
-    """Two constant-velocity models with a Markov chain: walking on, or turning.
-
-    Filter, smoother and their sources are those of `isac_track.kalman`.
-    """
-
-    # m^2/s^3 while walking on; None, with `q_turn`: learnt or `DEFAULT_Q`.
-    q: float | None = None
-    q_turn: float | None = None  # m^2/s^3 while stopping or turning.
-    walk_s: float = 4.0  # Mean time of walking on.
-    turn_s: float = 1.5  # Mean time of stopping or turning.
-
-    slow: ClassVar[bool] = True
-    seconds_per_sample: ClassVar[float] = 2e-6
-    requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = COMMON_KNOWLEDGE
-    DEFAULT_Q: ClassVar[tuple[float, float]] = (0.03, 0.12)
-
-    def __post_init__(self) -> None:
-        if (self.q is None) != (self.q_turn is None):
-            raise ValueError("give both q and q_turn, or neither to have them learnt")
-        require_positive(
-            q=self.q, q_turn=self.q_turn, walk_s=self.walk_s, turn_s=self.turn_s
-        )
-
-    def fit(self, context: AttackContext) -> Reconstructor:
-        """Return the smoother of releases like those in the training set."""
-        given = None if self.q is None or self.q_turn is None else (self.q, self.q_turn)
-        q, q_turn = self.DEFAULT_Q
-        walking = candidates_around(q, factor=4.0)
-        turning = candidates_around(q_turn, factor=4.0)
-        candidates = candidate_values(given, list(zip(walking, turning, strict=True)))
-        return make_smoother(context, self._smooth, candidates=candidates)
-
-    def _smooth(
-        self, release: Release, variance: Floats, density: tuple[float, float]
-    ) -> Reconstruction:
-        batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
-        # The spread between the modes couples the axes; the claimed std comes from
-        # their mean variance.
-        position, spread = imm_smoother(
-            batch, Moods(density, (self.walk_s, self.turn_s))
-        )
-        return Reconstruction(position, np.sqrt(spread))
 
 
 def _smooth(release: Release, variance: Floats, choice: _Choice) -> Reconstruction:

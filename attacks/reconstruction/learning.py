@@ -65,7 +65,7 @@ def choose(
 
     Without a training set it is the default; of equal candidates it is the first.
     `reconstruct` is from a candidate and a release to positions, (M, 2) m. Attacks of
-    users call this function as well: docs/explanation/attacks.md.
+    users call this function as well, by `attacks.building_blocks`.
     """
     if Knowledge.TRAIN not in context.granted:
         return default

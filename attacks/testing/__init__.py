@@ -1,10 +1,8 @@
 """The kits: named checks that every attack, mechanism or predictor must pass.
 
-With pytest, every check of every attack becomes a test of its own::
+With pytest, every check of every plug-in becomes a test of its own::
 
-    @parametrize_attack_checks([MyAttack(), MyAttack(window_s=2.0)])
-    def test_attack(attack, check):
-        check(attack)
+    test_my_attack = kit_test(MyAttack(), MyAttack(window_s=2.0))
 
 so that ``pytest -k null_stays_at_chance`` runs one of them. From the command line::
 
@@ -41,6 +39,7 @@ __all__ = [
     "PREDICTOR_CHECKS",
     "CheckResult",
     "checks_for",
+    "kit_test",
     "list_adversaries",
     "parametrize_attack_checks",
     "parametrize_mechanism_checks",
@@ -229,6 +228,40 @@ def run_checks(
     return tuple(engine.outcomes(chosen, subject))
 
 
+def kit_test(*subjects: Subject) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
+    """Return a test that pytest runs once for each plug-in and check of its kit.
+
+    Parameters
+    ----------
+    *subjects : attack, mechanism or predictor
+        Objects, not their classes; of different kinds if you like. A check that does
+        not apply to an object is skipped, with the reason.
+
+    Returns
+    -------
+    function
+        Give it a name that pytest collects: it begins with ``test``.
+
+    Raises
+    ------
+    PluginError
+        If an object is no plug-in, with advice.
+    SettingsError
+        Without any object.
+
+    Examples
+    --------
+    >>> from attacks.testing import kit_test
+    >>> from isac_track.sharing import Fixed
+    >>> test_fixed_noise = kit_test(Fixed(0.5), Fixed(0.5, adding="independent"))
+    """
+
+    def test(plugin: Subject, check: Check) -> None:
+        check(plugin)
+
+    return _parametrized("plugin", subjects)(test)
+
+
 def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN401 - a pytest mark; pytest is not imported here
     cases = [
         (f"{_label(subject)}-{name}", (subject, check))
@@ -243,10 +276,9 @@ def _parametrized(noun: str, subjects: Iterable[Subject]) -> Any:  # noqa: ANN40
 parametrize_attack_checks = partial(_parametrized, "attack")
 """Return a pytest decorator that runs a test once per attack and check.
 
-The test takes `attack` and `check`, and calls ``check(attack)``. A check that does not
-apply to an attack is skipped, with the reason. Attacks are instances. Raises as
-`checks_for`, and SettingsError without any attack. The two below do the same for
-mechanisms and predictors.
+The test takes `attack` and `check`, and calls ``check(attack)``: for a test of your own
+body or with marks. Else `kit_test` is shorter. The two below do the same for mechanisms
+and predictors.
 """
 parametrize_mechanism_checks = partial(_parametrized, "mechanism")
 parametrize_predictor_checks = partial(_parametrized, "predictor")

@@ -58,9 +58,7 @@ _PLUGIN_LOOPS: Final = {
     "kalman_rts": _SMOOTHER,
     "radial_rts": _SMOOTHER,
     "ou_rts": _SMOOTHER,
-    "imm_rts": ("isac_track.kalman._imm_loops:imm_smoother", *_SMOOTHER),
     "gaussian_process": _SMOOTHER,
-    "posterior": _SMOOTHER,
     "kinematic": ("attacks.linkage._lag_loop:continuation_densities", *_FILTER),
     "shape": (
         "attacks.linkage._lag_loop:least_costs",
@@ -84,7 +82,6 @@ _PLUGIN_LOOPS: Final = {
 }
 """By the name of the plug-in, without its parameters."""
 _SLOWEST: Final = (
-    "imm_smoother",
     "read_scores",
     "fit_parabolas",
     "ratios",

@@ -119,7 +119,7 @@ _SMOKE = Preset(
     mechanisms=SMOKE_LEVELS,
     predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm", BASELINE),
     attacks=(
-        # All built-in ones but the slow: imm_rts and gaussian_process run when named.
+        # All built-in ones but the slow: gaussian_process runs when named.
         "identity",
         "moving_average",
         "savgol",
@@ -227,9 +227,7 @@ PRESETS = {
             "kalman_rts",
             "radial_rts",
             "ou_rts",
-            "imm_rts",
             "gaussian_process",
-            "posterior:draws=100,burn_in=60",
             "shape",
             "shape@radial_rts",
             "dtw",
@@ -240,7 +238,7 @@ PRESETS = {
         model_linked=_BOTH_RULES,
         model_people=300,
         summary=(
-            "750 scenes, 11 levels, slow attacks too: how far they are from the optimum"
+            "750 scenes, 11 levels, the slow attack too: how far attacks are from the optimum"
             " in worlds of walks that follow the model"
         ),
     ),

@@ -127,11 +127,9 @@ _ATTACKS: Final = {
     "kalman_rts": "Kalman smoother for steady walking with normal errors.",
     "radial_rts": "Kalman smoother that reweights positions for radial errors.",
     "ou_rts": "Smoother that models slowly changing noise beside the walk.",
-    "imm_rts": "Smoother that switches between walking on and turning or stopping.",
     "gaussian_process": "Fits a smooth random curve to each track.",
     "averaging": "Averages several releases of the same walk.",
     "corrector": "Corrects the radial smoother by what it learnt on other people.",
-    "posterior": "Samples the walks that explain the shared positions best.",
 }
 
 _LINKERS: Final = {
@@ -145,9 +143,6 @@ _LINKERS: Final = {
         "Weighs how likely one person walked both paths against two people."
     ),
     "mean_distance": "Mean distance of two walks over the instants of both.",
-    "fusion": (
-        "Combines the scores of all other linkers by what it learnt on other people."
-    ),
 }
 
 _TASKS: Final = {

@@ -53,11 +53,9 @@ _ATTACKS: Final = {
     "kalman_rts": "Kalman smoother",
     "radial_rts": "radial Kalman smoother",
     "ou_rts": "smoother of slow noise",
-    "imm_rts": "smoother of two motions",
     "gaussian_process": "Gaussian process",
     "averaging": "averaging of releases",
     "corrector": "learnt corrector",
-    "posterior": "posterior sampling",
 }
 
 _TASKS: Final = {

@@ -30,7 +30,7 @@ import numpy as np
 from isac_track.types import Floats, Ints, check_offsets, positive, within
 
 __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
-__all__ += ["imm_last", "imm_smoother", "kalman_last", "prepare", "smooth_positions"]
+__all__ += ["imm_last", "imm_states", "kalman_last", "prepare", "smooth_positions"]
 
 MAX_REJECTIONS = 3
 """After this many rejected samples in a row the next is accepted.
@@ -207,58 +207,52 @@ class Moods:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ImmStates:
-    """States of N tracks after their last sample under each of two modes.
+    """States under each of two modes: K of N tracks.
 
-    To forecast, predict each mode with its own q and mix by `probability`.
+    They are those after the last sample of each track, or after every sample. To
+    forecast, predict each mode with its own q and mix by `probability`.
     """
 
-    mean: Floats  # (N, 2, 2, 2) m, m/s: per mode and axis position and velocity.
-    cov: Floats  # (N, 2, 4, 4) of (x, vx, y, vy) under each mode.
-    probability: Floats  # (N, 2) of the modes.
+    mean: Floats  # (K, 2, 2, 2) m, m/s: per mode and axis position and velocity.
+    cov: Floats  # (K, 2, 4, 4) of (x, vx, y, vy) under each mode.
+    probability: Floats  # (K, 2) of the modes.
     # (N,) log density of a track's accepted samples, 1/m^2 each.
     log_likelihood: Floats
 
 
 def imm_last(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
-    """Return the states of every track after its last sample.
+    """Return the states of N tracks after their last sample.
 
     The `batch` has a prior of two states, which holds under either mode. A sample is
     not used if its normalised innovation squared exceeds the `gate` under every mode,
     unless `MAX_REJECTIONS` samples before it were not. ValueError if the gate is not
     positive, or for a prior of another number of states.
     """
-    n = len(batch)
-    out = ImmStates(
-        np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4)), np.empty((n, 2)), np.empty(n)
-    )
-    import_module("isac_track.kalman._imm_loops").imm_last(
+    return _imm_states("imm_last", batch, moods, gate=gate, n_rows=len(batch))
+
+
+def imm_states(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates:
+    """Return the states after each of M samples, as a smoother needs them.
+
+    A state rests on the samples of its track up to its own. Parameters and errors are
+    those of `imm_last`.
+    """
+    return _imm_states("imm_states", batch, moods, gate=gate, n_rows=batch.t.size)
+
+
+def _imm_states(
+    loop: str, batch: Batch, moods: Moods, *, gate: float, n_rows: int
+) -> ImmStates:
+    """Return the states that one of the filter's loops writes, a row each."""
+    mean, cov = np.empty((n_rows, 2, 2, 2)), np.empty((n_rows, 2, 4, 4))
+    out = ImmStates(mean, cov, np.empty((n_rows, 2)), np.empty(len(batch)))
+    getattr(import_module("isac_track.kalman._imm_loops"), loop)(
         batch.arrays(2),
         moods.arrays(batch.t),
         positive("gate", gate, finite=False),
         MAX_REJECTIONS,
-        (out.mean.reshape(n, 2, 4), out.cov, out.probability, out.log_likelihood),
+        (mean.reshape(n_rows, 2, 4), cov, out.probability, out.log_likelihood),
     )
-    return out
-
-
-def imm_smoother(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
-    """Return smoothed positions, (M, 2) m, and their mean variance per axis, (M,) m^2.
-
-    Expectation correction (Barber 2006) with one Gaussian per mode. Backwards in time,
-    every mode now is smoothed from every mode next by Rauch-Tung-Striebel. The weight
-    of a pair is that of the filter times the density of the next smoothed mean under
-    the pair's prediction. The pairs of each mode are then collapsed into one Gaussian.
-    Like the filter it is an approximation: exact with modes of equal q. Parameters and
-    errors are those of `imm_last`.
-
-    References
-    ----------
-    Barber, "Expectation correction for smoothed inference in switching linear dynamical
-    systems", J. Machine Learning Research 7, 2006, 2515-2540.
-    """
-    out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
-    loops = import_module("isac_track.kalman._imm_loops")
-    loops.imm_smoother(batch.arrays(2), moods.arrays(batch.t), *out)
     return out
 
 

@@ -22,6 +22,7 @@ from attacks.testing import (
     CheckResult,
     _rows,
     checks_for,
+    kit_test,
     list_adversaries,
     parametrize_attack_checks,
     parametrize_mechanism_checks,
@@ -48,9 +49,7 @@ def built_in(kind):
         for name, origin in names
         if origin.startswith(f"{kind}.") and name != TRAINS
     ]
-    # What takes minutes as it is used draws or grows less here.
-    cheap = {"posterior": "posterior:draws=20,burn_in=5"}
-    return [plugins.parse(kind, cheap.get(name, name))[0].instance for name in ours]
+    return [plugins.parse(kind, name)[0].instance for name in ours]
 
 
 MECHANISMS = [
@@ -411,6 +410,26 @@ class TestWithPytest:
             *(f"Jitters(sigma_m=0.1)-{name}" for name in CHECKS),
             *(f"Base-{name}" for name in LINKAGE_CHECKS),
         ]
+
+    def test_a_kit_test_takes_plugins_of_all_kinds_and_runs_each_check(self):
+        test = kit_test(Jitters(), Noise(), Stand())
+        (mark,) = test.pytestmark
+        assert [case.id for case in mark.args[1]] == [
+            *(f"Jitters-{name}" for name in CHECKS),
+            *(f"Noise-{name}" for name in MECHANISM_CHECKS),
+            *(f"Stand-{name}" for name in PREDICTOR_CHECKS),
+        ]
+        broken, name, message = broken_plugins.BROKEN[0]
+        values = kit_test(broken()).pytestmark[0].args[1]
+        ((plugin, check),) = (
+            case.values for case in values if case.id.endswith(f"-{name}")
+        )
+        with pytest.raises(AssertionError, match=message):
+            test(plugin, check)
+
+    def test_a_kit_test_of_nothing_is_refused(self):
+        with pytest.raises(SettingsError, match="the list is empty"):
+            kit_test()
 
 
 # The cases on which attacks are tried.

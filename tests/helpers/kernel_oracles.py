@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from fractions import Fraction
 from functools import cache
-from itertools import pairwise, product
 from math import factorial
 
 import numpy as np
@@ -184,52 +183,3 @@ def imm_track(
         "accepted": taken,
         "log_likelihood": density,
     }
-
-
-def imm_smooth(*, t, q, rates, mean, cov, probability):
-    """Expectation correction (Barber 2006), one Gaussian per mode, of `imm_track`."""
-    modes = range(len(q))
-    x, p, mu = mean.copy(), cov.copy(), probability.copy()
-    for k in reversed(range(len(t) - 1)):
-        step = t[k + 1] - t[k]
-        jump = expm(rates * step)
-        log_weight = np.empty((len(q), len(q)))
-        states = {}
-        for j, i in product(modes, modes):  # now, next
-            f, noise = motion(step, q[i])
-            ahead = f @ cov[k, j] @ f.T + noise
-            gain = np.linalg.solve(ahead, f @ cov[k, j]).T
-            gap = x[k + 1, i] - f @ mean[k, j]
-            states[j, i] = (
-                mean[k, j] + gain @ gap,
-                cov[k, j] + gain @ (p[k + 1, i] - ahead) @ gain.T,
-            )
-            log_weight[j, i] = np.log(probability[k, j] * jump[j, i])
-            log_weight[j, i] += multivariate_normal(np.zeros(4), ahead).logpdf(gap)
-        weight = np.exp(log_weight - log_weight.max(axis=0))
-        joint = weight / weight.sum(axis=0) * mu[k + 1]
-        mu[k] = joint.sum(axis=1)
-        for j in modes:
-            pair_x, pair_p = (
-                np.array([states[j, i][n] for i in modes]) for n in range(2)
-            )
-            x[k, j], p[k, j] = collapse(joint[j] / mu[k, j], pair_x, pair_p)
-    return {"mean": x, "cov": p, "probability": mu}
-
-
-def imm_exact(*, t, q, rates, probability, **track):
-    """Every sequence of modes, smoothed alone and weighted: mean positions, (n, 2)."""
-    log_weights, means = [], []
-    jumps = [expm(rates * step) for step in np.diff(t)]
-    for sequence in product(range(len(q)), repeat=len(t)):
-        # Given the modes the axes are independent.
-        mean, _, density = joint_posterior(
-            t=t, q=[q[mode] for mode in sequence[1:]], **track
-        )
-        chances = [
-            jump[pair] for jump, pair in zip(jumps, pairwise(sequence), strict=True)
-        ]
-        log_weights.append(density + np.log([probability[sequence[0]], *chances]).sum())
-        means.append(mean[:, :, 0])
-    weight = np.exp(np.array(log_weights) - max(log_weights))
-    return np.average(means, axis=0, weights=weight)

@@ -9,7 +9,6 @@ from helpers.walks import context, hits, moved, odd_release, two_releases, walk_
 from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
-from attacks.linkage.fusion import Fusion
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
@@ -55,7 +54,7 @@ def test_a_mirror_image_is_somebody_else(attack, easy):
     assert (same > mirrored + 0.5).all()
 
 
-@pytest.mark.parametrize("attack", [*ALL, Fusion()], ids=name)
+@pytest.mark.parametrize("attack", ALL, ids=name)
 def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training(attack):
     probe, gallery = odd_release(0), odd_release(1, n=9)
     train = LinkageTrainingSet(

@@ -6,8 +6,8 @@ that differ between tracks and within. The smoother that knows all of this then 
 least mean square error of all estimators, 2 P, with P its posterior variance per axis.
 
 RMSE over the benchmark's, as measured (99 % interval: 2.5 % to either side), oracle and
-blind: kalman_rts 1.00 and 1.07, imm_rts 1.01 and 1.08, gaussian_process 1.02 and 1.09,
-radial_rts 1.08 and 1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity
+blind: kalman_rts 1.00 and 1.07, gaussian_process 1.02 and 1.09, radial_rts 1.08 and
+1.12; savgol 1.17, moving_average 1.39, averaging 4.8 and identity
 5.4.
 """
 

@@ -5,11 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.sensed import LAWS
-from helpers.walks import context, cv_walks, flat_release, smooth_walks
+from helpers.walks import context, cv_walks, flat_release
 
-from attacks.reconstruction.kalman_rts import ImmRTS, KalmanRTS, RadialRTS, looks_radial
-from attacks.reconstruction.own_motion import PRIOR_STD
-from isac_track.kalman import Batch, Moods, imm_smoother
+from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS, looks_radial
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
@@ -113,21 +111,3 @@ def test_a_single_pass_is_the_linear_smoother():
     theirs = KalmanRTS(q=Q).fit(context())(release)
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
-
-
-def test_equal_modes_are_a_single_model():
-    release, _ = smooth_walks(60, 1, 2, 3, 150)
-    attacks = ImmRTS(q=Q, q_turn=Q), KalmanRTS(q=Q)
-    two_modes, single = (attack.fit(context())(release) for attack in attacks)
-    assert np.allclose(two_modes.xy, single.xy, atol=1e-7)
-    assert np.allclose(two_modes.std, single.std, atol=1e-7)
-
-
-def test_the_two_moods_last_as_long_as_the_attack_says():
-    release, _ = smooth_walks(60)
-    declared = replace(release, sigma=np.full(60, 0.5))
-    attack = ImmRTS(q=0.01, q_turn=0.5, walk_s=6.0, turn_s=1.0)
-    result = attack.fit(context(granted={Knowledge.SIGMA}))(declared)
-    batch = Batch(release.t, release.xy, np.full(60, 0.125), release.offsets, PRIOR_STD)
-    position, _ = imm_smoother(batch, Moods((0.01, 0.5), (6.0, 1.0)))
-    assert np.array_equal(result.xy, position)

@@ -7,7 +7,7 @@ import pytest
 from helpers.walks import context, flat_release, smooth_walks
 
 from attacks.reconstruction.gaussian_process import GaussianProcess
-from attacks.reconstruction.kalman_rts import ImmRTS, KalmanRTS, RadialRTS
+from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
 from attacks.reconstruction.learning import (
     candidates_around,
     exposure_loss,
@@ -95,10 +95,6 @@ LEARNERS = {
         [{"q": q} for q in candidates_around(0.04, factor=4.0)],
         False,
     ),
-    ImmRTS: (
-        [{"q": 0.03 * by, "q_turn": 0.12 * by} for by in (1 / 4, 1.0, 4.0)],
-        False,
-    ),
     GaussianProcess: (
         [{"length_s": 12.0, "scale_m": m} for m in candidates_around(2.5, factor=2.0)],
         False,
@@ -145,15 +141,10 @@ REFUSED = [
     (Savgol, {"width_s": np.inf}, "width_s must be positive"),
     (KalmanRTS, {"q": 0.0}, "q must be positive"),
     (RadialRTS, {"q": 0.0}, "q must be positive"),
-    (ImmRTS, {"walk_s": 0.0}, "walk_s must be positive"),
-    (ImmRTS, {"turn_s": 0.0}, "turn_s must be positive"),
     (RadialRTS, {"passes": 0}, "passes must be at least 1"),
     (RadialRTS, {"anneal": 1}, r"anneal must lie in \[0, 1\)"),
     (RadialRTS, {"anneal": -0.1}, r"anneal must lie in \[0, 1\)"),
     (RadialRTS, {"anneal": np.nan}, r"anneal must lie in \[0, 1\)"),
-    (ImmRTS, {"q": 0.1}, "both q and q_turn"),
-    (ImmRTS, {"q": 0.0, "q_turn": 0.1}, "q must be positive"),
-    (ImmRTS, {"q": 0.1, "q_turn": np.nan}, "q_turn must be positive"),
     (GaussianProcess, {"length_s": 1.0}, "both length_s and scale_m"),
     (GaussianProcess, {"length_s": 0.0, "scale_m": 1.0}, "length_s must be positive"),
     (GaussianProcess, {"length_s": 1.0, "scale_m": np.nan}, "scale_m must be positive"),

@@ -25,7 +25,7 @@ FRONTS = LINEAR | {
     ),
     "slow error": lambda case: smooth_tracks(case, SlowError(0.7, 2.0), q=Q, passes=3),
     "imm, last": lambda case, **options: kalman.imm_last(case, MOODS, **options),
-    "imm, smoothed": lambda case: kalman.imm_smoother(case, MOODS),
+    "imm, states": lambda case, **options: kalman.imm_states(case, MOODS, **options),
 }
 
 
@@ -107,6 +107,7 @@ def test_wrong_batches_are_named(name, change, message):
         ),
         ("last cv", {"gate": np.nan}, "gate must be positive"),
         ("imm, last", {"gate": 0.0}, "gate must be positive"),
+        ("imm, states", {"gate": np.nan}, "gate must be positive"),
         ("positions", {"passes": 0}, "passes >= 1"),
         *(
             ("positions", {"anneal": anneal}, "0 <= anneal < 1")
@@ -119,9 +120,7 @@ def test_settings_that_cannot_be_are_named(front, options, message):
         FRONTS[front](batch(), **options)
 
 
-@pytest.mark.parametrize(
-    "front", ["last cv", "positions", "imm, last", "imm, smoothed"]
-)
+@pytest.mark.parametrize("front", ["last cv", "positions", "imm, last", "imm, states"])
 def test_a_prior_of_another_model_is_named(front):
     with pytest.raises(ValueError, match="prior_std must have two"):
         FRONTS[front](replace(batch(), prior_std=(1.0,)))

@@ -1,4 +1,4 @@
-"""IMM filter and smoother against an independent textbook cycle and every mode path.
+"""IMM filter against an independent textbook cycle.
 
 Against filterpy the filter is tested as a predictor, in
 `tests/predictors/test_kalman.py`.
@@ -41,21 +41,6 @@ def tracks(case, moods=MOODS):
     return track_by_track(case, q=moods.q, **chain)
 
 
-def expected_smoother(track):
-    """Mean and covariance of states: expectation correction of a textbook filter."""
-    filtered = oracle.imm_track(**track)
-    chosen = {name: track[name] for name in ("t", "q", "rates")}
-    chosen |= {name: filtered[name] for name in ("mean", "cov", "probability")}
-    slow = oracle.imm_smooth(**chosen)
-    parts = (slow["probability"], slow["mean"], slow["cov"])
-    mixed = [oracle.collapse(*states) for states in zip(*parts, strict=True)]
-    return tuple(np.array(part) for part in zip(*mixed, strict=True))
-
-
-def mean_variance(cov):
-    return (cov[..., 0, 0] + cov[..., 2, 2]) / 2
-
-
 class TestAgainstTheTextbook:
     def test_a_far_outlier_still_tells_the_modes_apart(self):
         case = batch(sizes=(12,))
@@ -80,41 +65,12 @@ class TestAgainstTheTextbook:
             used.extend(slow["accepted"])
         assert all(used) == (gate == np.inf)
 
-    def test_smoother(self):
-        case = batch()
-        position, variance = kalman.imm_smoother(case, MOODS)
-        for rows, track in tracks(case):
-            mean, cov = expected_smoother(track)
-            close(position[rows], mean[:, ::2])
-            close(variance[rows], mean_variance(cov))
-
-    def test_smoother_is_near_the_sum_over_every_path_of_modes(self):
-        """The only exact answer: 2^8 Kalman smoothers. The filter is far from it."""
-        away = {"filter": [], "smoother": []}
-        for seed in range(6):
-            case = batch(sizes=(8,), seed=seed)
-            ((_, track),) = tracks(case)
-            exact = oracle.imm_exact(**track)
-            last = kalman.imm_last(prefixes(case), MOODS)
-            filtered = np.einsum("kj,kjad->kad", last.probability, last.mean)[..., 0]
-            position, variance = kalman.imm_smoother(case, MOODS)
-            for name, estimate in (("filter", filtered), ("smoother", position)):
-                error = np.abs(estimate - exact)
-                away[name].append(error / np.sqrt(variance)[:, None])
-        assert np.mean(away["smoother"]) < 0.25
-        assert np.mean(away["smoother"]) < np.mean(away["filter"]) / 3
-
     def test_a_mood_that_never_ends_is_one_model(self):
         case = batch()
         lasting = kalman.Moods((0.5, 4.0), (1e15, 1e-6))
         last, single = kalman.imm_last(case, lasting), kalman.kalman_last(case, q=0.5)
         close(last.mean[:, 0], single.mean)
         close(last.probability, np.tile([1.0, 0.0], (3, 1)))
-        position, variance = kalman.imm_smoother(case, lasting)
-        for rows, track in track_by_track(case, q=0.5):
-            mean, cov, _ = oracle.joint_posterior(**track)
-            close(position[rows], mean[:, :, 0], 1e-8)
-            close(variance[rows], cov[:, 0, 0], 1e-8)
 
 
 @pytest.mark.parametrize("stay_s", [(2.5, 1.25), (4.0, 1e-3), (1e9, 1e9)])
@@ -141,12 +97,19 @@ def test_sound_over_five_decades_of_noise_and_four_of_steps(hard):
     assert (result.probability >= 0).all()
     close(result.probability.sum(axis=1), 1.0, 1e-12)
     sound(result.mean, result.cov, 1e-9)
-    position, variance = kalman.imm_smoother(case, MOODS)
-    assert np.isfinite(position).all()
-    assert np.isfinite(variance).all()
-    assert (variance > 0).all()
 
 
 def test_equal_modes_share_their_probability():
     last = kalman.imm_last(batch(), replace(MOODS, q=(0.3, 0.3)))
     close(last.probability, np.tile(MOODS.probability, (3, 1)), 1e-12)
+
+
+@pytest.mark.parametrize("gate", [np.inf, 4.0])
+def test_states_after_every_sample_are_those_of_tracks_that_end_there(gate):
+    case = batch()
+    every = kalman.imm_states(case, MOODS, gate=gate)
+    last = kalman.imm_last(prefixes(case), MOODS, gate=gate)
+    for name in ("mean", "cov", "probability"):
+        np.testing.assert_array_equal(getattr(every, name), getattr(last, name))
+    ends = case.offsets[1:] - 1
+    np.testing.assert_array_equal(every.log_likelihood, last.log_likelihood[ends])

@@ -1,13 +1,15 @@
 """Fusion: its weights against a general solver, what it learns, and from whom."""
 
+from functools import partial
+
 import numpy as np
 import pytest
-from helpers.walks import context, hits, two_releases
+from further_attacks.fusion import Fusion, conditional_logit
 from scipy.optimize import minimize
 from scipy.special import log_softmax
+from walks import context, hits, odd_release, two_releases
 
-from attacks.linkage.fusion import Fusion, conditional_logit
-from attacks.linkage.likelihood_ratio import LikelihoodRatio
+from attacks.building_blocks import make_attack
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
@@ -45,7 +47,8 @@ def test_new_people_are_linked_at_least_as_often_as_by_the_likelihood_ratio():
     probe, gallery, mate = two_releases(40, seed=2, noise_m=0.3)
     known = context(TRAIN)
     fused, alone = (
-        attack.fit(known)(probe, gallery) for attack in (Fusion(), LikelihoodRatio())
+        attack.fit(known)(probe, gallery)
+        for attack in (Fusion(), make_attack("likelihood_ratio"))
     )
     assert hits(fused, mate) >= max(hits(alone, mate), 0.5)
     assert not np.allclose(fused, alone)
@@ -67,7 +70,7 @@ def test_few_mates_leave_the_likelihood_ratio_as_it_is():
     probe, gallery, _ = two_releases(5, seed=3)
     fused, alone = (
         attack.fit(context(few))(probe, gallery)
-        for attack in (Fusion(), LikelihoodRatio())
+        for attack in (Fusion(), make_attack("likelihood_ratio"))
     )
     np.testing.assert_array_equal(fused, alone)
 
@@ -75,3 +78,17 @@ def test_few_mates_leave_the_likelihood_ratio_as_it_is():
 def test_a_ridge_must_be_positive():
     with pytest.raises(ValueError, match="ridge must be positive"):
         Fusion(ridge=0.0)
+
+
+def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training():
+    probe, gallery = odd_release(0), odd_release(1, n=9)
+    train = LinkageTrainingSet(
+        odd_release(2, n=24), odd_release(3, n=24), np.arange(24)
+    )
+    score = Fusion().fit(context(train))
+    scores = score(probe, gallery)
+    assert np.isfinite(scores).all()
+    for row, column in ((0, 0), (1, 2), (5, 8), (13, 8)):
+        close = partial(np.testing.assert_allclose, rtol=1e-6, atol=1e-6)
+        close(score(probe.tracks([row]), gallery), scores[[row]])
+        close(score(probe, gallery.tracks([column])), scores[:, [column]])

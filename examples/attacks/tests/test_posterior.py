@@ -1,16 +1,15 @@
 """On short tracks it is a dense solution, averaged over all scales on a grid."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from helpers.walks import context, flat_release, smooth_walks
+from further_attacks.parameters import PRIOR_STD
+from further_attacks.posterior import Posterior, _densest_points, _parts
 from scipy.special import gammaincinv
+from walks import context, flat_release, smooth_walks
 
-from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.reconstruction.own_motion import PRIOR_STD
-from attacks.reconstruction.posterior import Posterior, _densest_points, _parts
-from isac_track.mechanisms.protections import Laplace, Ou
+from attacks.building_blocks import Laplace, make_attack
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
 from isac_track.types import Knowledge
@@ -148,12 +147,34 @@ def test_the_point_is_where_most_draws_are():
     np.testing.assert_allclose(result.std, np.sqrt([square]))
 
 
-@pytest.mark.parametrize("mechanism", [Ou(0.3), Fixed(0.3)], ids=["slow", "not radial"])
+@dataclass(frozen=True)
+class Slow:
+    """A mechanism whose error changes slowly, by its parameters."""
+
+    std_m: float = 0.3
+    tau_s: float = 5.0
+
+
+@pytest.mark.parametrize("mechanism", [Slow(), Fixed(0.3)], ids=["slow", "not radial"])
 def test_behind_other_errors_it_is_the_smoother(mechanism):
     release, truth = smooth_walks(90, 90, 1, 2)
     if isinstance(mechanism, Fixed):  # all of a length: none is close to zero
         error = release.xy - truth
         release = replace(release, xy=truth + 0.5 * error / np.hypot(*error.T)[:, None])
     known = context(mechanism=mechanism, granted=(Knowledge.MECHANISM,))
-    smooth, ours = (attack.fit(known)(release) for attack in (RadialRTS(), Posterior()))
+    attacks = make_attack("radial_rts"), Posterior()
+    smooth, ours = (attack.fit(known)(release) for attack in attacks)
     np.testing.assert_array_equal(ours.xy, smooth.xy)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "message"),
+    [
+        ({"q": 0.0}, "q must be positive"),
+        ({"draws": 0}, "draws must be at least 1"),
+        ({"burn_in": -1}, "burn_in at least 0"),
+    ],
+)
+def test_parameters_that_cannot_be_are_named(parameters, message):
+    with pytest.raises(ValueError, match=message):
+        Posterior(**parameters)

@@ -1,7 +1,7 @@
 """Link walks by all linkers: a conditional logit of their scores, learnt from mates."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
 
@@ -9,21 +9,24 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from attacks.linkage.alignment import Profile, Shape
-from attacks.linkage.behaviour import FEATURES, Behaviour, features
-from attacks.linkage.dtw import DTW
-from attacks.linkage.histogram import Histogram
-from attacks.linkage.learning import LEAST_MATES, mated_rows, select_pairs
-from attacks.linkage.likelihood_ratio import LikelihoodRatio
-from attacks.parameters import require_positive
-from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.remembered import memoised_by_track, noise_m2, select_tracks
+from attacks.building_blocks import (
+    FEATURES,
+    LEAST_MATES,
+    features,
+    make_attack,
+    mated_rows,
+    memoised_by_track,
+    noise_m2,
+    select_pairs,
+    select_tracks,
+)
+from further_attacks.parameters import require_positive
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
-from isac_track.types import Floats, Ints, Knowledge, Release, derived
+from isac_track.types import Floats, Ints, Knowledge, Release
 
-_MEMBERS = (LikelihoodRatio(), Behaviour(), Histogram())
+_MEMBERS = ("likelihood_ratio", "behaviour", "histogram")
 # Linkers that link far more people behind `radial_rts`.
-_SMOOTHED_MEMBERS = (Shape(), Profile(), DTW())
+_SMOOTHED_MEMBERS = ("shape", "profile", "dtw")
 _LEAST_M2 = 1e-4  # Of an error variance, whose logarithm is compared.
 _WEAKEST = 0.01  # Quantile of strangers' scores: lower scores are raised to it.
 
@@ -65,7 +68,7 @@ class Fusion:
         train = context.train
         rows = mated_rows(train)
         if rows.size < 2 * LEAST_MATES:
-            return _MEMBERS[0].fit(context)
+            return make_attack(_MEMBERS[0]).fit(context)
         halves = [select_pairs(train, rows[half::2]) for half in (0, 1)]
         half_scores = [
             _stacked(_fitted(context, other), scored.probe, scored.gallery)
@@ -94,10 +97,10 @@ def _fitted(context: AttackContext, train: LinkageTrainingSet) -> Sequence[Linke
         _smoothed(train.probe), _smoothed(train.gallery), train.mate
     )
     behind = [
-        partial(_link_smoothed, attack.fit(make_context(train=smooth)))
-        for attack in _SMOOTHED_MEMBERS
+        partial(_link_smoothed, make_attack(name).fit(make_context(train=smooth)))
+        for name in _SMOOTHED_MEMBERS
     ]
-    direct = [attack.fit(make_context(train=train)) for attack in _MEMBERS]
+    direct = [make_attack(name).fit(make_context(train=train)) for name in _MEMBERS]
     return [*direct, *behind]
 
 
@@ -112,7 +115,8 @@ def _smoothed(release: Release) -> Release:
     blind = AttackContext(
         rng=np.random.default_rng(0), epsilon_m=0.3, granted=frozenset()
     )
-    return derived(release, xy=RadialRTS().fit(blind)(release).xy)
+    smoothed = make_attack("radial_rts").fit(blind)(release)
+    return replace(release, xy=smoothed.xy)
 
 
 def _stacked(members: Sequence[Linker], probe: Release, gallery: Release) -> Floats:

@@ -7,17 +7,21 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from attacks.parameters import require_positive
-from attacks.reconstruction.kalman_rts import RadialRTS, looks_radial
-from attacks.reconstruction.learning import COMMON_KNOWLEDGE, learn_variance
-from attacks.reconstruction.own_motion import PRIOR_STD
+from attacks.building_blocks import (
+    COMMON_KNOWLEDGE,
+    Laplace,
+    Motion,
+    added_error,
+    learn_variance,
+    looks_radial,
+    make_attack,
+    scale_m2,
+    simulate_walks,
+)
+from further_attacks.parameters import PRIOR_STD, require_positive
 from isac_track.kalman import Batch, smooth_positions
-from isac_track.kalman.slow_errors import added_error
-from isac_track.kalman.steady import Q_M2_PER_S3
-from isac_track.mechanisms.protections import Laplace
-from isac_track.model_world import Motion, scale_m2, simulate_walks
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Knowledge, Reconstruction, Release, squared_lengths
+from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
 _Part: TypeAlias = tuple[Floats, str]
 _LEAST_M2 = 1e-8
@@ -35,7 +39,7 @@ class Posterior:
     knows a mechanism that adds independently also draws the part of each error that it
     added. The estimate is the point with most draws within epsilon. It is exact in the
     long run if walks follow its motion and errors have the assumed size. If the release
-    shows neither law, the attack is `RadialRTS`. It is slow: a reference for smoothers
+    shows neither law, the attack is `radial_rts`. It is slow: a reference for smoothers
     (docs/explanation/attacks.md).
 
     References
@@ -44,7 +48,7 @@ class Posterior:
     Simulation smoother: Durbin, Koopman, Biometrika 89(3), 2002, 603-616.
     """
 
-    q: float = Q_M2_PER_S3
+    q: float = 0.057  # m^2/s^3, as fitted on Students03.
     draws: int = 300
     burn_in: int = 100
 
@@ -67,7 +71,10 @@ class Posterior:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the function that draws the walks of a release."""
-        variance, smooth = learn_variance(context), RadialRTS().fit(context)
+        variance, smooth = (
+            learn_variance(context),
+            make_attack("radial_rts").fit(context),
+        )
         seed = int(context.rng.integers(2**63))
         mechanism = (
             context.mechanism if Knowledge.MECHANISM in context.granted else None
@@ -99,7 +106,7 @@ class Posterior:
         for turn in range(-self.burn_in, self.draws):
             scales = []
             for error, (std_m, law) in zip(errors, parts, strict=True):
-                square = squared_lengths(error) / std_m**2
+                square = np.square(error).sum(axis=1) / std_m**2
                 drawn_m2 = scale_m2(std_m, square, law=law, rng=rng)
                 # A walk that lay exactly on a sample would never leave it.
                 scales.append(np.maximum(drawn_m2, _LEAST_M2))

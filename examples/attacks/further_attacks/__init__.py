@@ -1,0 +1,1 @@
+"""Further attacks for isac-track: `imm_rts`, `posterior` and `fusion`."""
