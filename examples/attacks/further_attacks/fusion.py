@@ -68,7 +68,8 @@ class Fusion:
         train = context.train
         rows = mated_rows(train)
         if rows.size < 2 * LEAST_MATES:
-            return make_attack(_MEMBERS[0]).fit(context)
+            alone: Linker = make_attack(_MEMBERS[0]).fit(context)
+            return alone
         halves = [select_pairs(train, rows[half::2]) for half in (0, 1)]
         half_scores = [
             _stacked(_fitted(context, other), scored.probe, scored.gallery)

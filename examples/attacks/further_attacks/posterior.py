@@ -71,10 +71,8 @@ class Posterior:
 
     def fit(self, context: AttackContext) -> Reconstructor:
         """Return the function that draws the walks of a release."""
-        variance, smooth = (
-            learn_variance(context),
-            make_attack("radial_rts").fit(context),
-        )
+        variance = learn_variance(context)
+        smooth: Reconstructor = make_attack("radial_rts").fit(context)
         seed = int(context.rng.integers(2**63))
         mechanism = (
             context.mechanism if Knowledge.MECHANISM in context.granted else None
