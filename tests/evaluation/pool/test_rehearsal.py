@@ -10,6 +10,7 @@ from helpers.processes import ROOT
 from helpers.small_runs import write_walks
 
 from evaluation import matrix
+from evaluation.compute.plugin_call import PluginTime
 from evaluation.plan.plan import plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
@@ -29,6 +30,23 @@ class Broken:
 
     def fit(self, context):
         raise RuntimeError("it never worked")
+"""
+
+
+COPIES = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+from isac_track.types import Reconstruction
+
+
+@dataclass(frozen=True)
+class Copies:
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy)
 """
 
 
@@ -107,6 +125,17 @@ def test_a_plugin_that_fails_is_refused(here, walks, ran, monkeypatch):
     ] == ["broken_in_fit.py"]
 
 
+def test_it_says_that_a_plugin_was_timed(here, walks, ran, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    (here / "copies_all.py").write_text(COPIES, encoding="utf-8")
+    words = ["--preset", "smoke", "--dataset", walks, "--task", "none"]
+    words += ["--mechanism", "raw", "--attack", "copies_all:Copies", "--dry-run"]
+    ended = ran(matrix, *words)
+    assert ended.code == 0
+    assert "with copies_all:Copies, as timed on a few made-up people" in ended.err
+    assert "without" not in ended.err
+
+
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("words", "says"),
@@ -145,6 +174,35 @@ class TestHowLong:
         rates["shared"] = 1e6  # A second for each sample.
         n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
         assert expected_s(few) - idle_s == pytest.approx(1.12 * n_samples, rel=1e-9)
+
+    def test_the_time_of_a_plugin_comes_on_top_in_each_of_its_cells(self, usual):
+        linked = replace(usual, jobs=1)
+        n_cells = sum(
+            consumer.kind == "attack" and consumer.plugin.spec == "kalman_rts"
+            for unit in linked.units
+            for consumer in unit.consumers.values()
+        )
+        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        own = {("attack", "kalman_rts"): PluginTime(7.0, 1e6 / n_samples)}
+        added_s = expected_s(linked, own) - expected_s(linked)
+        # Behind a linker it reconstructs the samples of a task instead.
+        assert n_cells > 0
+        assert added_s >= 1.12 * n_cells * (7.0 + 1.0) * (1.0 - 1e-9)
+        alone = replace(linked, units=tuple(u for u in linked.units if not u.world))
+        scenes = [
+            replace(
+                unit,
+                consumers={
+                    key: consumer
+                    for key, consumer in unit.consumers.items()
+                    if consumer.kind == "attack"
+                },
+            )
+            for unit in alone.units
+        ]
+        alone = replace(alone, units=tuple(unit for unit in scenes if unit.consumers))
+        added_s = expected_s(alone, own) - expected_s(alone)
+        assert added_s == pytest.approx(1.12 * n_cells * (7.0 + 1.0), rel=1e-9)
 
     @pytest.mark.parametrize(
         ("seconds", "jobs", "text"),
