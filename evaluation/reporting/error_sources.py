@@ -33,7 +33,7 @@ ERROR_SOURCES: Final = (
     ErrorSource(
         "sensing constants",
         "three constants are fitted to the paper's numbers",
-        "unknown; they move all mechanisms alike",
+        "by how much is unknown; they move all mechanisms in the same way",
     ),
     ErrorSource(
         "error law",
@@ -52,7 +52,7 @@ ERROR_SOURCES: Final = (
     ),
     ErrorSource(
         "selection",
-        "only tracks of at least 21.6 s are used",
+        "only long tracks are used, of at least 21.6 s unless set otherwise",
         "those people are slower than the others",
     ),
     ErrorSource(
