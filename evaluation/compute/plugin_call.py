@@ -45,11 +45,6 @@ _SEED = 0
 # Predictors and attacks get a release of this mechanism: it declares a sigma.
 _MECHANISM = "fixed:0.5"
 _GRID_S = 0.1
-# The built-in plug-ins that do least: all that a call does beside the plug-in.
-_SIMPLEST: Final = {
-    "attack": ("attacks", "identity"),
-    "predictor": ("predictors", "constant_position"),
-}
 
 
 class PluginCall(NamedTuple):
@@ -119,13 +114,20 @@ def _measured_time(plugin_call: PluginCall, stages: StageSettings) -> PluginTime
 
 
 def _simplest_call(plugin_call: PluginCall) -> PluginCall | None:
-    """Return the same call of a built-in plug-in; None for a linker, timed alone."""
+    """Return the same call of a built-in plug-in that does least.
+
+    Its time is that of all that a call does beside the plug-in. None for a linker,
+    which is timed alone.
+    """
     consumer = plugin_call.consumer
     if consumer is None:
         return PluginCall(plugins.parse("mechanisms", "raw")[0])
-    if consumer.kind not in _SIMPLEST:
+    if consumer.kind == "attack":
+        plugin = plugins.parse("attacks", "identity")[0]
+    elif consumer.kind == "predictor":
+        plugin = plugins.parse("predictors", "constant_position")[0]
+    else:
         return None
-    plugin = plugins.parse(*_SIMPLEST[consumer.kind])[0]
     return PluginCall(plugin, replace(consumer, plugin=plugin, behind=None))
 
 

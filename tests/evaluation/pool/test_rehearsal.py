@@ -73,6 +73,15 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
+def attack_consumers(unit):
+    """The attacks among the consumers of a unit, by key."""
+    return {
+        key: consumer
+        for key, consumer in unit.consumers.items()
+        if consumer.kind == "attack"
+    }
+
+
 def everything_in(folder):
     return sorted(path.name for path in folder.rglob("*"))
 
@@ -176,33 +185,24 @@ class TestHowLong:
         assert expected_s(few) - idle_s == pytest.approx(1.12 * n_samples, rel=1e-9)
 
     def test_the_time_of_a_plugin_comes_on_top_in_each_of_its_cells(self, usual):
-        linked = replace(usual, jobs=1)
+        units = [
+            replace(unit, consumers=attack_consumers(unit)) for unit in usual.units
+        ]
+        attacked = tuple(unit for unit in units if unit.consumers and not unit.world)
+        alone = replace(usual, units=attacked, jobs=1)
         n_cells = sum(
-            consumer.kind == "attack" and consumer.plugin.spec == "kalman_rts"
-            for unit in linked.units
+            consumer.plugin.spec == "kalman_rts"
+            for unit in attacked
             for consumer in unit.consumers.values()
         )
         n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
-        own = {("attack", "kalman_rts"): PluginTime(7.0, 1e6 / n_samples)}
-        added_s = expected_s(linked, own) - expected_s(linked)
-        # Behind a linker it reconstructs the samples of a task instead.
+        fixed_s, all_samples_s = 7.0, 2.0
+        time = PluginTime(fixed_s, all_samples_s * 1e6 / n_samples)
+        added_s = expected_s(alone, {("attack", "kalman_rts"): time})
+        added_s -= expected_s(alone)
         assert n_cells > 0
-        assert added_s >= 1.12 * n_cells * (7.0 + 1.0) * (1.0 - 1e-9)
-        alone = replace(linked, units=tuple(u for u in linked.units if not u.world))
-        scenes = [
-            replace(
-                unit,
-                consumers={
-                    key: consumer
-                    for key, consumer in unit.consumers.items()
-                    if consumer.kind == "attack"
-                },
-            )
-            for unit in alone.units
-        ]
-        alone = replace(alone, units=tuple(unit for unit in scenes if unit.consumers))
-        added_s = expected_s(alone, own) - expected_s(alone)
-        assert added_s == pytest.approx(1.12 * n_cells * (7.0 + 1.0), rel=1e-9)
+        expected = 1.12 * n_cells * (fixed_s + all_samples_s)
+        assert added_s == pytest.approx(expected, rel=1e-9)
 
     @pytest.mark.parametrize(
         ("seconds", "jobs", "text"),
