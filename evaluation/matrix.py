@@ -295,11 +295,17 @@ def _rehearse(ready: "Plan") -> list[str]:
     from evaluation.pool.duration import expected_s, in_words  # noqa: PLC0415 - as said
     from evaluation.pool.rehearsal import rehearse  # noqa: PLC0415 - as said
 
-    notices = rehearse(ready)
-    time = in_words(expected_s(ready), jobs=ready.jobs)
+    trial = rehearse(ready)
+    time = in_words(expected_s(ready, trial.times), jobs=ready.jobs)
+    timed = [spec for _, spec in trial.times]
     lines = [
-        *(f"notice: {notice}" for notice in notices),
+        *(
+            f"notice: {spec} took more than a minute for a few made-up people"
+            for spec in trial.given_up
+        ),
         f"{time}, with loops compiled and idle cores",
+        *(f"with {spec}, as timed on a few made-up people" for spec in timed),
+        *(f"without {spec}, which was not timed" for spec in trial.untimed),
     ]
     return [line for text in lines for line in announcements.wrap_lines(text)]
 

@@ -6,10 +6,12 @@ from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from statistics import median
-from typing import Final
+from types import MappingProxyType
+from typing import Final, TypeAlias
 
 import numpy as np
 
+from evaluation.compute.plugin_call import PluginTime
 from evaluation.compute.work import Block, LinkWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
@@ -17,6 +19,9 @@ from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 
 RATES: Final = "rates.json"
 """CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
+PluginTimes: TypeAlias = Mapping[tuple[str, str], PluginTime]
+"""Times of a user's plug-ins by kind and SPEC; a linker's kind is `linkage`."""
+NO_TIMES: Final[PluginTimes] = MappingProxyType({})
 _START_S: Final = 3.0  # Imports, and the first worker.
 _REPORT_SHARE: Final = 0.12  # Of the time of the cells, as the progress bar has it.
 _MINUTES_FROM_S: Final = 120.0  # Shorter durations are given in seconds.
@@ -24,13 +29,14 @@ _HOURS_FROM_S: Final = 7200.0
 _REPORT_S: Final = 3.0  # Of the smallest run: tables, figures and page.
 
 
-def expected_s(ready: Plan) -> float:
+def expected_s(ready: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the expected duration of a plan, s, on as many idle cores as workers.
 
     Finished cells take no time. A plug-in of a user's own counts as the median of the
-    built-in ones of its kind. Loops that are still to be compiled are not counted.
+    built-in ones of its kind; its measured time, if `own` has it, comes on top. Loops
+    that are still to be compiled are not counted.
     """
-    return wall_s(cells_cpu_s(ready), jobs=ready.jobs)
+    return wall_s(cells_cpu_s(ready, own), jobs=ready.jobs)
 
 
 def wall_s(cpu_s: float, *, jobs: int) -> float:
@@ -38,7 +44,7 @@ def wall_s(cpu_s: float, *, jobs: int) -> float:
     return _START_S + (1.0 + _REPORT_SHARE) * cpu_s / max(jobs, 1) + _REPORT_S
 
 
-def cells_cpu_s(ready: Plan) -> float:
+def cells_cpu_s(ready: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the CPU time of the missing cells of a plan, s."""
     missing = ready.units if ready.settings.fresh else unfinished(ready)
     rates, cpu_s = measured_rates(), 0.0
@@ -46,7 +52,33 @@ def cells_cpu_s(ready: Plan) -> float:
         rate = rates[setup_name(work)]
         rate += sum(_rate(cell.consumer, rates) for cell in planned_cells(work))
         cpu_s += rate * work_size(work, ready)
+        cpu_s += _own_s(work, ready, own) if own else 0.0
     return cpu_s
+
+
+def _own_s(work: Block | LinkWork, ready: Plan, own: PluginTimes) -> float:
+    """Return the CPU time of a user's plug-ins in a piece of work, s."""
+    n_samples = _millions_of_samples(work, ready)
+    sizes = {"linkage": work_size(work, ready)}
+    calls = [("mechanism", mechanism) for mechanism, _ in work.levels]
+    calls += [
+        ("attack" if plugin is cell.consumer.behind else cell.consumer.kind, plugin)
+        for cell in planned_cells(work)
+        for plugin in cell.consumer.plugins
+    ]
+    return sum(
+        own[kind, plugin.spec].cell_s(sizes.get(kind, n_samples))
+        for kind, plugin in calls
+        if (kind, plugin.spec) in own
+    )
+
+
+def _millions_of_samples(work: Block | LinkWork, ready: Plan) -> float:
+    """Return the millions of samples that are shared at a level of a work."""
+    if isinstance(work, Block):
+        return work_size(work, ready)
+    sides = work.sessions.probe, work.sessions.gallery
+    return sum(float(side.offsets[-1]) for side in sides) / 1e6
 
 
 def in_words(seconds: float, *, jobs: int) -> str:

@@ -2,13 +2,15 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.plugin_call import (
     PluginCall,
+    PluginTime,
+    check_and_time,
     check_plugin,
     defined_at,
     plugin_code,
@@ -28,47 +30,87 @@ MOST_S: Final = 60.0
 _TRAVELLED: Final = "<dynamic-code>"
 
 
-def try_plugins(ready: Plan, *, keeps_traceback: bool = True) -> list[str]:
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What calls of a user's plug-ins on a few made-up people showed."""
+
+    given_up: list[str] = field(default_factory=list)
+    """SPECs of the plug-ins whose call took too long."""
+    times: dict[tuple[str, str], PluginTime] = field(default_factory=dict)
+    """Times by kind and SPEC, where they were measured; a mechanism's kind is that."""
+    untimed: list[str] = field(default_factory=list)
+    """SPECs of the plug-ins without a time."""
+
+
+def try_plugins(ready: Plan) -> list[str]:
     """Call every user's plug-in whose cells are missing; return those given up.
 
     Each is called in a worker that computes nothing of the run. A folder that holds a
     run stays as it is, except for the file with the traceback, which goes as soon as
-    there is none. Without `keeps_traceback` that is not written.
+    there is none.
 
     Raises PluginError if one fails, or takes longer than a cell may.
     """
     with usable(ready.out):
         if (ready.out / PLUGIN_ERROR).exists():
             (ready.out / PLUGIN_ERROR).unlink()
-        if not has_user_plugins(ready.axes):
-            return []
+    call = partial(check_plugin, stages=ready.settings.stages)
+    make_error = partial(_error_with_traceback, ready.out)
+    return _called(ready, call, make_error=make_error).given_up
+
+
+def time_plugins(ready: Plan) -> Trial:
+    """Call every user's plug-in whose cells are missing, and time it; write nothing.
+
+    Raises as `try_plugins` does.
+    """
+    call = partial(check_and_time, stages=ready.settings.stages)
+    return _called(ready, call, make_error=_error_without_traceback)
+
+
+def _called(
+    ready: Plan,
+    call: Callable[[PluginCall], Iterable[tuple[str, str] | PluginTime]],
+    *,
+    make_error: Callable[[str, str], PluginError],
+) -> Trial:
+    """Call the plug-ins, each in a worker; raise the error of the first that fails."""
+    if not has_user_plugins(ready.axes):
+        return Trial()
+    with usable(ready.out):
         missing = ready.units if ready.settings.fresh else unfinished(ready)
-    given_up = []
+    trial = Trial()
     allowed_s = ready.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
-    call = partial(check_plugin, stages=ready.settings.stages)
-    make_error: Callable[[str, str], PluginError] = _error_without_traceback
-    if keeps_traceback:
-        make_error = partial(_error_with_traceback, ready.out)
     works = deque(_plugin_calls(missing))
+    called = [*works]
     for plugin_call, results in spread(
         call, works, jobs=1, limit_s=limit_s, in_workers=True, is_separate=True
     ):
         plugin = plugin_call.plugin
         for result in results:
-            if isinstance(result, tuple):
+            if isinstance(result, PluginTime):
+                trial.times[plugin_call.kind, plugin.spec] = result
+            elif isinstance(result, tuple):
                 message, trace = result
                 raise make_error(
                     _located(message, plugin.instance), _located(trace, plugin.instance)
                 )
-            if result.timed_out and limit_s != allowed_s:
-                given_up.append(plugin.spec)
+            elif result.timed_out and limit_s != allowed_s:
+                trial.given_up.append(plugin.spec)
             else:
                 why = f"{result.message}{defined_at(plugin.instance)}"
                 raise make_error(
                     f"plug-in {plugin.spec!r}: {why}", "its process left no traceback"
                 )
-    return given_up
+    trial.untimed.extend(
+        dict.fromkeys(
+            plugin_call.plugin.spec
+            for plugin_call in called
+            if (plugin_call.kind, plugin_call.plugin.spec) not in trial.times
+        )
+    )
+    return trial
 
 
 def _located(text: str, instance: Any) -> str:  # noqa: ANN401 - a user's object

@@ -5,18 +5,18 @@ from dataclasses import replace
 from pathlib import Path
 
 from evaluation.plan.plan import Plan
-from evaluation.pool.plugin_calls import try_plugins
+from evaluation.pool.plugin_calls import Trial, time_plugins
 from evaluation.store.files import MANIFEST
 from evaluation.store.folder import check_folder, refuse_other_run, usable
 from evaluation.store.manifest import checked_manifest, parse_manifest
 from isac_track.errors import SettingsError
 
 
-def rehearse(ready: Plan) -> list[str]:
-    """Try all that a run does before it computes; return notices.
+def rehearse(ready: Plan) -> Trial:
+    """Try all that a run does before it computes; return what plug-ins showed.
 
     The folder must be writable, and hold no other run. Every plug-in of a user's own is
-    called once on a few made-up people. Raises SettingsError, DataError or PluginError
+    called on a few made-up people, and timed. Raises SettingsError, DataError or PluginError
     as the run would.
     """
     check_folder(ready.out)
@@ -26,10 +26,7 @@ def rehearse(ready: Plan) -> list[str]:
             manifest = checked_manifest(parse_manifest(ready.out), out=ready.out)
             refuse_other_run(manifest["identity"], ready.identity, out=ready.out)
     with tempfile.TemporaryDirectory() as folder:
-        given_up = try_plugins(replace(ready, out=Path(folder)), keeps_traceback=False)
-    return [
-        f"{spec} took more than a minute for a few made-up people" for spec in given_up
-    ]
+        return time_plugins(replace(ready, out=Path(folder)))
 
 
 def _check_writable(out: Path) -> None:

@@ -26,6 +26,7 @@ from evaluation.reporting.answers import (
     level_phrase,
     reference_level,
 )
+from evaluation.reporting.error_sources import DOCS_PAGE
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.headline import Headline, HeadlineColumn, choose_levels
 from evaluation.reporting.lookups import HEADLINE, find_family
@@ -357,7 +358,6 @@ def doubts(run: Results, table: Headline) -> list[str]:
     )
     failures = list(run.failed["why"])
     controls = f"{counted(n_controls, 'positive control')} of the descriptors failed"
-    weak = f"{counted(n_weak, 'sign')} of a weak attack"
     texts = [
         f"{counted(len(failures), 'cell')} FAILED ({failures[0]})" if failures else "",
         *plugin_doubts(run),
@@ -366,7 +366,7 @@ def doubts(run: Results, table: Headline) -> list[str]:
         "units of the recording may be wrong" if n_units else "",
         _no_interval_text(table),
         controls if n_controls else "",
-        f"{weak} (leaks may be larger)" if n_weak else "",
+        f"{counted(n_weak, 'sign')} of a weak attack" if n_weak else "",
         _invalid_text(run),
         _control_text(run),
         f"not linked: {listed(skipped)}" if skipped else "",
@@ -428,13 +428,16 @@ def _control_text(run: Results) -> str:
 
 
 def _doubt_lines(texts: Sequence[str]) -> list[str]:
-    """Return as many doubts as fit into one line, but at least the first."""
+    """Return as many doubts as fit into one line, but at least the first.
+
+    The page of the documentation that explains them is named in any case.
+    """
     if not texts:
-        return ["Doubts: none."]
+        return [f"Doubts: none but those of every run: {DOCS_PAGE}."]
     for n in range(len(texts), 0, -1):
         n_rest = len(texts) - n
         more = f"; {n_rest} more in {TABLES}" if n_rest else ""
-        lines = wrap_lines(f"Doubts: {'; '.join(texts[:n])}{more}.")
+        lines = wrap_lines(f"Doubts: {'; '.join(texts[:n])}{more}. See {DOCS_PAGE}.")
         if len(lines) == 1:
             return lines
     return lines

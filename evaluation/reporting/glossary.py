@@ -79,8 +79,8 @@ _WORDS: Final = {
     ),
     "optimum": "The exact best attack in a model world: no attack beats it on average.",
     "ceiling": (
-        "An optimum that also knows the scale of every error; attacks need not"
-        " reach it."
+        "The optimum of a genie, which also knows the scale of every error; attacks"
+        " need not reach it."
     ),
     "clusters": (
         "People, or groups who walk together, that an interval is computed over."

@@ -16,10 +16,12 @@ from evaluation.reporting.announcements import (
     scenes_text,
 )
 from evaluation.reporting.answers import answers
+from evaluation.reporting.error_sources import DOCS_PAGE, ERROR_SOURCES
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.glossary import GLOSSARY, plain_name
 from evaluation.reporting.headline import Headline
 from evaluation.reporting.markup import HTML
+from evaluation.reporting.my_plugin import plugin_lines
 from evaluation.reporting.names import attack_name, dataset_title, spec_text
 from evaluation.reporting.notices import data_notices, geometry, used_are_slower
 from evaluation.reporting.pictures import panels, pictures, planes, walks_takeaway
@@ -48,6 +50,9 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
     text = HTML.get_template("report.html.j2").render(
         run=run,
         title=title(run),
+        own_lines=plugin_lines(run),
+        error_sources=ERROR_SOURCES,
+        docs_page=DOCS_PAGE,
         answers=list(zip(answers(run, table), pictures(table), strict=True)),
         record=protection_record(run, table),
         opinion=OPINION,

@@ -94,7 +94,7 @@ def test_reading_imports_runs_nothing(folder):
 
 
 def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
-    monkeypatch.setattr("sysconfig.get_paths", lambda: {"purelib": str(folder)})
+    monkeypatch.setattr("sysconfig.get_paths", lambda *_: {"purelib": str(folder)})
     before = source_digest("solo"), source_digest("kit.plugin")
     (folder / "helper_a.py").write_text("X = 2\n")
     assert source_digest("solo") == before[0]

@@ -10,6 +10,7 @@ from helpers.processes import ROOT
 from helpers.small_runs import write_walks
 
 from evaluation import matrix
+from evaluation.compute.plugin_call import PluginTime
 from evaluation.plan.plan import plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
@@ -29,6 +30,23 @@ class Broken:
 
     def fit(self, context):
         raise RuntimeError("it never worked")
+"""
+
+
+COPIES = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+from isac_track.types import Reconstruction
+
+
+@dataclass(frozen=True)
+class Copies:
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy)
 """
 
 
@@ -53,6 +71,15 @@ def dry(walks):
 def here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+def attack_consumers(unit):
+    """The attacks among the consumers of a unit, by key."""
+    return {
+        key: consumer
+        for key, consumer in unit.consumers.items()
+        if consumer.kind == "attack"
+    }
 
 
 def everything_in(folder):
@@ -107,6 +134,17 @@ def test_a_plugin_that_fails_is_refused(here, walks, ran, monkeypatch):
     ] == ["broken_in_fit.py"]
 
 
+def test_it_says_that_a_plugin_was_timed(here, walks, ran, monkeypatch):
+    monkeypatch.syspath_prepend(here)
+    (here / "copies_all.py").write_text(COPIES, encoding="utf-8")
+    words = ["--preset", "smoke", "--dataset", walks, "--task", "none"]
+    words += ["--mechanism", "raw", "--attack", "copies_all:Copies", "--dry-run"]
+    ended = ran(matrix, *words)
+    assert ended.code == 0
+    assert "with copies_all:Copies, as timed on a few made-up people" in ended.err
+    assert "without" not in ended.err
+
+
 @pytest.mark.usefixtures("here")
 @pytest.mark.parametrize(
     ("words", "says"),
@@ -145,6 +183,26 @@ class TestHowLong:
         rates["shared"] = 1e6  # A second for each sample.
         n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
         assert expected_s(few) - idle_s == pytest.approx(1.12 * n_samples, rel=1e-9)
+
+    def test_the_time_of_a_plugin_comes_on_top_in_each_of_its_cells(self, usual):
+        units = [
+            replace(unit, consumers=attack_consumers(unit)) for unit in usual.units
+        ]
+        attacked = tuple(unit for unit in units if unit.consumers and not unit.world)
+        alone = replace(usual, units=attacked, jobs=1)
+        n_cells = sum(
+            consumer.plugin.spec == "kalman_rts"
+            for unit in attacked
+            for consumer in unit.consumers.values()
+        )
+        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        fixed_s, all_samples_s = 7.0, 2.0
+        time = PluginTime(fixed_s, all_samples_s * 1e6 / n_samples)
+        added_s = expected_s(alone, {("attack", "kalman_rts"): time})
+        added_s -= expected_s(alone)
+        assert n_cells > 0
+        expected = 1.12 * n_cells * (fixed_s + all_samples_s)
+        assert added_s == pytest.approx(expected, rel=1e-9)
 
     @pytest.mark.parametrize(
         ("seconds", "jobs", "text"),

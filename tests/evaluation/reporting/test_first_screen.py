@@ -121,7 +121,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert re.search(r"Doubts: .* \d more in tables.txt\.", text)
     texts = doubts(run, run.headline)
     assert texts[1:4] == [
-        "1 sign of a weak attack (leaks may be larger)",
+        "1 sign of a weak attack",
         "6 of 96 linkage results invalid (track length)",
         "not linked: split",
     ]

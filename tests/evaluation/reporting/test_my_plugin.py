@@ -1,5 +1,6 @@
 """Sentences about a user's own plug-ins."""
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -7,6 +8,7 @@ from helpers.finished_runs import make_run
 
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
+from evaluation.reporting.page import render
 
 
 def interval(value, low=None, high=None):
@@ -151,3 +153,12 @@ def test_the_first_screen_has_the_line(usual):
     screen = first_screen(with_plugins(usual, ATTACK))
     assert sum(line.startswith("Yours: my_attack") for line in screen) == 1
     assert max(map(len, screen)) <= 80
+
+
+def test_the_page_has_the_lines_above_its_answers(usual):
+    run = with_plugins(usual, ATTACK, MECHANISM)
+    top = render(run).partition('<div class="cards">')[0]
+    shown = re.findall(r'<p class="own">(.*?)</p>', top)
+    assert [text.replace("\u00a0", " ") for text in shown] == plugin_lines(run)
+    assert len(shown) == 2
+    assert 'class="own"' not in render(usual)
