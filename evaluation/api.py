@@ -71,9 +71,10 @@ from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.store import folder
-from evaluation.store.cell_files import ClusterSums, read_gallery
+from evaluation.store.cell_files import read_gallery
 from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
-from evaluation.store.manifest import FAILED_COLUMNS, read_manifest
+from evaluation.store.linkage_outcomes import ClusterSums
+from evaluation.store.manifest import FAILED_COLUMNS, file_names, read_manifest
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.what_to_share import (
     default_question,
@@ -300,9 +301,7 @@ def rebuild(out: Path | str, *, pdf: bool = False) -> Results:
         check_drawing()
     manifest = read_manifest(out)
     with locked(out), _limit_threads():
-        check_sound(
-            out, (name for entry in manifest["cells"] for name in entry["files"])
-        )
+        check_sound(out, file_names(manifest), sizes=manifest.get("sizes", ()))
         return build(out, pdf=pdf)
 
 

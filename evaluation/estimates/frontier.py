@@ -34,7 +34,7 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.strongest_table import Strongest, strongest_on_each
 from evaluation.plan.constants import world_horizon_s
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
 

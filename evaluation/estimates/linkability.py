@@ -22,7 +22,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
 from evaluation.estimates.keys import Source, Where, row_dicts
 from evaluation.estimates.strongest import most_knowing
-from evaluation.store.cell_files import LinkageOutcome, read_outcomes
+from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
 # Two-sided, over all audits of a cell (Holm); set before any was run.

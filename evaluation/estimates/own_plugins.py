@@ -34,7 +34,7 @@ from evaluation.estimates.strongest import (
 )
 from evaluation.estimates.strongest_table import Strongest
 from evaluation.plan.constants import IDENTITY, ORACLE
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, estimate_from_replicates
 
 ATTACK: Final = "attack"

@@ -51,7 +51,7 @@ from evaluation.store.people import in_first_half
 from isac_track.types import Bools, Floats, read_only
 
 if TYPE_CHECKING:
-    from evaluation.store.cell_files import ClusterSums
+    from evaluation.store.linkage_outcomes import ClusterSums
     from isac_track.intervals import Estimate
 
 # Success of every attack at each level.

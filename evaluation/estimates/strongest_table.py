@@ -29,7 +29,7 @@ from evaluation.estimates.strongest import (
     by_task,
     cross_fitted,
 )
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
 # Group of the headline's adversaries: blind and informed.

@@ -31,7 +31,8 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.worst_off import person_means, worst_tenth
 from evaluation.plan.constants import MODEL
-from evaluation.store.cell_files import ClusterSums, read_rows
+from evaluation.store.cell_files import read_rows
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import (
     Estimate,
     cluster_sums,

@@ -4,19 +4,19 @@ A file holds the tables of several consumers, one below the other; a column that
 does not have is null there. Its metadata say where each consumer's tables begin, and
 which code computed them. A consumer that is added later has a further file: no file is
 rewritten.
+
+Every page has a checksum, which is verified when it is read: a bit that flips later, in
+memory or on the disk, is an error and no other number. Files of earlier versions, whose
+pages have none, are read as they are.
 """
 
 from __future__ import annotations
 
 import contextlib
-import io
 import json
-from collections import defaultdict
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import lru_cache
-from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
@@ -27,13 +27,8 @@ import pyarrow.parquet as pq
 
 from evaluation.compute.link_scores import (
     ABOUT,
-    ASSIGNED,
     COMPANIONS,
-    DERIVED,
-    ESTIMATES,
-    REPLICATES,
 )
-from evaluation.compute.link_setup import linkage_weights
 from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column
@@ -43,14 +38,12 @@ from evaluation.store.files import (
     checked_files,
     checksummed_files,
     entry_label,
-    read_regular_file,
+    open_regular,
     write_whole,
 )
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
-from isac_track.intervals import Estimate, effective_clusters
-from isac_track.linkability.scoring import RANK_METRICS, ProbeRanks
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -111,47 +104,12 @@ class FileIndex(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _CellFile:
+class CellFile:
     """A file of cells that was read."""
 
     path: Path
     table: pa.Table
     index: FileIndex
-
-
-class ClusterSums(NamedTuple):
-    """A metric that is a ratio of sums over people, by cluster."""
-
-    sums: Floats  # (2, U) numerator and denominator within each cluster that has any.
-    weights: Floats  # (B, C) how often each cluster is drawn.
-    used: Ints | slice = slice(None)  # (U,) places among the C clusters.
-    # (C,) names of the clusters; empty: their names are their numbers.
-    names: tuple[str, ...] = ()
-
-    @property
-    def clusters(self) -> tuple[str, ...]:
-        """Names of all clusters, (C,)."""
-        return self.names or tuple(map(str, range(self.weights.shape[1])))
-
-    def whole(self) -> Floats:
-        """Return the sums of all clusters, (2, C)."""
-        sums = np.zeros((2, self.weights.shape[1]))
-        sums[:, self.used] = self.sums
-        return sums
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class LinkageOutcome:
-    """Estimates of a linkage attack, or of a control, at one level."""
-
-    estimates: Mapping[str, Estimate]  # By metric.
-    # All other numbers of the `isac_track.linkability.Scorecard`, by its names.
-    numbers: Mapping[str, Any]
-    cohorts: Mapping[str, Mapping[str, Any]]
-    """Without confounders, by name: rank1, ci_low, ci_high, chance, p_rank1, n_mated,
-    n_clusters."""
-    sums: Mapping[str, ClusterSums] = field(default_factory=dict)
-    """Of an attack's rank metrics, by metric."""
 
 
 def pack_cells(
@@ -190,6 +148,7 @@ def pack_cells(
         compression="zstd",
         compression_level=9,
         store_schema=False,
+        write_page_checksum=True,
         use_dictionary=[
             name for name in whole.column_names if name not in floats | {_SCORES}
         ],
@@ -253,11 +212,11 @@ def _with_precision(table: pa.Table, kind: pa.DataType) -> pa.Table:
 
 def read_index(content: bytes | Path) -> FileIndex | None:
     """Return the index of a file of cells, from its bytes or path; None without one."""
-    source = (
-        pa.BufferReader(content) if isinstance(content, bytes) else content.absolute()
-    )
     try:
-        return _index(pq.read_metadata(source).metadata)
+        if isinstance(content, bytes):
+            return _index(pq.read_metadata(pa.BufferReader(content)).metadata)
+        with open_regular(content) as file:
+            return _index(pq.read_metadata(file).metadata)
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
         return None
 
@@ -311,199 +270,26 @@ def read_rows(
     column; the message names it.
     """
     parts = []
-    for file in _open_files(out, entry, {*columns, *beside}):
-        rows = file.table.slice(*_consumer_tables(file, entry).tables[ROWS])
-        for column in columns:
-            is_present = column in rows.column_names
-            if not is_present or rows[column].null_count == max(rows.num_rows, 1):
-                raise DataError(
-                    f"{file.path} has no column {column}: it is no cell of the kind"
-                    " that the manifest says; run the matrix again with --fresh"
-                )
+    for file in open_files(out, entry, {*columns, *beside}):
+        rows = file.table.slice(*consumer_tables(file, entry).tables[ROWS])
+        check_columns(rows, columns, path=file.path)
         parts.append(rows.select(list(columns)))
     return pa.concat_tables(parts).unify_dictionaries()
 
 
-def read_outcomes(
-    out: Path,
-    entries: Iterable[Mapping[str, Any]],
-    *,
-    drawn: Collection[str] | None = None,
-) -> list[LinkageOutcome]:
-    """Return the outcomes of linkage attacks, or controls, each at one level.
-
-    Entries of one file are read at once if they come one after the other. Replicates
-    are in single precision: those of a run would take half a gigabyte in double. Only
-    metrics in `drawn` have them, and of attacks alone; without it all have that can.
-    DataError names a cell that is broken.
-    """
-    columns = None if drawn is None else (*_OUTCOME, *drawn)
-    outcomes: list[LinkageOutcome] = []
-    for _, group in groupby(entries, key=itemgetter("files")):
-        file_entries = list(group)
-        (file,) = _open_files(out, file_entries[0], columns)
-        with _readable(file.path):
-            tables = [_consumer_tables(file, entry).tables for entry in file_entries]
-            labels = read_labels(out)
-            outcomes += _outcomes(file.table, file_entries, tables, drawn, labels)
-    _weights.cache_clear()  # the next run has others
-    return outcomes
+def check_columns(rows: pa.Table, columns: Iterable[str], *, path: Path) -> None:
+    """Raise DataError if rows of a file lack a column, or it is empty."""
+    for column in columns:
+        is_present = column in rows.column_names
+        if not is_present or rows[column].null_count == max(rows.num_rows, 1):
+            raise DataError(
+                f"{path} has no column {column}: it is no cell of the kind"
+                " that the manifest says; run the matrix again with --fresh"
+            )
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _StoredOutcome:
-    """The part of a file that belongs to one linkage consumer."""
-
-    about: dict[str, Any]
-    estimates: slice  # Rows of its estimates.
-    probes: Ints  # Rows of its probes.
-    replicates: dict[str, Floats]  # By metric.
-    sums: dict[str, ClusterSums] = field(default_factory=dict)
-
-
-class _Coded(NamedTuple):
-    """A column of names."""
-
-    codes: Ints  # (rows,) place in `names`, -1 for none.
-    names: list[str]
-
-
-def _outcomes(
-    table: pa.Table,
-    entries: Sequence[Mapping[str, Any]],
-    tables: Sequence[Mapping[str, tuple[int, int]]],
-    drawn: Collection[str] | None,
-    labels: Mapping[str, str],
-) -> Iterator[LinkageOutcome]:
-    """Yield the outcomes of consumers of a file; `tables` has the places of each."""
-    stored = [
-        name
-        for name in table.column_names
-        if name not in _OUTCOME and (drawn is None or name in drawn)
-    ]
-    outcomes: list[_StoredOutcome] = []
-    by_draws: defaultdict[tuple[Any, ...], list[_StoredOutcome]] = defaultdict(list)
-    for entry, places in zip(entries, tables, strict=True):
-        outcome = _stored_outcome(table, places, stored)
-        about = outcome.about
-        if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
-            task = entry["consumer"].partition("/")[0]
-            drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
-            clusters = tuple(labels.get(name, name) for name in about["clusters"])
-            by_draws[clusters, drawn_as].append(outcome)
-        outcomes.append(outcome)
-    wanted = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}
-    for (clusters, drawn_as), same_draws in by_draws.items():
-        _add_rank_sums(table, same_draws, clusters, _weights(*drawn_as), wanted)
-    metrics = _coded(table.column("metric"))
-    fields = [table[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
-    for outcome in outcomes:
-        yield _linkage_outcome(outcome, metrics, fields)
-
-
-def _stored_outcome(
-    table: pa.Table, places: Mapping[str, tuple[int, int]], stored: Sequence[str]
-) -> _StoredOutcome:
-    """Return one consumer's part of a file, with the replicates that are stored."""
-    rows = {name: slice(first, first + n) for name, (first, n) in places.items()}
-    replicates = {}
-    for name in stored if REPLICATES in rows else ():
-        column = table[name].slice(*places[REPLICATES])
-        if column.null_count == 0:
-            replicates[name] = column.to_numpy()
-    return _StoredOutcome(
-        about=json.loads(table["about"][rows[ABOUT].start].as_py()),
-        estimates=rows[ESTIMATES],
-        probes=np.arange(rows[ROWS].start, rows[ROWS].stop),
-        replicates=replicates,
-    )
-
-
-def _add_rank_sums(
-    table: pa.Table,
-    outcomes: Sequence[_StoredOutcome],
-    clusters: tuple[str, ...],
-    weights: Floats,
-    wanted: set[str],
-) -> None:
-    """Add sums and replicates of rank metrics to outcomes that share their draws.
-
-    All are summed at once: the clusters of one outcome come after those of another.
-    """
-    groups, assigned = _coded(table.column("group")), _coded(table.column("assigned"))
-    above, tied, chance, *companions = (table[name].to_numpy() for name in _COUNTED)
-    is_mate = np.array(
-        [ASSIGNED.index(name) - 1 for name in assigned.names], dtype=np.int64
-    )
-    n_outcomes, n_clusters = len(outcomes), weights.shape[1]
-    rows = np.concatenate([outcome.probes for outcome in outcomes])
-    place_by_name = {name: place for place, name in enumerate(clusters)}
-    place = np.array(
-        [place_by_name.get(name, -n_clusters * n_outcomes) for name in groups.names]
-    )
-    n_probes = [outcome.probes.size for outcome in outcomes]
-    first = np.repeat(np.arange(n_outcomes), n_probes) * n_clusters
-    probes = ProbeRanks(
-        above=above[rows].astype(np.int64),
-        tied=tied[rows].astype(np.int64),
-        chance=chance[rows],
-        companions=np.stack(
-            [counts[rows].astype(np.int64) for counts in companions], axis=1
-        ),
-        assigned=is_mate[assigned.codes[rows]],
-        cluster=place[groups.codes[rows]] + first,
-        n_gallery=max(
-            outcome.about["numbers"]["gallery_sizes"][1] for outcome in outcomes
-        ),
-    )
-    first_codes = (assigned.codes[outcome.probes[0]] for outcome in outcomes)
-    is_unknown = [assigned.names[code] == "unknown" for code in first_codes]
-    for metric, sums in probes.sums(n_outcomes * n_clusters, wanted).items():
-        over, under = (part.reshape(n_outcomes, n_clusters) for part in sums)
-        if metric in {"rank1_assigned", "false_link_rate"}:
-            over[is_unknown] = np.nan
-        with np.errstate(invalid="ignore"):  # NaN where no person was drawn
-            ratios = (over @ weights.T / (under @ weights.T)).astype(np.float32)
-        for number, outcome in enumerate(outcomes):
-            own_sums = np.stack([over[number], under[number]])
-            outcome.replicates[metric] = ratios[number]
-            outcome.sums[metric] = ClusterSums(own_sums, weights, names=clusters)
-
-
-def _linkage_outcome(
-    outcome: _StoredOutcome, metrics: _Coded, fields: Sequence[Floats]
-) -> LinkageOutcome:
-    """Return an outcome; `fields` are value, ci_low, ci_high and n of every row."""
-    rows = outcome.estimates
-    names = [metrics.names[code] for code in metrics.codes[rows]]
-    numbers = zip(*(values[rows].tolist() for values in fields), strict=True)
-    estimates = {}
-    for name, (value, low, high, n) in zip(names, numbers, strict=True):
-        effective = np.nan
-        if name in outcome.sums:
-            effective = effective_clusters(outcome.sums[name].sums[1])
-        replicates = outcome.replicates.get(name, _NONE)
-        estimates[name] = Estimate(
-            value, low, high, int(n), replicates, effective=effective
-        )
-    about = outcome.about
-    return LinkageOutcome(estimates, about["numbers"], about["cohorts"], outcome.sums)
-
-
-def _coded(column: pa.ChunkedArray) -> _Coded:
-    whole = column.combine_chunks()
-    codes = whole.indices.fill_null(-1).to_numpy()
-    return _Coded(codes, whole.dictionary.to_pylist())
-
-
-# The weights of a task, shared by its hundreds of cells; `read_outcomes` empties it.
-@lru_cache(maxsize=16)
-def _weights(drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int) -> Floats:
-    places: Ints = np.array(drawn_as)
-    return linkage_weights(places, n_groups=n_groups, task=task, seed=seed)
-
-
-def _consumer_tables(file: _CellFile, entry: Mapping[str, Any]) -> ConsumerTables:
+def consumer_tables(file: CellFile, entry: Mapping[str, Any]) -> ConsumerTables:
+    """Return the tables of an entry's consumer; DataError if the file has none."""
     label = entry_label(entry)
     if label not in file.index.consumers:
         raise DataError(
@@ -512,47 +298,60 @@ def _consumer_tables(file: _CellFile, entry: Mapping[str, Any]) -> ConsumerTable
     return file.index.consumers[label]
 
 
-def _open_files(
+def open_files(
     out: Path, entry: Mapping[str, Any], columns: Collection[str] | None
-) -> list[_CellFile]:
+) -> list[CellFile]:
     """Return the files of a cell: some columns, or all but raw scores."""
     stamped = []
     for name in entry["files"]:
         path = out / FOLDER / name
-        with _readable(path):
+        with readable(path):
             stat = path.stat()
         stamped.append((path, stat.st_mtime_ns, stat.st_size))
     return _read_files(tuple(stamped), None if columns is None else frozenset(columns))
 
 
-# The files of the newest cell: their consumers are read one after another.
+# Some columns of the newest cell's files, whose consumers are read one after another;
+# until another is read, or a file changes.
 @lru_cache(maxsize=1)
 def _read_files(
     stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
-) -> list[_CellFile]:
+) -> list[CellFile]:
     """Return files whose ages and sizes are as `stamped` says."""
     files = []
     for path, *_ in stamped:
-        with _readable(path):
-            metadata = pq.read_metadata(path.absolute())
-            present = metadata.schema.to_arrow_schema().names
-            wanted = columns or {*present} - {_SCORES}
-            names = [name for name in present if name in wanted]
-            coded = [name for name in names if name in _NAMES]
-            # Not pq.read_table: its data set machinery takes longer than the read.
-            with pq.ParquetFile(
-                path.absolute(), metadata=metadata, read_dictionary=coded
-            ) as file:
-                table = file.read(columns=names, use_threads=False)
+        with readable(path):
+            table, index = _read_columns(path, columns)
             table = _with_precision(table, pa.float64())
             labels = read_labels(path.parent.parent)
-            index = _index(metadata.metadata)
-            files.append(_CellFile(path, _with_labels(table, labels), index))
+            files.append(CellFile(path, _with_labels(table, labels), index))
     return files
 
 
+def _read_columns(
+    path: Path, columns: frozenset[str] | None
+) -> tuple[pa.Table, FileIndex]:
+    """Return some columns of a file, or all but raw scores, and the file's index."""
+    # Not pq.read_table: its data set machinery takes longer than the read.
+    with open_regular(path) as opened:
+        metadata = pq.read_metadata(opened)
+        present = metadata.schema.to_arrow_schema().names
+        wanted = columns or {*present} - {_SCORES}
+        names = [name for name in present if name in wanted]
+        with pq.ParquetFile(
+            opened,
+            metadata=metadata,
+            read_dictionary=[name for name in names if name in _NAMES],
+            page_checksum_verification=True,
+        ) as file:
+            return file.read(columns=names, use_threads=False), _index(
+                metadata.metadata
+            )
+
+
 @contextlib.contextmanager
-def _readable(path: Path) -> Iterator[None]:
+def readable(path: Path) -> Iterator[None]:
+    """Turn an error of a cell's content into a DataError that names the file."""
     try:
         yield
     except FileNotFoundError:
@@ -572,7 +371,9 @@ def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
         (out / GALLERY).unlink(missing_ok=True)
         return
     sink = pa.BufferOutputStream()
-    pq.write_table(pa.concat_tables(parts), sink, compression="zstd")
+    pq.write_table(
+        pa.concat_tables(parts), sink, compression="zstd", write_page_checksum=True
+    )
     write_whole(out / GALLERY, sink.getvalue().to_pybytes())
 
 
@@ -584,10 +385,13 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
     path = out / GALLERY
     if not path.exists():
         return None
-    with _readable(path):
+    with readable(path):
         # Not pq.read_table: where no further thread can start it ends the process.
-        file = pq.ParquetFile(io.BytesIO(read_regular_file(path)))
-        # A column that is missing is not an error of `read`.
-        table = file.read(use_threads=False).select(SAMPLE_COLUMNS)
+        with (
+            open_regular(path) as opened,
+            pq.ParquetFile(opened, page_checksum_verification=True) as file,
+        ):
+            # A column that is missing is not an error of `read`.
+            table = file.read(use_threads=False).select(SAMPLE_COLUMNS)
         tracks: pd.DataFrame = table.to_pandas(use_threads=False)
         return tracks

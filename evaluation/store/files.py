@@ -1,8 +1,15 @@
 """The files of a run folder: their names, atomic writes, checksums, and the lock.
 
-A file of cells counts as finished when its checksum is in `SHA256SUMS`, which has the
-format of `sha256sum`. A file that was cut short, garbled or put there by somebody else
-does not match, and is computed again.
+Each mechanism here keeps one promise that no library keeps:
+
+- `open_regular` opens regular files alone: no link is followed, and no pipe waited for.
+- `write_whole` writes a file whole or not at all, and replaces a link of its name.
+- `SHA256SUMS`, in the format of `sha256sum`, says which files of cells are finished. A
+  file that was cut short, garbled or put there by somebody else does not match, and is
+  computed again.
+- `locked` lets one run write at a time. The lock itself is `filelock`'s. It lasts until
+  the `with` block or the process ends, however that ends.
+- `to_csv` and `from_csv` keep a spreadsheet from taking a name for a formula.
 """
 
 from __future__ import annotations
@@ -18,16 +25,11 @@ import secrets
 import shlex
 import stat
 from collections.abc import Iterable, Iterator, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from isac_track.errors import DataError, SettingsError
-
-try:
-    import fcntl
-except ImportError:  # pragma: no cover - Windows has no flock
-    fcntl = None  # type: ignore[assignment]  # a module, where there is one
 
 if TYPE_CHECKING:  # workers write files, too, and need no pandas: 40 MB each
     import pandas as pd
@@ -107,19 +109,22 @@ _TEXTS: Final = {
     "second_choice",
 }
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
-_NOT_FOLLOWED = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
-"""A link is an error, and a pipe nothing to wait for."""
+# A link is an error, and a pipe nothing to wait for; Windows has neither flag.
+_NOT_FOLLOWED: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+_READABLE_BY_ALL: Final = 0o666  # But for the rights that the user's umask takes away.
 
 
-def write_whole(path: Path, content: bytes) -> None:
+def write_whole(path: Path, content: bytes, *, mode: int = _READABLE_BY_ALL) -> None:
     """Write a file under a random temporary name beside it, and rename it.
 
-    A link of the file's name is replaced, and nothing is written through it. Raises
-    DataError if the disk is full or the folder cannot be written.
+    A link of the file's name is replaced, and nothing is written through it. The file
+    has the rights of `mode` from its first byte on. Raises DataError if the disk is
+    full or the folder cannot be written.
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
     try:
-        with temporary.open("xb") as file:
+        # x: a file or link of this name is an error.
+        with open(temporary, "xb", opener=partial(os.open, mode=mode)) as file:
             file.write(content)
         os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
     except OSError as error:
@@ -220,21 +225,23 @@ def is_temporary(name: str) -> bool:
     return _TEMPORARY.fullmatch(name) is not None
 
 
-def open_regular_file(path: Path, flags: int) -> int:
-    """Open a regular file with the flags of `os.open`; OSError for any other file."""
-    file = os.open(path, flags | _NOT_FOLLOWED, 0o644)
-    mode = os.fstat(file).st_mode
-    if stat.S_ISREG(mode):
-        return file
-    os.close(file)
-    if stat.S_ISDIR(mode):
-        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+def open_regular(path: Path, mode: str = "rb", *, buffering: int = -1) -> IO[bytes]:
+    """Open a regular file in a binary mode; OSError for a link and any other file."""
+    return open(path, mode, buffering, opener=_open_descriptor)
+
+
+def _open_descriptor(path: str, flags: int) -> int:
+    descriptor = os.open(path, flags | _NOT_FOLLOWED, _READABLE_BY_ALL)
+    kind = os.fstat(descriptor).st_mode
+    if stat.S_ISREG(kind) or stat.S_ISDIR(kind):  # `open` itself refuses a folder
+        return descriptor
+    os.close(descriptor)
     raise OSError(errno.EINVAL, "it is not a regular file", str(path))
 
 
 def read_regular_file(path: Path) -> bytes:
-    """Return the content of a regular file; raises as `open_regular_file` does."""
-    with os.fdopen(open_regular_file(path, os.O_RDONLY), "rb") as file:
+    """Return the content of a regular file; raises as `open_regular` does."""
+    with open_regular(path) as file:
         return file.read()
 
 
@@ -245,8 +252,7 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
     path = out / CHECKSUMS
     line = f"{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n"
     try:
-        descriptor = open_regular_file(path, os.O_RDWR | os.O_CREAT | os.O_APPEND)
-        with os.fdopen(descriptor, "ab+") as file:
+        with open_regular(path, "ab+") as file:
             file.seek(max(file.tell() - 1, 0))
             # A line that was cut short, by a full disk say, must not spoil the next.
             start = "" if file.read(1) in (b"", b"\n") else "\n"
@@ -283,11 +289,17 @@ def checked_files(
         yield name, content if is_sound else None
 
 
-def check_sound(out: Path, names: Iterable[str]) -> None:
-    """Raise DataError if a file of cells has changed, or there is none at all."""
+def check_sound(out: Path, names: Iterable[str], *, sizes: Iterable[str] = ()) -> None:
+    """Raise DataError if a file of cells has changed, or there is none at all.
+
+    Or if a file is missing that a finished run had: its manifest's `sizes` name these.
+    """
     wanted = list(names)
     if not wanted:
         raise DataError(f"{out} holds no finished cell; run the matrix again")
+    for path in (out / FOLDER / name for name in sizes):
+        if not path.exists():
+            raise DataError(f"{path} is missing; run the matrix again to compute it")
     damaged = [name for name, content in checked_files(out, wanted) if content is None]
     if damaged:
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
@@ -333,65 +345,81 @@ def _checksum_lines(out: Path) -> list[tuple[str, str]]:
 def locked(out: Path) -> Iterator[None]:
     """Hold the lock of a run folder: one run at a time writes. Make a missing folder.
 
-    The lock is the system's (flock): it ends with its process, however that ends. Half
-    written files of killed runs are removed.
+    Half written files of killed runs are removed, and at the end the file of the lock.
 
     Raises SettingsError if another process holds it, the folder cannot be written, or a
     folder in it is a link to somewhere else.
     """
-    if fcntl is None:  # pragma: no cover - as above
-        raise SettingsError("runs need a system with flock (Linux, macOS, WSL)")
+    with _locked_file(out):
+        try:
+            for folder in (out, *(out / name for name in SUBFOLDERS)):
+                if folder != out and folder.is_symlink():
+                    raise SettingsError(
+                        f"{folder} is a link, and a run writes into folders of its own"
+                        " alone; remove it or choose another --out"
+                    )
+                _remove_temporary(folder)
+            yield
+        finally:
+            with contextlib.suppress(OSError):  # Windows removes no open file
+                (out / LOCK).unlink()
+
+
+def _remove_temporary(folder: Path) -> None:
+    """Remove what killed runs left; a missing folder is no error, and files may stay."""
+    with contextlib.suppress(OSError):
+        # A list: the folder changes while it is read.
+        for path in list(folder.iterdir()):
+            if is_temporary(path.name):
+                path.unlink()
+
+
+def _locked_file(out: Path) -> IO[bytes]:
+    """Return the open file of a folder's lock, which holds the lock until it closes."""
     path = out / LOCK
-    while (file := _lock_file(path)) is None:
-        pass  # its last owner has just deleted it, so that it locks nothing
     try:
-        with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
-            os.ftruncate(file, 0)
-            os.pwrite(file, f"{os.getpid()}\n".encode(), 0)
-        for folder in (out, *(out / name for name in SUBFOLDERS)):
-            if folder != out and folder.is_symlink():
-                raise SettingsError(
-                    f"{folder} is a link, and a run writes into folders of its own"
-                    " alone; remove it or choose another --out"
-                )
-            # A missing folder is no error, and a file that cannot be removed may stay.
-            with contextlib.suppress(OSError):
-                # A list: the folder changes while it is read.
-                for left_over in list(folder.iterdir()):
-                    if is_temporary(left_over.name):
-                        left_over.unlink()
-        yield
-    finally:
-        with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
-        os.close(file)
-
-
-def _lock_file(path: Path) -> int | None:
-    """Return the open file, locked; None if its name has gone to another file."""
-    way_out, action = "choose another --out", f"write to {path.parent}"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        way_out, action = f"make the folder writable or {way_out}", f"write {path}"
-        file = open_regular_file(path, os.O_RDWR | os.O_CREAT)
+        out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise SettingsError(f"cannot {action}: {error.strerror}; {way_out}") from None
-    message = ""
+        raise SettingsError(
+            f"cannot write to {out}: {error.strerror}; choose another --out"
+        ) from None
+    while True:
+        try:
+            # Without a buffer: an error of a full disk must not come back at its end.
+            file = open_regular(path, "ab+", buffering=0)
+        except OSError as error:
+            raise SettingsError(
+                f"cannot write {path}: {error.strerror}; make the folder writable or"
+                " choose another --out"
+            ) from None
+        _take_lock(file, path)
+        if os.fstat(file.fileno()).st_nlink:
+            break
+        file.close()  # its last owner has just removed it, so that it locks nothing
+    with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n".encode())
+    return file
+
+
+def _take_lock(file: IO[bytes], path: Path) -> None:
+    """Lock an open file; otherwise close it and raise SettingsError."""
+    from filelock import lock_descriptor  # noqa: PLC0415 - a reader needs none
+
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        with contextlib.suppress(FileNotFoundError):
-            if os.fstat(file).st_ino == path.stat().st_ino:
-                return file
-    except BlockingIOError:
-        owner = os.pread(file, 32, 0).decode(errors="replace").strip()
-        owner_text = f" (process {owner})" if owner else ""
-        message = (
-            f"another run is writing to {path.parent}{owner_text}; wait for it or"
-            " choose another --out"
-        )
+        if lock_descriptor(file.fileno(), blocking=False):
+            return
     except OSError as error:  # some network file systems
-        message = f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
-    os.close(file)
-    if message:
-        raise SettingsError(message)
-    return None
+        file.close()
+        raise SettingsError(
+            f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
+        ) from None
+    owner = ""
+    with file, contextlib.suppress(OSError):  # Windows shows nobody a locked file
+        file.seek(0)
+        owner = file.read().decode(errors="replace").strip()
+    owner_text = f" (process {owner})" if owner else ""
+    raise SettingsError(
+        f"another run is writing to {path.parent}{owner_text}; wait for it or"
+        " choose another --out"
+    )

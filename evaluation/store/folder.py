@@ -12,6 +12,7 @@ from evaluation.store.cell_files import FileIndex, sound_files
 from evaluation.store.manifest import (
     CELL_NAME,
     checked_manifest,
+    file_names,
     parse_manifest,
     read_manifest,
     write_manifest,
@@ -99,8 +100,7 @@ def open_run(
             manifest |= checked_manifest(parse_manifest(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.FOLDER).mkdir(parents=True, exist_ok=True)
-        names = [name for entry in manifest["cells"] for name in entry["files"]]
-        index_by_file, damaged = sound_files(out, names)
+        index_by_file, damaged = sound_files(out, file_names(manifest))
         _drop_other_code(out, manifest, index_by_file)
         files.forget_missing(out)
     return manifest, index_by_file, damaged
@@ -217,19 +217,17 @@ def copy_without_private(out: Path, to: Path) -> None:
             f"{out} keeps the recording's own ids; run the matrix without --keep-ids,"
             " anew"
         )
-    names = dict.fromkeys(
-        name for entry in manifest["cells"] for name in entry["files"]
-    )
-    files.check_sound(out, names)
+    names = file_names(manifest)
+    files.check_sound(out, names, sizes=manifest.get("sizes", ()))
     try:
         to.mkdir(parents=True)
         (to / files.FOLDER).mkdir()
-        write_manifest(to, manifest)
         people = files.read_regular_file(out / files.PEOPLE)
         files.write_whole(to / files.PEOPLE, people)
         for name in names:
             content = files.read_regular_file(out / files.FOLDER / name)
             files.write_checked(to, name, content)
+        write_manifest(to, manifest)  # last: its sizes are those of the copies
     except FileExistsError:
         raise SettingsError(f"{to} exists; choose another --to") from None
     except OSError as error:

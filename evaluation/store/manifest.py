@@ -2,9 +2,10 @@
 
 Within the program `cells` is a list of flat entries, one for each consumer at each
 level. In the file an entry stands for all consumers of a level that share their files,
-and sets of consumers that many levels have are written once, in `consumers`. A seal
-over all of it shows damage, and files of other layouts: readers need not check every
-value. It does not show a forgery.
+and sets of consumers that many levels have are written once, in `consumers`. `sizes`
+has the bytes of each file of a finished run: it tells without reading them that a copy
+of the folder is whole. A seal over all of it shows damage, and files of other layouts:
+readers need not check every value. It does not show a forgery.
 """
 
 from __future__ import annotations
@@ -30,7 +31,13 @@ import isac_track
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES
-from evaluation.store.files import MANIFEST, entry_label, read_regular_file, write_whole
+from evaluation.store.files import (
+    FOLDER,
+    MANIFEST,
+    entry_label,
+    read_regular_file,
+    write_whole,
+)
 from evaluation.store.people import (
     id_labels,
     public_path,
@@ -89,9 +96,24 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
             consumers.append(level_consumers)
         cells.append(level | {"consumers": consumers.index(level_consumers)})
     folded = {**manifest, "cells": cells, "consumers": consumers}
+    folded["sizes"] = _file_sizes(out, manifest)
     sealed = folded | {"seal": digest([LAYOUT, folded])}
     text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
     write_whole(out / MANIFEST, text.encode())
+
+
+def file_names(manifest: Mapping[str, Any]) -> list[str]:
+    """Return the names of the files of a manifest's cells, each once."""
+    names = (name for entry in manifest["cells"] for name in entry["files"])
+    return list(dict.fromkeys(names))
+
+
+def _file_sizes(out: Path, manifest: Mapping[str, Any]) -> dict[str, int]:
+    """Return the bytes of each file of a run that is finished, by name."""
+    if manifest.get("state") != "finished":
+        return {}
+    paths = (out / FOLDER / name for name in file_names(manifest))
+    return {path.name: path.lstat().st_size for path in paths if path.exists()}
 
 
 def parse_manifest(out: Path) -> dict[str, Any]:
@@ -370,7 +392,7 @@ def candidate_losses(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, 
     1, a fraction; and the largest, `most`, with its `consumer` and its mechanism's
     `spec`. Tasks whose pairs are all scored are left out.
     """
-    from evaluation.store.cell_files import (  # noqa: PLC0415 - slow to import
+    from evaluation.store.linkage_outcomes import (  # noqa: PLC0415 - slow to import
         read_outcomes,
     )
 

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.store.files import PEOPLE, PRIVATE, read_regular_file, write_whole
-from isac_track.errors import DataError, SettingsError
+from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from evaluation.plan.plan import Plan
@@ -171,17 +171,8 @@ def _private(out: Path) -> dict[str, Any]:
 
 def _write_private(out: Path, content: Mapping[str, Any]) -> None:
     """Write the private file, which only its owner can read from the first byte on."""
-    path = out / PRIVATE
-    temporary = path.with_name(f".{path.name}.{secrets.token_hex(8)}.tmp")
-    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL
-    try:
-        with os.fdopen(os.open(temporary, flags, 0o600), "wb") as file:
-            file.write(json.dumps(dict(content), indent=1).encode() + b"\n")
-        os.replace(temporary, path)  # noqa: PTH105 - atomic on one file system
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise SettingsError(f"cannot write {path}: {error.strerror}") from None
+    text = json.dumps(dict(content), indent=1) + "\n"
+    write_whole(out / PRIVATE, text.encode(), mode=0o600)
 
 
 def public_path(path: str | Path) -> str:

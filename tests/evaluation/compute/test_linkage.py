@@ -9,6 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 import pytest
 from helpers.bad_plugins import spoilt
 from helpers.cells import (
@@ -34,7 +35,7 @@ from evaluation.compute.link_setup import sensed_sessions
 from evaluation.estimates import linkability
 from evaluation.plan.axes import Consumer, axes
 from evaluation.plan.settings import Settings
-from evaluation.store import cell_files
+from evaluation.store import cell_files, linkage_outcomes
 from isac_track.errors import DataError, PluginError, SettingsError
 from isac_track.intervals import Estimate, cluster_weights
 from isac_track.linkability import rank1
@@ -428,7 +429,7 @@ class TestCells:
     @pytest.mark.parametrize("control", ["", "random"])
     def test_what_is_read_is_what_was_computed(self, tmp_path, task, control):
         result, _, _, where = written(tmp_path, task, control=control)
-        (read,) = cell_files.read_outcomes(tmp_path, [where])
+        (read,) = linkage_outcomes.read_outcomes(tmp_path, [where])
         assert list(read.estimates) == list(result.scorecard.estimates)
         with_draws = 0
         for name, estimate in result.scorecard.estimates.items():
@@ -482,6 +483,19 @@ class TestCells:
                 assert mate < 0 or gallery[number][mate] == source
         assert first == len(table)
 
+    @pytest.mark.parametrize("drawn", [None, (), ("rank1",)])
+    def test_a_cell_without_ranks_of_its_probes_is_refused(self, tmp_path, drawn):
+        *_, where = written(tmp_path, "split")
+        path = tmp_path / "cells" / "one.parquet"
+        table, metadata = pq.read_table(path), pq.read_metadata(path).metadata
+        columns = [name for name in table.column_names if name != "above"]
+        with pq.ParquetWriter(path, table.select(columns).schema) as writer:
+            writer.write_table(table.select(columns))
+            index = {b"isac_track.cells": metadata[b"isac_track.cells"]}
+            writer.add_key_value_metadata(index)
+        with pytest.raises(DataError, match=r"one\.parquet has no column above: "):
+            linkage_outcomes.read_outcomes(tmp_path, [where], drawn=drawn)
+
     @pytest.mark.parametrize("content", [b"", b"PAR1 nonsense", None])
     def test_a_missing_or_broken_file_is_named(self, tmp_path, content):
         (tmp_path / "cells").mkdir()
@@ -490,7 +504,9 @@ class TestCells:
         entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
         read_rows = partial(cell_files.read_rows, columns=["source"])
         for read in (
-            lambda out, manifest_entry: cell_files.read_outcomes(out, [manifest_entry]),
+            lambda out, manifest_entry: linkage_outcomes.read_outcomes(
+                out, [manifest_entry]
+            ),
             read_rows,
         ):
             with pytest.raises(
@@ -767,7 +783,7 @@ def entry(consumer, mechanism, p_value, low=1.0):
         "kind": kind,
     }
     where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
-    return where, cell_files.LinkageOutcome(
+    return where, linkage_outcomes.LinkageOutcome(
         {"rank1": result, "chance": result}, numbers, cohorts={}
     )
 

@@ -13,7 +13,7 @@ from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, front, fronti
 from evaluation.estimates.keys import Source
 from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
 from evaluation.estimates.strongest import first_half
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
 SHARE = st.integers(0, 6).map(float) | st.just(np.nan)

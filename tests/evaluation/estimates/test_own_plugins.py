@@ -7,7 +7,7 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.keys import AS_SHARED, Measure, Source
 from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.strongest_table import strongest_on_each
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 
 N_PEOPLE = 60

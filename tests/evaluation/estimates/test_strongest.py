@@ -12,7 +12,7 @@ from evaluation.estimates.strongest import (
     naming_rules,
     strongest,
 )
-from evaluation.store.cell_files import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
 SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")

@@ -19,11 +19,13 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import matrix, report
+from evaluation.api import rebuild
+from evaluation.plan.fingerprint import digest
 from evaluation.plan.plan import plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.store import folder as store
 from evaluation.store.files import locked
-from evaluation.store.manifest import read_manifest, write_manifest
+from evaluation.store.manifest import LAYOUT, read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
 NOBODY = 65534
@@ -182,7 +184,7 @@ class TestWhereTheFolderCannotBeUsed:
         def refuse(*_):
             raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-        monkeypatch.setattr("evaluation.store.files.fcntl.flock", refuse)
+        monkeypatch.setattr("fcntl.flock", refuse)
         ended = ran(matrix, *options, "--out", out)
         assert_refused(
             ended, f"error: cannot lock {out / '.lock'}: No locks available; "
@@ -285,6 +287,34 @@ class TestManifest:
         assert_refused(
             ran(report, out), "has no column conflict: it is no cell of the kind"
         )
+
+
+class TestSizes:
+    def test_are_those_of_the_files_of_a_finished_run(self, finished):
+        sizes = json.loads((finished / "manifest.json").read_text())["sizes"]
+        cells = (finished / "cells").iterdir()
+        assert sizes == {path.name: path.stat().st_size for path in cells}
+
+    def test_of_a_published_copy_are_those_of_its_files(self, finished, tmp_path):
+        store.copy_without_private(finished, tmp_path / "copy")
+        whole = read_manifest(finished)["sizes"]
+        assert read_manifest(tmp_path / "copy")["sizes"] == whole != {}
+
+    def test_name_a_missing_cell_before_anything_is_drawn_anew(self, out, ran):
+        cell = min((out / "cells").iterdir())
+        cell.unlink()
+        before = {path: path.stat().st_mtime_ns for path in out.rglob("*")}
+        assert_refused(ran(report, out), f"{cell} is missing; run the matrix again")
+        assert {path: path.stat().st_mtime_ns for path in out.rglob("*")} == before
+
+    def test_may_be_absent_as_in_runs_of_earlier_versions(self, out):
+        written = json.loads((out / "manifest.json").read_text())
+        del written["sizes"], written["seal"]
+        written["seal"] = digest([LAYOUT, written])
+        (out / "manifest.json").write_text(json.dumps(written))
+        assert "sizes" not in read_manifest(out)
+        results = rebuild(out)
+        assert len(results.summary) > 0
 
 
 class TestChecksums:
