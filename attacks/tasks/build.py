@@ -267,7 +267,10 @@ def cross_session(draft: Draft) -> Sessions:
     If a person has several tracks in a session, the longest counts.
     """
     tracks, needed_s = draft.tracks, draft.settings.linkage.window_s
-    if tracks.session is None or tracks.person is None:
+    # A folder of a single file is a recording of a single session.
+    if (
+        tracks.session is None or tracks.person is None or len(set(tracks.session)) < 2  # noqa: PLR2004 - a pair
+    ):
         raise DataError(
             f"task {draft.task.name}: no person is known to be in two sessions; give"
             " sessions with a markerID in their headers, or --persistent-ids if equal"

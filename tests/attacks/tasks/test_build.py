@@ -334,7 +334,8 @@ def test_fewer_than_eight_returning_people_are_refused():
         DataError, match="7 people walk for 12 s in two sessions, but it takes 8"
     ):
         sessions("cross_session", tracks=runs(n=7))
-    for unknown in ({"person": None}, {"session": None}):
+    single = {"session": ("alone",) * len(runs())}
+    for unknown in ({"person": None}, {"session": None}, single):
         with pytest.raises(DataError, match="no person is known to be in two sessions"):
             sessions("cross_session", tracks=replace(runs(), **unknown))
 
