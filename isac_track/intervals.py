@@ -7,12 +7,13 @@ intervals are too narrow; there the jackknife takes its place.
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv, expit, logit, ndtri, stdtrit
 
+from isac_track.renamed import renamed
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
 
@@ -363,3 +364,7 @@ def percentile_intervals(replicates: Floats) -> Floats:
     part, step = place - below, b - a
     # Interpolate from the nearer of the two, as numpy does.
     return np.asarray(np.where(part < 0.5, a + step * part, b - step * (1.0 - part)))  # noqa: PLR2004 - half way
+
+
+if not TYPE_CHECKING:  # type checkers are to know the names that are
+    __getattr__ = renamed(__name__, {"estimate_of": "estimate_from_replicates"})

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.random import Generator
 
 from isac_track.errors import KnowledgeDenied
+from isac_track.renamed import renamed
 from isac_track.types import (
     Bools,
     Floats,
@@ -373,3 +374,9 @@ def grants(
         if attack.requires <= knows and granted not in rows.values():
             rows[name] = granted
     return rows
+
+
+if not TYPE_CHECKING:  # type checkers are to know the names that are
+    __getattr__ = renamed(
+        __name__, {"OF_WALKS": "WALK_KNOWLEDGE", "kind_of": "attack_kind"}
+    )

@@ -22,6 +22,8 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from isac_track.renamed import renamed
+
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
@@ -626,3 +628,7 @@ def check_times(t: Floats, offsets: Ints) -> None:
     ends = t[offsets[:-1]], t[offsets[1:] - 1]
     if not (rising.all() and np.isfinite(ends).all()):
         raise ValueError("times must be finite and strictly increasing within a track")
+
+
+if not TYPE_CHECKING:  # type checkers are to know the names that are
+    __getattr__ = renamed(__name__, {"runs_of": "sample_runs"})

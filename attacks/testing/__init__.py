@@ -16,7 +16,7 @@ Every check of an attack runs once for each adversary that grants it another kno
 import dataclasses
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 from unittest import SkipTest
 
 from attacks.tasks.task_list import TASKS
@@ -27,6 +27,7 @@ from attacks.testing._releases import copied
 from isac_track import plugins, protocols
 from isac_track.errors import PluginError, SettingsError
 from isac_track.protocols import ADVERSARIES, attack_kind, grants
+from isac_track.renamed import renamed
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
@@ -294,3 +295,7 @@ def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass
                 changed.append(f"{item.name}={value}")
     name = type(subject).__name__
     return f"{name}({','.join(changed)})" if changed else name
+
+
+if not TYPE_CHECKING:  # type checkers are to know the names that are
+    __getattr__ = renamed(__name__, {"adversaries_of": "list_adversaries"})
