@@ -34,7 +34,13 @@ from evaluation.store.cell_files import (
     sound_files,
     write_gallery,
 )
-from evaluation.store.files import FOLDER, entry_label, locked, write_checked
+from evaluation.store.files import (
+    FOLDER,
+    entry_label,
+    locked,
+    read_regular_file,
+    write_checked,
+)
 from evaluation.store.folder import check_folder, check_preset, open_run
 from evaluation.store.manifest import (
     candidate_losses,
@@ -227,9 +233,8 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
                     (index.unit, consumer.key) for consumer in index.consumers.values()
                 }
                 if wanted & present:
-                    write_checked(
-                        ready.out, name, (source / FOLDER / name).read_bytes()
-                    )
+                    content = read_regular_file(source / FOLDER / name)
+                    write_checked(ready.out, name, content)
                     wanted -= present
 
 

@@ -15,6 +15,7 @@ Each mechanism here keeps one promise that no library keeps:
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import hashlib
 import io
@@ -27,6 +28,7 @@ import stat
 from collections.abc import Iterable, Iterator, Mapping
 from functools import lru_cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any, Final
 
 from isac_track.errors import DataError, SettingsError
@@ -108,6 +110,7 @@ _TEXTS: Final = {
     "first_choice",
     "second_choice",
 }
+_FORMULA_STARTS: Final = ("=", "+", "-", "@", "\t", "\r")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")
 # A link is an error, and a pipe nothing to wait for; Windows has neither flag.
 _NOT_FOLLOWED: Final = getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
@@ -142,12 +145,13 @@ def to_csv(frame: pd.DataFrame) -> bytes:
     for name in frame.columns:
         column = frame[name].to_numpy(dtype=object, na_value="").tolist()
         is_number = frame[name].dtype.kind in "biuf"
-        columns.append(
-            [str(value) if is_number else _csv_field(value) for value in column]
-        )
-    # With a single column, an empty field must be quoted: an empty line is no row.
-    rows = (",".join(row) or '""' for row in zip(*columns, strict=True))
-    return "\n".join([",".join(frame.columns), *rows, ""]).encode()
+        columns.append(column if is_number else map(_escape_formula, column))
+    lines: list[str] = []
+    # With this end of line, either half of it is quoted within a field.
+    writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
+    writer.writerow(frame.columns)
+    writer.writerows(zip(*columns, strict=True))
+    return "".join(f"{line[:-2]}\n" for line in lines).encode()
 
 
 def from_csv(content: bytes) -> pd.DataFrame:
@@ -192,23 +196,17 @@ def read_report_file(out: Path, name: str, *, columns: Iterable[str] = ()) -> An
         raise DataError(f"{out / name} cannot be read ({reason}); {advice}") from None
 
 
-def _escape_formula(text: str) -> str:
-    if not text.startswith(("=", "+", "-", "@", "\t", "\r")):
-        return text
-    try:
-        float(text)
-    except ValueError:
-        return f"'{text}"
-    return text  # a number in a column of names
-
-
 # The same few names recur in every row; for the life of the process.
 @lru_cache(maxsize=4096, typed=True)
-def _csv_field(value: object) -> str:
-    """Return a value of a column of text as a field of a CSV file."""
-    text = _escape_formula(value) if isinstance(value, str) else str(value)
-    needs_quotes = any(mark in text for mark in ',"\r\n')
-    return '"{}"'.format(text.replace('"', '""')) if needs_quotes else text
+def _escape_formula(value: object) -> object:
+    """Return a text so that no spreadsheet takes it for a formula; else the value."""
+    if not isinstance(value, str) or not value.startswith(_FORMULA_STARTS):
+        return value
+    try:
+        float(value)
+    except ValueError:
+        return f"'{value}"
+    return value  # a number in a column of names
 
 
 def entry_label(entry: Mapping[str, Any]) -> str:
@@ -350,7 +348,8 @@ def locked(out: Path) -> Iterator[None]:
     Raises SettingsError if another process holds it, the folder cannot be written, or a
     folder in it is a link to somewhere else.
     """
-    with _locked_file(out):
+    with contextlib.ExitStack() as opened:
+        _take_lock(out, opened)
         try:
             for folder in (out, *(out / name for name in SUBFOLDERS)):
                 if folder != out and folder.is_symlink():
@@ -365,6 +364,43 @@ def locked(out: Path) -> Iterator[None]:
                 (out / LOCK).unlink()
 
 
+def _take_lock(out: Path, opened: contextlib.ExitStack) -> None:
+    """Lock the file of a folder's lock until `opened` closes; SettingsError if held."""
+    from filelock import lock_descriptor  # noqa: PLC0415 - a reader needs none
+
+    path, other = out / LOCK, "choose another --out"
+    action, way_out = f"write to {out}", other
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        while True:
+            action, way_out = f"write {path}", f"make the folder writable or {other}"
+            # Without a buffer: an error of a full disk must not come back at its end.
+            file = opened.enter_context(open_regular(path, "ab+", buffering=0))
+            action, way_out = f"lock {path}", "choose --out on a local disk"
+            if not lock_descriptor(file.fileno(), blocking=False):
+                raise SettingsError(
+                    f"another run is writing to {out}{_owner(file)}; wait for it or"
+                    f" {other}"
+                )
+            if os.fstat(file.fileno()).st_nlink:
+                break
+            # Its last owner has just removed it, so that it locks nothing.
+    except OSError as error:  # to lock is impossible on some network file systems
+        raise SettingsError(f"cannot {action}: {error.strerror}; {way_out}") from None
+    with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
+        file.truncate(0)
+        file.write(f"{os.getpid()}\n".encode())
+
+
+def _owner(lock: IO[bytes]) -> str:
+    """Return the process that holds an open lock as ` (process N)`, or nothing."""
+    number = ""
+    with contextlib.suppress(OSError):  # Windows shows nobody a locked file
+        lock.seek(0)
+        number = lock.read().decode(errors="replace").strip()
+    return f" (process {number})" if number else ""
+
+
 def _remove_temporary(folder: Path) -> None:
     """Remove what killed runs left; a missing folder is no error, and files may stay."""
     with contextlib.suppress(OSError):
@@ -372,54 +408,3 @@ def _remove_temporary(folder: Path) -> None:
         for path in list(folder.iterdir()):
             if is_temporary(path.name):
                 path.unlink()
-
-
-def _locked_file(out: Path) -> IO[bytes]:
-    """Return the open file of a folder's lock, which holds the lock until it closes."""
-    path = out / LOCK
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise SettingsError(
-            f"cannot write to {out}: {error.strerror}; choose another --out"
-        ) from None
-    while True:
-        try:
-            # Without a buffer: an error of a full disk must not come back at its end.
-            file = open_regular(path, "ab+", buffering=0)
-        except OSError as error:
-            raise SettingsError(
-                f"cannot write {path}: {error.strerror}; make the folder writable or"
-                " choose another --out"
-            ) from None
-        _take_lock(file, path)
-        if os.fstat(file.fileno()).st_nlink:
-            break
-        file.close()  # its last owner has just removed it, so that it locks nothing
-    with contextlib.suppress(OSError):  # a full disk: the lock holds without a name
-        file.truncate(0)
-        file.write(f"{os.getpid()}\n".encode())
-    return file
-
-
-def _take_lock(file: IO[bytes], path: Path) -> None:
-    """Lock an open file; otherwise close it and raise SettingsError."""
-    from filelock import lock_descriptor  # noqa: PLC0415 - a reader needs none
-
-    try:
-        if lock_descriptor(file.fileno(), blocking=False):
-            return
-    except OSError as error:  # some network file systems
-        file.close()
-        raise SettingsError(
-            f"cannot lock {path}: {error.strerror}; choose --out on a local disk"
-        ) from None
-    owner = ""
-    with file, contextlib.suppress(OSError):  # Windows shows nobody a locked file
-        file.seek(0)
-        owner = file.read().decode(errors="replace").strip()
-    owner_text = f" (process {owner})" if owner else ""
-    raise SettingsError(
-        f"another run is writing to {path.parent}{owner_text}; wait for it or"
-        " choose another --out"
-    )

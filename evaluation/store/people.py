@@ -139,34 +139,38 @@ def _labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
 
 
 def _people(out: Path) -> dict[str, str]:
-    path = out / PEOPLE
-    try:
-        people = json.loads(read_regular_file(path))
-    except FileNotFoundError:
-        return {}
-    except (OSError, ValueError, RecursionError) as error:
+    people = _read_json(out / PEOPLE)
+    if not all(isinstance(label, str) for label in people.values()):
         raise DataError(
-            f"{path} cannot be read: {error}; run the matrix with --fresh"
-        ) from None
-    if not isinstance(people, dict) or not all(
-        isinstance(label, str) for label in people.values()
-    ):
-        raise DataError(f"{path} is no list of people; run the matrix with --fresh")
+            f"{out / PEOPLE} is no list of people; run the matrix with --fresh"
+        )
     return people
 
 
 def _private(out: Path) -> dict[str, Any]:
-    path = out / PRIVATE
+    private = _read_json(out / PRIVATE)
     try:
-        private = json.loads(read_regular_file(path))
-        bytes.fromhex(private["key"])
+        bytes.fromhex(private.get("key", ""))
+    except (TypeError, ValueError) as error:
+        raise _unreadable(out / PRIVATE, error) from None
+    return private
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    """Return the object that a JSON file holds; an empty one if there is no file."""
+    try:
+        content = json.loads(read_regular_file(path))
+        if not isinstance(content, dict):
+            raise ValueError("it is no JSON object")  # noqa: TRY301, TRY004 - see below
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise DataError(
-            f"{path} cannot be read: {error}; run the matrix with --fresh"
-        ) from None
-    return dict(private)
+    except (OSError, ValueError, RecursionError) as error:
+        raise _unreadable(path, error) from None
+    return content
+
+
+def _unreadable(path: Path, error: Exception) -> DataError:
+    return DataError(f"{path} cannot be read: {error}; run the matrix with --fresh")
 
 
 def _write_private(out: Path, content: Mapping[str, Any]) -> None:
