@@ -56,11 +56,8 @@ from evaluation.plan.constants import (
 from evaluation.plan.plan import Plan, plan, plan_stronger
 from evaluation.plan.settings import Settings, check_drawing
 from evaluation.pool.execute import execute, execute_stronger
-from evaluation.pool.workers import (
-    release_memory_after,
-    run_in_idle_worker,
-    start_workers_early,
-)
+from evaluation.pool.memory import release_memory_after
+from evaluation.pool.workers import run_in_idle_worker, start_workers_early
 from evaluation.reporting import page, study_page
 from evaluation.reporting.announcements import plan_lines
 from evaluation.reporting.answers import answers

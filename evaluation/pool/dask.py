@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.compute.current_cell import Failure, note_cell
 from evaluation.plan.fingerprint import OURS, code_hash, source_digest
-from evaluation.pool.workers import release_memory_after
+from evaluation.pool.memory import release_memory_after
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, error_text
 
@@ -55,8 +55,8 @@ def spread_on_cluster(
     *,
     scheduler: str,
     modules: Iterable[str],
-) -> Generator[tuple[W, list[R | Failure]]]:
-    """Yield each work with its results, as it is finished: `spread` on a cluster.
+) -> Generator[tuple[W, R | Failure]]:
+    """Yield every result with its work, as works end: `spread` on a cluster.
 
     A work whose workers died again and again yields a `Failure` of an unknown cell.
     `scheduler` is an address, such as ``tcp://host:8786``; workers must have the same
@@ -78,15 +78,13 @@ def spread_on_cluster(
                     cluster.start(works.popleft())
                 if suspects and not cluster.under_way:
                     cluster.start(suspects.popleft())
-                for work, items in cluster.ended_works():
-                    known = len(works)
-                    yield work, items
+                for work, result in cluster.new_results():
+                    n_before = len(works)
+                    yield work, result
                     # A death may be a neighbour's fault: work that is added after it
                     # waits until all else is done, and is tried one at a time.
-                    if any(
-                        isinstance(item, Failure) and item.worker_died for item in items
-                    ):
-                        again = [works.pop() for _ in range(len(works) - known)]
+                    if isinstance(result, Failure) and result.worker_died:
+                        again = [works.pop() for _ in range(len(works) - n_before)]
                         suspects.extend(reversed(again))
         finally:
             if cluster.under_way and client.status == "running":
@@ -104,7 +102,13 @@ class _Cluster(Generic[W, R]):
         scheduler: str,
         modules: tuple[str, ...],
     ) -> None:
+        from distributed import as_completed  # noqa: PLC0415 - an extra
+
         self._client, self._scheduler, self._modules = client, scheduler, modules
+        # Some versions of distributed have no types here, others do.
+        self._completed: Any = as_completed(  # type: ignore[no-untyped-call,unused-ignore]
+            loop=client.loop
+        )
         self._expected = _describe_process(modules, seen={})
         self.n_threads = 1
         self.under_way: dict[Task, W] = {}
@@ -141,54 +145,63 @@ class _Cluster(Generic[W, R]):
 
     def start(self, work: W) -> None:
         arguments = (self._function, dumps(work), self._modules, self._expected)
-        self.under_way[self._submit(_compute, *arguments)] = work
+        task = self._submit(_compute, *arguments)
+        self.under_way[task] = work
+        self._completed.add(task)
 
     def _submit(self, function: Callable[..., Any], *arguments: object) -> Task:
         return self._client.submit(
             function, *arguments, key=f"isac-track-{uuid.uuid4().hex}"
         )
 
-    def ended_works(self) -> Iterator[tuple[W, list[R | Failure]]]:
-        """Yield ended works; SettingsError if the scheduler or all workers are lost."""
+    def new_results(self) -> Iterator[tuple[W, R | Failure]]:
+        """Yield the results of works that have ended, if there are any by now.
+
+        Raises SettingsError if the scheduler or all workers are lost.
+        """
+        self._check_alive()
+        time.sleep(_LOOK_S)
+        for task in self._completed.next_batch(block=False):
+            results = self._task_results(task)
+            if results is None:
+                self._completed.add(task)
+                continue
+            work = self.under_way.pop(task)
+            task.release()
+            for result in results:
+                yield work, result
+
+    def _check_alive(self) -> None:
         if self._client.status != "running":
             raise self._lost_error()
-        if time.monotonic() >= self._asked_s + _ASK_S:
-            if self._ask_threads():
-                self._worked_s = time.monotonic()
-            elif self._asked_s > self._worked_s + _NO_WORKER_S:
-                start = f"some (`dask worker {self._scheduler}`)"
-                raise self._lost_error(
-                    f"has had no worker for {_NO_WORKER_S:g} s", start
-                )
-        time.sleep(_LOOK_S)
-        under_way = [*self.under_way]
-        ended = [task for task in under_way if task.status not in ("pending", "lost")]
-        for task in ended:
-            if (items := self._task_items(task)) is not None:
-                work = self.under_way.pop(task)
-                task.release()
-                yield work, items
+        if time.monotonic() < self._asked_s + _ASK_S:
+            return
+        if self._ask_threads():
+            self._worked_s = time.monotonic()
+        elif self._asked_s > self._worked_s + _NO_WORKER_S:
+            start = f"some (`dask worker {self._scheduler}`)"
+            raise self._lost_error(f"has had no worker for {_NO_WORKER_S:g} s", start)
 
-    def _task_items(self, task: Task) -> list[R | Failure] | None:
+    def _task_results(self, task: Task) -> list[R | Failure] | None:
         """Return the results of a task; None if they cannot be fetched (any more)."""
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra
 
-        # None: the worker that had them is lost, or fetching takes long.
-        items: list[R | Failure] | None = None
         try:
-            items = task.result(timeout=_FETCH_S)
+            results: list[R | Failure] = task.result(timeout=_FETCH_S)
         except KilledWorker:
             why = (
                 "its worker died (killed, crashed or out of memory), and others"
                 " before it"
             )
-            items = [Failure((), why, worker_died=True)]
+            return [Failure((), why, worker_died=True)]
         except CancelledError:
             raise self._lost_error() from None
         except (OSError, TimeoutError):
             if task.status == "error":  # its own
                 raise
+            # The worker that had them is lost, or fetching takes long.
+            return None
         except RuntimeError as error:
             if "deserialization of the task graph" not in str(error):
                 raise
@@ -196,7 +209,7 @@ class _Cluster(Generic[W, R]):
                 f"the scheduler at {self._scheduler} lacks this isac-track; install it"
                 " there, too"
             ) from None
-        return items
+        return results
 
     def _ask_threads(self) -> int:
         """Ask for the threads of all workers; 0 without workers."""

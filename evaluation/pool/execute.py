@@ -1,36 +1,22 @@
-"""The work of a run: compute the missing cells, and record the failed ones by name."""
+"""A run from its manifest to its manifest: compute what its folder lacks."""
 
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
-from functools import partial
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
-import pyarrow as pa
-
-from evaluation.compute.current_cell import Failure, current_cell, note_cell
-from evaluation.compute.loops import (
-    COMPILED,
-    COMPILING,
-    GAIN,
-    LOADED,
-    list_loops,
-    prepare_loop,
-)
-from evaluation.compute.sample_tracks import gallery_mechanisms, gallery_rows
+from evaluation.compute.loops import GAIN, prepare_loop
 from evaluation.plan.constants import horizon_world
-from evaluation.plan.fingerprint import has_user_plugins
-from evaluation.plan.plan import Plan, Unit
+from evaluation.plan.plan import Plan
 from evaluation.pool import pieces
+from evaluation.pool.gallery import write_sample_tracks
+from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
-from evaluation.pool.workers import dismiss, spread
 from evaluation.store.cell_files import (
     cell_places,
     read_rows,
-    rename_people,
     sound_files,
     write_gallery,
 )
@@ -54,9 +40,7 @@ from evaluation.store.manifest import (
     write_manifest,
 )
 from evaluation.store.people import prepare_names, share_key
-from isac_track.command_line import check_interrupt
-from isac_track.errors import PluginError, error_text
-from isac_track.plugins import Plugin
+from isac_track.errors import PluginError
 
 # Words in the licence of a recording whose walks must not be passed on.
 NOT_PASSED_ON: Final = "never to be passed on"
@@ -101,13 +85,14 @@ def execute(
     manifest["failed"] = other_entries(failures, than=entries)
     manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
     write_manifest(out, manifest | {"state": "running"})
-    failed = _compute_missing(units, ready, manifest, progress, names)
+    computed = compute_missing(units, ready, progress, names)
+    failed = _note_computed(computed, ready, manifest)
     progress(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     if keeps_walks and NOT_PASSED_ON not in ready.dataset.licence:
         failed_plugins = {
             str(entry[name]) for entry in failed for name in ("spec", "consumer")
         }
-        manifest["gallery_without"] = _write_gallery(ready, failed_plugins, names)
+        manifest["gallery_without"] = write_sample_tracks(ready, failed_plugins, names)
     else:
         manifest["gallery_without"] = []
         write_gallery([], out=out)
@@ -147,36 +132,31 @@ def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> 
         cells.append(by_label.pop(key, earlier))
     manifest["cells"] = cells + list(by_label.values())
     write_manifest(out, manifest | {"state": "running"})
-    _compute_missing(missing, ready, manifest, progress, names)
+    computed = compute_missing(missing, ready, progress, names)
+    _note_computed(computed, ready, manifest)
     spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
     write_manifest(
         out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
     )
 
 
-def _compute_missing(
-    units: Sequence[Unit],
-    ready: Plan,
-    manifest: dict[str, Any],
-    progress: Callable[[int, int, str], None],
-    names: Mapping[str, str],
+def _note_computed(
+    computed: ComputedCells, ready: Plan, manifest: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Compute missing cells; return the failed ones, which the manifest then names."""
-    works = deque(pieces.cut_work(units, ready))
-    if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
-        total = sum(len(unit.consumers) for unit in units)
-        compiling_s = _prepare_loops(works, ready, partial(progress, 0, total))
-        manifest["compiling_s"] = round(
-            manifest.get("compiling_s", 0.0) + compiling_s, 3
-        )
-    failures = _compute_cells(units, works, ready, progress, names)
+    """Note failed cells and the time of compiling in the manifest; return the failed.
+
+    Raises PluginError if no cell is finished.
+    """
+    if computed.compiling_s is not None:
+        earlier_s = manifest.get("compiling_s", 0.0)
+        manifest["compiling_s"] = round(earlier_s + computed.compiling_s, 3)
     failed = [
         {
             **consumer_fields(cell.mechanism, cell.consumer),
             "block": cell.block,
             "why": why,
         }
-        for cell, why in failures
+        for cell, why in computed.failed
     ]
     if failed:
         manifest["failed"] += failed
@@ -236,162 +216,3 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
                     content = read_regular_file(source / FOLDER / name)
                     write_checked(ready.out, name, content)
                     wanted -= present
-
-
-def _write_gallery(
-    ready: Plan, failed_plugins: set[str], names: Mapping[str, str]
-) -> list[str]:
-    """Write sample tracks without the failed plug-ins; return the failures here."""
-    axes = ready.axes
-    mechanisms = [
-        plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
-    ]
-    compute = partial(
-        _gallery_part,
-        tracks=ready.tracks,
-        attacks=[
-            plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
-        ],
-        stages=ready.settings.stages,
-        seed=ready.settings.seed,
-    )
-    parts: list[pa.Table] = []
-    failed = []
-    # Workers have loaded all modules that this takes.
-    in_workers = ready.jobs > 1 or has_user_plugins(axes)
-    limit_s = ready.settings.cell_timeout_s
-    works = deque(gallery_mechanisms(mechanisms))
-    for mechanism, results in spread(
-        compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
-    ):
-        for result in results:
-            if isinstance(result, Failure):
-                failed.append(f"{mechanism.spec}: {result.message}")
-            else:
-                parts.append(rename_people(result, names))
-    write_gallery(parts, out=ready.out)
-    return failed
-
-
-def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failure]:  # noqa: ANN401 - handed on
-    note_cell(mechanism.spec, "gallery")
-    try:
-        yield gallery_rows(mechanism, **options)
-    except PluginError as error:
-        yield Failure(current_cell.names, str(error))
-    except Exception as error:  # noqa: BLE001 - no picture may cost finished cells
-        yield Failure(current_cell.names, error_text(error))
-
-
-def _compute_cells(
-    units: Sequence[Unit],
-    works: deque[pieces.Work],
-    ready: Plan,
-    progress: Callable[[int, int, str], None],
-    names: Mapping[str, str],
-) -> list[tuple[pieces.PlannedCell, str]]:
-    """Compute missing cells, here or by workers; return failed ones with reasons."""
-    if not works:
-        return []
-    total = sum(len(unit.consumers) for unit in units)
-    first_cell = next(pieces.planned_cells(works[0]))
-    progress(0, total, _describe_cell(pieces.cell_name(first_cell)))
-    files = pieces.expected_files(units, ready.code_digests)
-    compute = partial(
-        pieces.compute_files,
-        files=files,
-        names=names,
-        tracks=ready.tracks,
-        stages=ready.settings.stages,
-        seed=ready.settings.seed,
-    )
-    computed = _spread_works(compute, works, ready)
-    finished: set[pieces.CellName] = set()
-    failures, collector = pieces.Failures(), pieces.FileCollector(files, names)
-    n_failed = 0
-    with closing(computed):
-        for work, results in computed:
-            for result in results:
-                if isinstance(result, pieces.WholeFile):
-                    _write_file(ready.out, result)
-                    finished.update(result.cells)
-                    name = result.cells[-1]
-                elif isinstance(result, Failure):
-                    works.extend(failures.rest(work, result, finished=finished))
-                    for cell, _ in failures.cells[n_failed:]:
-                        _write_file(
-                            ready.out, collector.add(pieces.cell_name(cell), None)
-                        )
-                    n_failed = len(failures.cells)
-                    continue
-                else:
-                    name = pieces.cell_name(result)
-                    _write_file(ready.out, collector.add(name, result))
-                    finished.add(name)
-                check_interrupt()
-                progress(len(finished) + n_failed, total, _describe_cell(name))
-    return failures.cells
-
-
-def _spread_works(
-    compute: Callable[[pieces.Work], Iterable[pieces.WorkResult]],
-    works: deque[pieces.Work],
-    ready: Plan,
-) -> Generator[tuple[pieces.Work, Iterable[pieces.WorkResult]]]:
-    """Yield each work with its results, from this machine or from a Dask cluster."""
-    scheduler = ready.settings.scheduler
-    if scheduler is None:
-        return spread(
-            compute,
-            works,
-            jobs=ready.jobs,
-            limit_s=ready.settings.cell_timeout_s,
-            in_workers=has_user_plugins(ready.axes),
-        )
-    from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
-
-    pieces.cut_for_cluster(works)
-    modules = ready.code_digests.keys()
-    return spread_on_cluster(compute, works, scheduler=scheduler, modules=modules)
-
-
-def _describe_cell(name: pieces.CellName) -> str:
-    """Return a cell in words: of linkage if its consumer's label begins with a task."""
-    _, spec, label = name
-    stage = "linkage" if "/" in label.partition(":")[0] else "scenes"
-    return f"{stage}: {spec} > {label}"
-
-
-def _prepare_loops(
-    works: Iterable[pieces.Work], ready: Plan, report: Callable[[str], None]
-) -> float:
-    """Compile the loops that the cells call, or load them; return the time of it, s.
-
-    The time is 0 if all were loaded. Workers that had to compile end here: each keeps
-    half a gigabyte for it.
-    """
-    cells = (cell for work in works for cell in pieces.planned_cells(work))
-    loops = list_loops((cell.mechanism, cell.consumer) for cell in cells)
-    in_workers = (
-        has_user_plugins(ready.axes) or ready.settings.cell_timeout_s is not None
-    )
-    started, states = time.monotonic(), dict[str, str]()
-    prepared = spread(
-        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, in_workers=in_workers
-    )
-    with closing(prepared):
-        for loop, loop_states in prepared:
-            for state in loop_states:
-                states[loop] = LOADED if isinstance(state, Failure) else state
-                if {COMPILING, COMPILED} & {*states.values()}:
-                    n_ready = len(states) - [*states.values()].count(COMPILING)
-                    report(f"compiling, once: {n_ready} of {len(loops)} loops")
-    if COMPILED not in states.values():
-        return 0.0
-    dismiss()
-    return time.monotonic() - started
-
-
-def _write_file(out: Path, file: pieces.WholeFile | None) -> None:
-    if file is not None:
-        write_checked(out, file.name, file.content)

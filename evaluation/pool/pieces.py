@@ -1,35 +1,22 @@
-"""The work of a run in pieces: find missing cells, cut the work, pack files of cells.
-
-When a plug-in or a worker fails, its cell is left out by name, and the rest goes on.
-"""
+"""The work of a run in pieces: find the missing cells, and cut their work."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evaluation.compute.current_cell import Failure
 from evaluation.compute.linkage import view_key
-from evaluation.compute.work import (
-    Block,
-    FinishedCell,
-    Levels,
-    LinkWork,
-    attempt_cells,
-)
+from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork
 from evaluation.plan.constants import BLOCK_SCENES, WORLDS, horizon_world
-from evaluation.plan.fingerprint import sources
-from evaluation.store.cell_files import cell_places, pack_cells, read_index
+from evaluation.store.cell_files import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
 from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
     from collections import deque
-
-    import pandas as pd
 
     from evaluation.plan.axes import Consumer
     from evaluation.plan.plan import Plan, Unit
@@ -39,13 +26,11 @@ if TYPE_CHECKING:
 Work: TypeAlias = "Block | LinkWork"
 CellName: TypeAlias = "tuple[int, str, str]"
 """Block (0 for linkage), SPEC of the mechanism, label of the consumer."""
-WorkResult: TypeAlias = "WholeFile | FinishedCell | Failure"
 _TASKS_PER_WORKER = 2
 _LEVELS_PER_TASK = 12  # Of a linkage task.
 # The share of the work with which the last block begins, for it takes long.
 _BLOCKS_WITHIN = 0.75
 _CLUSTER_TASKS = 64  # At least so many, where there are as many levels and blocks.
-_MOST_NAMED = 3
 
 
 class PlannedCell(NamedTuple):
@@ -214,11 +199,18 @@ def cut_for_cluster(works: deque[Work]) -> None:
     for _ in range(len(works)):
         work = works.popleft()
         for levels in _share_out(work.levels, n_pieces):
-            part = replace(work, levels=levels)
-            cells = list(planned_cells(part))
-            for key in sorted({view_key(cell.consumer) for cell in cells}):
-                chosen = [cell for cell in cells if view_key(cell.consumer) == key]
-                works.append(_only(part, chosen.__contains__))
+            works.extend(_cut_by_view(replace(work, levels=levels)))
+
+
+def _cut_by_view(work: Work) -> Iterator[Work]:
+    """Yield a part of a work for every reconstruction that its consumers are behind."""
+    keys = {view_key(cell.consumer) for cell in planned_cells(work)}
+    for key in sorted(keys):
+
+        def is_behind(cell: PlannedCell, key: tuple[str, str] = key) -> bool:
+            return view_key(cell.consumer) == key
+
+        yield select_cells(work, is_behind)
 
 
 def planned_cells(work: Work) -> Iterator[PlannedCell]:
@@ -234,171 +226,18 @@ def cell_name(cell: PlannedCell | FinishedCell) -> CellName:
     return cell.block, cell.mechanism.spec, cell.consumer.label
 
 
-class Failures:
-    """The failed cells of a run with reasons, and those where a worker died once."""
-
-    def __init__(self) -> None:
-        self.cells: list[tuple[PlannedCell, str]] = []
-        self._died_at: set[tuple[CellName, ...]] = set()
-
-    def rest(
-        self, work: Work, failure: Failure, *, finished: Container[CellName]
-    ) -> list[Work]:
-        """Return the work that is left after a failure; a death is tried once more."""
-        spec, label = failure.cell or ("", "")
-
-        def is_culprit(cell: PlannedCell) -> bool:
-            if not spec:
-                return True
-            # Without a label the mechanism failed, and with it all of its consumers.
-            return cell.mechanism.spec == spec and label in ("", cell.consumer.label)
-
-        left = _only(work, lambda cell: cell_name(cell) not in finished)
-        if not left.levels:
-            return []
-        culprits = _only(left, is_culprit)
-        innocent = _only(left, lambda cell: not is_culprit(cell))
-        if not culprits.levels:
-            # The culprit is unknown: blame all that is left, or this goes on for ever.
-            culprits, innocent = innocent, culprits
-        again: list[Work] = []
-        if failure.worker_died:
-            again = self._once_more(culprits, is_cell_known=bool(failure.cell))
-        if not again:
-            self.cells += [(cell, failure.message) for cell in planned_cells(culprits)]
-        return [*again, innocent] if innocent.levels else again
-
-    def _once_more(self, culprits: Work, *, is_cell_known: bool) -> list[Work]:
-        """Return a work at which a worker died, for a second try; none for a third."""
-        key = tuple(map(cell_name, planned_cells(culprits)))
-        if not is_cell_known and len(key) > 1:
-            # The culprit is unknown: try each cell by itself, once.
-            self._died_at.update((name,) for name in key)
-            return [
-                replace(culprits, levels=((mechanism, (consumer,)),))
-                for mechanism, consumers in culprits.levels
-                for consumer in consumers
-            ]
-        if key in self._died_at:
-            return []
-        self._died_at.add(key)
-        return [culprits]
-
-
-def _only(work: Work, is_wanted: Callable[[PlannedCell], bool]) -> Work:
+def select_cells(work: Work, is_wanted: Callable[[PlannedCell], bool]) -> Work:
     """Return a work with the wanted cells only."""
-    chosen = [cell for cell in planned_cells(work) if is_wanted(cell)]
     levels = []
-    for mechanism, _ in work.levels:
-        consumers = tuple(
-            cell.consumer for cell in chosen if cell.mechanism is mechanism
-        )
-        if consumers:
-            levels.append((mechanism, consumers))
+    for level in work.levels:
+        cells = planned_cells(replace(work, levels=(level,)))
+        wanted = tuple(cell.consumer for cell in cells if is_wanted(cell))
+        if wanted:
+            levels.append((level[0], wanted))
     return replace(work, levels=tuple(levels))
 
 
-class ConsumerCode(NamedTuple):
-    """The key of a consumer in a file of cells, and the code that computes it."""
-
-    key: str
-    code: Mapping[str, str]  # Digest by module.
-
-
-class ExpectedFile(NamedTuple):
-    """A file of cells that is still to be computed; it names its plug-ins only."""
-
-    name: str
-    unit: str  # Key of the unit of work.
-    code: Mapping[str, str]
-    consumers: Mapping[str, ConsumerCode]  # By label.
-
-
-class WholeFile(NamedTuple):
-    """A file of cells that is ready to be written."""
-
-    name: str
-    content: bytes
-    cells: tuple[CellName, ...]
-
-
-def expected_files(
-    units: Iterable[Unit], digests: Mapping[str, str]
-) -> dict[CellName, ExpectedFile]:
-    """Return the file of every cell of some units; `digests` are by module."""
-    files: dict[CellName, ExpectedFile] = {}
-    for unit in units:
-        consumers = {}
-        for key, consumer in unit.consumers.items():
-            code = {name: digests[name] for name in sources("", *consumer.plugins)}
-            consumers[consumer.label] = ConsumerCode(key, code)
-        file = ExpectedFile(unit.file, unit.key, unit.code, consumers)
-        files |= {(unit.block, unit.mechanism.spec, label): file for label in consumers}
-    return files
-
-
-class FileCollector:
-    """Finished cells of expected files, held until their file is whole."""
-
-    def __init__(
-        self, files: Mapping[CellName, ExpectedFile], names: Mapping[str, str]
-    ) -> None:
-        self._files, self._names = files, names
-        self._cells: dict[str, dict[CellName, FinishedCell | None]] = {}
-
-    def add(self, name: CellName, cell: FinishedCell | None) -> WholeFile | None:
-        """Add a cell, None if it failed; return its file as soon as that is whole."""
-        file = self._files[name]
-        cells = self._cells.setdefault(file.name, {})
-        cells[name] = cell
-        if len(cells) < len(file.consumers):
-            return None
-        del self._cells[file.name]
-        block, spec, _ = name
-        whole = []
-        for label, (key, code) in file.consumers.items():
-            finished = cells[block, spec, label]
-            if finished is not None:
-                whole.append((label, key, code, finished.tables))
-        if not whole:
-            return None
-        content = pack_cells(whole, unit=file.unit, code=file.code, names=self._names)
-        return WholeFile(file.name, content, tuple(cells))
-
-    def rest(self) -> Iterator[FinishedCell]:
-        """Yield the cells of files that are not whole."""
-        for cells in self._cells.values():
-            yield from filter(None, cells.values())
-
-
-def compute_files(
-    work: Work,
-    *,
-    files: Mapping[CellName, ExpectedFile],
-    names: Mapping[str, str],
-    **options: Any,  # noqa: ANN401 - handed on
-) -> Iterator[WorkResult]:
-    """Yield the results of `attempt_cells`, in packed files where these are whole."""
-    collector, failures = FileCollector(files, names), list[Failure]()
-    for result in attempt_cells(work, **options):
-        if isinstance(result, Failure):
-            failures.append(result)
-        elif whole := collector.add(cell_name(result), result):
-            yield whole
-    yield from collector.rest()
-    yield from failures
-
-
-def failed_lines(rows: pd.DataFrame) -> list[str]:
-    """Return a line for each consumer and reason in `failed.csv`, with the levels."""
-    lines = []
-    for (consumer, knows, why), part in rows.groupby(
-        ["consumer", "knowledge", "why"], sort=False
-    ):
-        name = f"{consumer} ({knows})" if str(knows) else consumer
-        specs = list(part["spec"].unique())
-        levels = ", ".join(specs[:_MOST_NAMED])
-        if len(specs) > _MOST_NAMED:
-            levels += f" and {len(specs) - _MOST_NAMED} more"
-        lines.append(f"{name} at {levels}: {why}; left out everywhere")
-    return lines
+def split_by_cell(work: Work) -> Iterator[Work]:
+    """Yield a work of its own for every cell."""
+    for cell in planned_cells(work):
+        yield replace(work, levels=((cell.mechanism, (cell.consumer,)),))

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from evaluation.compute.current_cell import Failure
 from evaluation.compute.plugin_call import (
     PluginCall,
     PluginTime,
@@ -84,25 +85,24 @@ def _called(
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
     works = deque(_plugin_calls(missing))
     called = [*works]
-    for plugin_call, results in spread(
+    for plugin_call, result in spread(
         call, works, jobs=1, limit_s=limit_s, in_workers=True, is_separate=True
     ):
         plugin = plugin_call.plugin
-        for result in results:
-            if isinstance(result, PluginTime):
-                trial.times[plugin_call.kind, plugin.spec] = result
-            elif isinstance(result, tuple):
-                message, trace = result
-                raise make_error(
-                    _located(message, plugin.instance), _located(trace, plugin.instance)
-                )
-            elif result.timed_out and limit_s != allowed_s:
-                trial.given_up.append(plugin.spec)
-            else:
-                why = f"{result.message}{defined_at(plugin.instance)}"
-                raise make_error(
-                    f"plug-in {plugin.spec!r}: {why}", "its process left no traceback"
-                )
+        if isinstance(result, PluginTime):
+            trial.times[plugin_call.kind, plugin.spec] = result
+        elif not isinstance(result, Failure):
+            message, trace = result
+            raise make_error(
+                _located(message, plugin.instance), _located(trace, plugin.instance)
+            )
+        elif result.timed_out and limit_s != allowed_s:
+            trial.given_up.append(plugin.spec)
+        else:
+            why = f"{result.message}{defined_at(plugin.instance)}"
+            raise make_error(
+                f"plug-in {plugin.spec!r}: {why}", "its process left no traceback"
+            )
     trial.untimed.extend(
         dict.fromkeys(
             plugin_call.plugin.spec

@@ -8,7 +8,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates import weak_attacks
 from evaluation.estimates.keys import Source, is_attack
 from evaluation.plan.presets import IDENTITY, SHARED
-from evaluation.pool.pieces import failed_lines
+from evaluation.pool.failures import failed_lines
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.announcements import (
     changed_settings,

@@ -28,7 +28,7 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
-from evaluation.pool.pieces import failed_lines
+from evaluation.pool.failures import failed_lines
 from evaluation.reporting import answer_tables, result_tables, terminal
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers

@@ -276,7 +276,7 @@ def test_a_module_whose_name_is_not_in_the_source_is_imported_in_few_places():
         "evaluation/__main__.py",
         "evaluation/reporting/figures/figure.py",
         "evaluation/pool/dask.py",
-        "evaluation/pool/workers.py",
+        "evaluation/pool/serve.py",
         "isac_track/compiling.py",
         "isac_track/kalman/__init__.py",
         "isac_track/plugins.py",

@@ -205,7 +205,7 @@ def test_that_all_others_are_as_without_it(name, ended):
 def test_so_do_a_mechanism_and_a_linker_and_take_nobody_along(place):
     linked = (
         *FEW[:4],
-        *FEW[-4:],
+        *FEW[8:],  # without its own choice of attacks and tasks
         "--scenes",
         8,
         "--dataset",

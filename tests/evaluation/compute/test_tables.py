@@ -14,7 +14,7 @@ import sys
 import numpy as np
 from evaluation.compute import sample_tracks
 from evaluation.compute.tables import names_column, table
-from evaluation.pool import pieces
+from evaluation.pool import packing
 table({"name": names_column(np.zeros(3, dtype=int), ("a",)), "x": np.zeros(3), "text": ["b"] * 3})
 print("pandas" in sys.modules)
 """

@@ -28,8 +28,8 @@ from evaluation.plan.plan import plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import dask as on_cluster
 from evaluation.pool.execute import FailedCellsWarning
+from evaluation.pool.failures import Failures
 from evaluation.pool.pieces import (
-    Failures,
     cell_name,
     cut_for_cluster,
     cut_work,

@@ -8,11 +8,8 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
-from evaluation.pool.workers import (
-    release_memory_after,
-    run_in_idle_worker,
-    start_workers_early,
-)
+from evaluation.pool.memory import release_memory_after
+from evaluation.pool.workers import run_in_idle_worker, start_workers_early
 
 
 def test_the_pool_is_the_users_again_even_after_an_error():

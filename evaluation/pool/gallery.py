@@ -1,0 +1,61 @@
+"""Sample tracks of a run, computed for its pictures beside its cells."""
+
+from collections import deque
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any
+
+import pyarrow as pa
+
+from evaluation.compute.current_cell import Failure, current_cell, note_cell
+from evaluation.compute.sample_tracks import gallery_mechanisms, gallery_rows
+from evaluation.plan.fingerprint import has_user_plugins
+from evaluation.plan.plan import Plan
+from evaluation.pool.workers import spread
+from evaluation.store.cell_files import rename_people, write_gallery
+from isac_track.errors import PluginError, error_text
+from isac_track.plugins import Plugin
+
+
+def write_sample_tracks(
+    ready: Plan, failed_plugins: set[str], names: Mapping[str, str]
+) -> list[str]:
+    """Write sample tracks without the failed plug-ins; return the failures here."""
+    axes = ready.axes
+    mechanisms = [
+        plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
+    ]
+    compute = partial(
+        _gallery_part,
+        tracks=ready.tracks,
+        attacks=[
+            plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
+        ],
+        stages=ready.settings.stages,
+        seed=ready.settings.seed,
+    )
+    parts: list[pa.Table] = []
+    failed = []
+    # Workers have loaded all modules that this takes.
+    in_workers = ready.jobs > 1 or has_user_plugins(axes)
+    limit_s = ready.settings.cell_timeout_s
+    works = deque(gallery_mechanisms(mechanisms))
+    for mechanism, result in spread(
+        compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
+    ):
+        if isinstance(result, Failure):
+            failed.append(f"{mechanism.spec}: {result.message}")
+        else:
+            parts.append(rename_people(result, names))
+    write_gallery(parts, out=ready.out)
+    return failed
+
+
+def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failure]:  # noqa: ANN401 - handed on
+    note_cell(mechanism.spec, "gallery")
+    try:
+        yield gallery_rows(mechanism, **options)
+    except PluginError as error:
+        yield Failure(current_cell.names, str(error))
+    except Exception as error:  # noqa: BLE001 - no picture may cost finished cells
+        yield Failure(current_cell.names, error_text(error))

@@ -1,0 +1,158 @@
+"""Compute the missing cells of a run, here, in worker processes or on a cluster."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing
+from functools import partial
+from typing import NamedTuple
+
+from evaluation.compute.current_cell import Failure
+from evaluation.compute.loops import (
+    COMPILED,
+    COMPILING,
+    LOADED,
+    list_loops,
+    prepare_loop,
+)
+from evaluation.plan.fingerprint import has_user_plugins
+from evaluation.plan.plan import Plan, Unit
+from evaluation.pool.failures import Failures
+from evaluation.pool.packing import (
+    FileCollector,
+    WholeFile,
+    WorkResult,
+    compute_files,
+    expected_files,
+)
+from evaluation.pool.pieces import (
+    CellName,
+    PlannedCell,
+    Work,
+    cell_name,
+    cut_for_cluster,
+    cut_work,
+    planned_cells,
+)
+from evaluation.pool.workers import dismiss, spread
+from evaluation.store.files import write_checked
+from isac_track.command_line import check_interrupt
+
+
+class ComputedCells(NamedTuple):
+    """What came of the missing cells, beside their files."""
+
+    failed: list[tuple[PlannedCell, str]]  # With reasons.
+    # Time that compiling the loops took, s; None on a cluster, which is not known.
+    compiling_s: float | None
+
+
+def compute_missing(
+    units: Sequence[Unit],
+    ready: Plan,
+    progress: Callable[[int, int, str], None],
+    names: Mapping[str, str],
+) -> ComputedCells:
+    """Compute the cells of missing units, and write their files.
+
+    Each file is written as soon as all of its cells are finished, or have failed.
+    """
+    works = deque(cut_work(units, ready))
+    total = sum(len(unit.consumers) for unit in units)
+    compiling_s = None
+    if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
+        compiling_s = _prepare_loops(works, ready, partial(progress, 0, total))
+    failures, finished = Failures(), set[CellName]()
+    if not works:
+        return ComputedCells(failures.cells, compiling_s)
+    first_cell = next(planned_cells(works[0]))
+    progress(0, total, _describe_cell(cell_name(first_cell)))
+    collector = FileCollector(expected_files(units, ready.code_digests), names)
+    with closing(_spread_works(works, ready, collector)) as computed:
+        for work, result in computed:
+            n_failed = len(failures.cells)
+            if isinstance(result, Failure):
+                works.extend(failures.rest(work, result, finished=finished))
+                for cell, _ in failures.cells[n_failed:]:
+                    _write_file(ready, collector.add(cell_name(cell), None))
+                continue
+            if isinstance(result, WholeFile):
+                cells = result.cells
+                file: WholeFile | None = result
+            else:
+                cells = (cell_name(result),)
+                file = collector.add(cells[0], result)
+            _write_file(ready, file)
+            finished.update(cells)
+            check_interrupt()
+            progress(len(finished) + n_failed, total, _describe_cell(cells[-1]))
+    return ComputedCells(failures.cells, compiling_s)
+
+
+def _spread_works(
+    works: deque[Work], ready: Plan, collector: FileCollector
+) -> Generator[tuple[Work, WorkResult]]:
+    """Yield each result with its work, from this machine or from a Dask cluster."""
+    compute = partial(
+        compute_files,
+        files=collector.files,
+        names=collector.names,
+        tracks=ready.tracks,
+        stages=ready.settings.stages,
+        seed=ready.settings.seed,
+    )
+    scheduler = ready.settings.scheduler
+    if scheduler is None:
+        return spread(
+            compute,
+            works,
+            jobs=ready.jobs,
+            limit_s=ready.settings.cell_timeout_s,
+            in_workers=has_user_plugins(ready.axes),
+        )
+    from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
+
+    cut_for_cluster(works)
+    modules = ready.code_digests.keys()
+    return spread_on_cluster(compute, works, scheduler=scheduler, modules=modules)
+
+
+def _prepare_loops(
+    works: Iterable[Work], ready: Plan, report: Callable[[str], None]
+) -> float:
+    """Compile the loops that the cells call, or load them; return the time of it, s.
+
+    The time is 0 if all were loaded. Workers that had to compile end here: each keeps
+    half a gigabyte for it.
+    """
+    cells = (cell for work in works for cell in planned_cells(work))
+    loops = list_loops((cell.mechanism, cell.consumer) for cell in cells)
+    in_workers = (
+        has_user_plugins(ready.axes) or ready.settings.cell_timeout_s is not None
+    )
+    started, states = time.monotonic(), dict[str, str]()
+    prepared = spread(
+        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, in_workers=in_workers
+    )
+    with closing(prepared):
+        for loop, state in prepared:
+            states[loop] = LOADED if isinstance(state, Failure) else state
+            if {COMPILING, COMPILED} & {*states.values()}:
+                n_ready = len(states) - [*states.values()].count(COMPILING)
+                report(f"compiling, once: {n_ready} of {len(loops)} loops")
+    if COMPILED not in states.values():
+        return 0.0
+    dismiss()
+    return time.monotonic() - started
+
+
+def _describe_cell(name: CellName) -> str:
+    """Return a cell in words: of linkage if its consumer's label begins with a task."""
+    _, spec, label = name
+    stage = "linkage" if "/" in label.partition(":")[0] else "scenes"
+    return f"{stage}: {spec} > {label}"
+
+
+def _write_file(ready: Plan, file: WholeFile | None) -> None:
+    if file is not None:
+        write_checked(ready.out, file.name, file.content)
