@@ -18,9 +18,9 @@ import evaluation
 from attacks.reconstruction.kalman_rts import looks_radial
 from evaluation.compute import sharing
 from evaluation.compute.reconstruction import attacked_block
-from evaluation.estimates.keys import Key
 from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.summary import estimates
+from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.axes import axes
 from evaluation.plan.presets import SMOKE_LEVELS
 from isac_track import datasets
@@ -96,8 +96,9 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
         by_key = estimates(out, manifest)[0]
     for level in axes(settings).mechanisms:
 
-        def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Key:
-            return Key(mechanism.name, mechanism.level, attack, EXPOSURE, knowledge)
+        def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Address:
+            measure = parse_consumer(attack, knowledge).measured(EXPOSURE)
+            return measure.at(mechanism.name, mechanism.level)
 
         sources = (
             ("kalman_rts", "blind"),

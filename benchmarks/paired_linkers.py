@@ -11,40 +11,37 @@ import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from evaluation.estimates.keys import Key, level_text
+from evaluation.estimates.keys import level_text
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.metrics import SUCCESS_OF_100
 from evaluation.estimates.summary import linkage_estimates
+from evaluation.plan.address import Address, plugin_name
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate, difference
 
 
-def paired(out: Path, linker: str, metric: str) -> Iterator[tuple[Key, Key, Estimate]]:
+def paired(
+    out: Path, linker: str, metric: str
+) -> Iterator[tuple[Address, Address, Estimate]]:
     """Yield keys of a linker and of the strongest other, and their difference."""
     read = cards(out, read_manifest(out), drawn=(metric,))
     by_key = {
         key: estimate
         for key, estimate in linkage_estimates(read).items()
-        if key.metric == metric and key.knowledge  # controls know nothing
+        if key.metric == metric and key.adversary  # controls know nothing
     }
     for key, estimate in by_key.items():
-        task, _, name = key.consumer.partition("/")
         others = [
             other
             for other in by_key
             if other.where == key.where
-            and other.knowledge == key.knowledge
-            and other.consumer.startswith(f"{task}/")
-            and _family(other.consumer.partition("/")[2]) != _family(linker)
+            and other.adversary == key.adversary
+            and other.task == key.task
+            and plugin_name(other.plugin) != plugin_name(linker)
         ]
-        if name == linker and others:
+        if key.attack_spec == linker and others:
             best = max(others, key=lambda other: by_key[other].value)
             yield key, best, difference(estimate, by_key[best])
-
-
-def _family(spec: str) -> str:
-    """Return the name of a linker without its options."""
-    return spec.partition(":")[0]
 
 
 def main(arguments: Sequence[str]) -> None:
@@ -56,7 +53,7 @@ def main(arguments: Sequence[str]) -> None:
             100.0 * end for end in (gain.value, gain.ci_low, gain.ci_high)
         )
         level = f"{key.mechanism} {level_text(key.level)}"
-        place = f"{key.consumer} {key.knowledge}, {level}"
+        place = f"{key.consumer} {key.adversary}, {level}"
         print(
             f"{place:66} {value:+6.1f} [{low:+.1f}, {high:+.1f}]  less {best.consumer}"
         )

@@ -19,10 +19,12 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from evaluation.estimates.families import CLEAN, SWEPT
-from evaluation.estimates.keys import Source, row_worlds
+from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.estimates.strongest import against_each, by_task
+from evaluation.plan.address import Address, parse_row
+from evaluation.plan.world import OWN_WORLD
 from evaluation.reporting.headline import (
     Headline,
     HeadlineColumn,
@@ -47,9 +49,9 @@ class Run:
 
     out: Path
     table: Headline
-    entries: Mapping[tuple[Where, Source], Mapping[str, Any]]  # Of the cells.
+    entries: Mapping[Address, Mapping[str, Any]]  # Of the cells.
     # By task, "" for reconstruction, and mechanism.
-    strongest: Mapping[tuple[str, str], Source]
+    strongest: Mapping[tuple[str, str], Address]
 
     @property
     def columns(self) -> list[HeadlineColumn]:
@@ -59,10 +61,10 @@ class Run:
     def entry(self, where: Where, column: HeadlineColumn) -> Mapping[str, Any] | None:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
-        is_attack = bool(source.knowledge)
+        is_attack = bool(source.adversary)
         if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
             source = self.strongest.get((source.task, where[0]), source)
-        return self.entries.get((where, source))
+        return self.entries.get(source.at(*where))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -77,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def read(out: Path) -> Run:
     """Return a finished run; DataError if its manifest or its tables cannot be read."""
     manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
-    results = estimates(summary[row_worlds(summary) == ""])
+    results = estimates(summary[row_worlds(summary) == OWN_WORLD])
     strongest = {
         (task, mechanism): source
         for metric in (EXPOSURE, SUCCESS)
@@ -86,12 +88,7 @@ def read(out: Path) -> Run:
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
-        (
-            (cell["mechanism"], cell["level"]),
-            Source(cell["consumer"], cell["knowledge"]),
-        ): cell
-        for cell in manifest["cells"]
-        if not cell.get("world")
+        parse_row(cell): cell for cell in manifest["cells"] if not parse_row(cell).world
     }
     return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
 

@@ -21,8 +21,8 @@ import numpy as np
 from scipy.special import ndtri
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Source
 from evaluation.estimates.linked_people import LinkedLevel, LinkedTask
+from evaluation.plan.address import Address
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.validity import validity
@@ -122,7 +122,7 @@ def linked_task(world: World, *, seed: int) -> LinkedTask:
                 values = np.full(world.people, 0.5)
             descriptors[name] = np.array([summed(values), summed(ones)])
         hits = summed((drawn < ndtri(share)).astype(np.float64))
-        linker = Source(f"{TASK}/shape", "blind")
+        linker = Address(task=TASK, plugin="shape", adversary="blind")
         chance, probes = summed(0.01 * ones), summed(ones)
         levels.append(
             LinkedLevel(

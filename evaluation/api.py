@@ -22,7 +22,7 @@ from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import CLEAN, RAW, Family, families_in
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import TPR, galleries
-from evaluation.estimates.keys import Key, Source, horizons_in, judged_at
+from evaluation.estimates.keys import horizons_in, judged_at
 from evaluation.estimates.levels import levels
 from evaluation.estimates.linked_people import Choices, read_probes
 from evaluation.estimates.matching import FUTURE, Sweeps, matched
@@ -46,15 +46,11 @@ from evaluation.estimates.strongest_table import (
     strongest_on_each,
     strongest_table,
 )
-from evaluation.plan.constants import (
-    BLOCK_SCENES,
-    MOST_SCENES,
-    WORLDS,
-    horizon_world,
-    world_horizon_s,
-)
+from evaluation.plan.address import Address, parse_row
+from evaluation.plan.constants import BLOCK_SCENES, MOST_SCENES
 from evaluation.plan.plan import Plan, plan, plan_stronger
 from evaluation.plan.settings import Settings, check_drawing
+from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.pool.execute import execute, execute_stronger
 from evaluation.pool.memory import release_memory_after
 from evaluation.pool.workers import run_in_idle_worker, start_workers_early
@@ -327,8 +323,8 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 class _LinkEstimates:
     """Estimates from the cells of linkage."""
 
-    estimates: dict[Key, Estimate]
-    sums: dict[Key, ClusterSums]
+    estimates: dict[Address, Estimate]
+    sums: dict[Address, ClusterSums]
     table: pd.DataFrame  # `linkability.csv`
 
 
@@ -345,14 +341,14 @@ def _link_estimates(out: Path, manifest: Mapping[str, Any]) -> _LinkEstimates:
 class _Judged:
     """Robots judged at a horizon: their metrics, and misses against false alarms."""
 
-    estimates: Mapping[Key, Estimate]
-    at_raw_alarms: Mapping[Key, Estimate]
+    estimates: Mapping[Address, Estimate]
+    at_raw_alarms: Mapping[Address, Estimate]
     best: BestRobots  # Over the levels that a site may choose, and raw.
     curves: pd.DataFrame
     decided: pd.DataFrame
 
     @property
-    def all_estimates(self) -> dict[Key, Estimate]:
+    def all_estimates(self) -> dict[Address, Estimate]:
         """All estimates, those at raw's false-alarm rate among them."""
         return {**self.estimates, **self.at_raw_alarms}
 
@@ -361,14 +357,16 @@ class _Judged:
 class _SceneEstimates:
     """Estimates from the cells of scenes."""
 
-    estimates: Mapping[Key, Estimate]
-    attacked: dict[Key, ClusterSums]
-    worlds: Mapping[str, Mapping[Key, Estimate]]  # Others, further horizons among them.
+    estimates: Mapping[Address, Estimate]
+    attacked: dict[Address, ClusterSums]
+    worlds: Mapping[
+        World, Mapping[Address, Estimate]
+    ]  # Others, further horizons among them.
     own: _Judged  # At the run's own horizon.
     later: Mapping[float, _Judged]  # At further horizons, s, ascending.
 
     @property
-    def estimates_later(self) -> dict[float, Mapping[Key, Estimate]]:
+    def estimates_later(self) -> dict[float, Mapping[Address, Estimate]]:
         """The metrics at further horizons."""
         return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
 
@@ -383,11 +381,11 @@ def _scene_estimates(out: Path, manifest: Mapping[str, Any]) -> _SceneEstimates:
     dataset = manifest["dataset"]["name"]
     own = _judged(scored, manifest, estimates, dataset=dataset)
     later = dict[float, _Judged]()
-    worlds: dict[str, Mapping[Key, Estimate]] = {}
+    worlds: dict[World, Mapping[Address, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
-        world = horizon_world(horizon_s)
+        world = World(horizon_s=horizon_s)
         worlds[world], scored, _ = summary.estimates(out, manifest, world=world)
-        name = f"{dataset}:{world}"
+        name = Address(recording=dataset, world=world).dataset
         later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
     for world in WORLDS:
         cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
@@ -404,7 +402,7 @@ def _scene_estimates(out: Path, manifest: Mapping[str, Any]) -> _SceneEstimates:
 def _judged(
     scored: Sequence[summary.Scored],
     manifest: Mapping[str, Any],
-    estimates: Mapping[Key, Estimate],
+    estimates: Mapping[Address, Estimate],
     *,
     dataset: str,
 ) -> _Judged:
@@ -428,8 +426,8 @@ class _Compared:
 
     sweeps: Sweeps
     families: Mapping[str, Family]  # The mechanisms of the run, by name.
-    sums: Mapping[Key, ClusterSums]  # Of attacks.
-    best: Mapping[str, Source]  # The strongest linker by task; a reconstruction as "".
+    sums: Mapping[Address, ClusterSums]  # Of attacks.
+    best: Mapping[str, Address]  # The strongest linker by task; a reconstruction as "".
     crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
     by_mechanism: tuple[Strongest, ...]
 
@@ -538,7 +536,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         speeds=speeds,
         verdict=answered_verdict,
         failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
-        strongest={task: source.attack for task, source in best.items()},
+        strongest={task: source.without_task for task, source in best.items()},
         conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_gallery(out),
     )
@@ -562,7 +560,7 @@ def _frontiers_and_matches(
         at_horizon = Sweeps(
             judged_at(sweeps.estimates, robots.all_estimates), compared.families
         )
-        world = horizon_world(horizon_s)
+        world = World(horizon_s=horizon_s)
         frontiers.append(
             frontier(
                 at_horizon,
@@ -658,13 +656,14 @@ def _proposal_entries(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]
         for name, family in families_in(entries).items()
         if family.protects or family.family in (RAW, CLEAN)
     }
-    leading = leading_handover({Source(entry["consumer"]).task for entry in entries})
+    addresses = [parse_row(entry) for entry in entries]
+    leading = leading_handover({address.task for address in addresses})
     return [
         entry
-        for entry in entries
-        if entry["mechanism"] in names
-        and Source(entry["consumer"]).task in ("", leading)
-        and (not entry.get("world") or world_horizon_s(entry["world"]) is not None)
+        for entry, address in zip(entries, addresses, strict=True)
+        if address.mechanism in names
+        and address.task in ("", leading)
+        and not (address.world.law or address.world.is_model)
     ]
 
 
@@ -690,13 +689,13 @@ def _level_table(
 ) -> pd.DataFrame:
     """Return privacy and utility of a site at each level: `levels.csv`."""
     later = {
-        horizon_world(horizon_s): robots for horizon_s, robots in scenes.later.items()
+        World(horizon_s=horizon_s): robots for horizon_s, robots in scenes.later.items()
     }
     return levels(
         {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
         attacks=attacks,
         horizons={world: robots.all_estimates for world, robots in later.items()},
-        best={"": scenes.own.best}
+        best={OWN_WORLD: scenes.own.best}
         | {world: robots.best for world, robots in later.items()},
         linked=links.table,
         families=families_in(manifest["cells"]),
@@ -708,7 +707,7 @@ def _people_tables(
     out: Path,
     manifest: Mapping[str, Any],
     sweeps: Sweeps,
-    best: Mapping[str, Source],
+    best: Mapping[str, Address],
     choices: Mapping[tuple[str, str], Choices],
 ) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
     """Return `gallery.csv`, and the parts of the verdict about linked people."""

@@ -18,13 +18,8 @@ from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
 from evaluation.compute.tables import ROWS, Tables, rows_table
-from evaluation.plan.constants import (
-    MODEL,
-    OTHER_LAW,
-    OTHER_LAW_WORLD,
-    world_horizon_s,
-)
 from evaluation.plan.fingerprint import OURS
+from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
 from isac_track.scenes import Cut, make_scenes
 from isac_track.types import Ints, Knowledge, Scenes, Sensed
@@ -57,8 +52,7 @@ class Block:
     first_scene: int
     order: Ints  # (S, A) rows of the tracks.
     levels: Levels
-    # One of `WORLDS`, or the world of a further horizon; empty: that of the run.
-    world: str = ""
+    world: World = OWN_WORLD
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,7 +63,7 @@ class LinkWork:
     groups: tuple[str, ...]  # Clusters of the run's scenes.
     levels: Levels
     keep_scores: bool = False
-    world: str = ""
+    world: World = OWN_WORLD
 
 
 def attempt_cells(
@@ -107,8 +101,8 @@ def compute_cells(
     if a plug-in raises or breaks its contract, which names it, and DataError if an
     attack has nobody to learn from.
     """
-    if OTHER_LAW_WORLD in work.world:
-        stages = stages.changed({"sensing.law": OTHER_LAW})
+    if work.world.law:
+        stages = stages.changed({"sensing.law": work.world.law})
     if isinstance(work, LinkWork):
         yield from _linkage_cells(work, tracks=tracks, stages=stages, seed=seed)
     else:
@@ -118,7 +112,7 @@ def compute_cells(
 def _linkage_cells(
     work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
-    motion = reconstruction.recording_motion(tracks) if MODEL in work.world else None
+    motion = reconstruction.recording_motion(tracks) if work.world.is_model else None
     setup = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
@@ -168,7 +162,7 @@ def _linkage_tables(
 def _scene_cells(
     block: Block, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
-    horizon_s, is_model = world_horizon_s(block.world), MODEL in block.world
+    horizon_s, is_model = block.world.horizon_s, block.world.is_model
     if horizon_s is not None:
         tracks = tracks.further[horizon_s]
     scenes = make_scenes(
@@ -231,7 +225,7 @@ def _attacked_block(
         sensed=sensed,
         tracks=tracks,
         repeats=needs_repeats,
-        is_model=MODEL in block.world,
+        is_model=block.world.is_model,
         stages=stages,
         seed=seed,
     )

@@ -8,7 +8,7 @@ interval repeats all of that.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,10 +21,11 @@ from evaluation.estimates.cross_fit import (
 )
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import EstimatesByKey, Key, Measure, Where
+from evaluation.estimates.keys import EstimatesByAddress, Where
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import Scored, bootstrap_weights
+from evaluation.plan.address import Address, parse_consumer
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
 
@@ -38,7 +39,7 @@ class BestRobots:
     """Missed conflicts and false alarms of the best robot of a run."""
 
     # Under the names of `BEST`.
-    estimates: dict[Key, Estimate] = field(default_factory=dict)
+    estimates: dict[Address, Estimate] = field(default_factory=dict)
     choices: dict[str, tuple[str, str]] = field(default_factory=dict)
     """Robot that either half chose; each half is scored by the other half's choice."""
 
@@ -87,7 +88,7 @@ class _Trials:
 def best_robots(
     scored: Sequence[Scored],
     manifest: Mapping[str, Any],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
     among: Collection[str],
 ) -> BestRobots:
@@ -115,13 +116,13 @@ def best_robots(
     return _chosen(rivals, manifest) if rivals else BestRobots()
 
 
-def _only_robot(name: str, estimates: EstimatesByKey) -> BestRobots:
+def _only_robot(name: str, estimates: EstimatesByAddress) -> BestRobots:
     best = BestRobots()
     for metric, consumer in BEST.items():
         best.choices[consumer] = name, name
         for key, estimate in estimates.items():
             if key.consumer == name and key.metric in (metric, FALSE_ALARMS):
-                best.estimates[key._replace(consumer=consumer)] = estimate
+                best.estimates[replace(key, plugin=consumer)] = estimate
     return best
 
 
@@ -149,7 +150,7 @@ def _chosen(
                 # A costly robot is judged in fewer scenes: take the fewer clusters.
                 fewer = min(chosen, key=lambda robot: robot.effective(number))
                 estimate = _estimate(counted, choice, people, fewer, number=number)
-                best.estimates[Measure(consumer, number).at(*where)] = estimate
+                best.estimates[parse_consumer(consumer).at(*where, number)] = estimate
     return best
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByKey, Key, Source, Where, row_worlds
+from evaluation.estimates.keys import EstimatesByAddress, Where, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
     EXPOSURE,
@@ -23,35 +23,37 @@ from evaluation.estimates.metrics import (
     SUCCESS,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.constants import BOUND, MODEL
+from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.constants import BOUND
+from evaluation.plan.world import World
 from isac_track.intervals import Estimate, difference
 
 _ENDS = ["value", "ci_low", "ci_high"]
 _PLACE = ["world", "mechanism", "level", "task"]
 
 
-def linked_gaps(estimates: EstimatesByKey) -> dict[Key, Estimate]:
+def linked_gaps(estimates: EstimatesByAddress) -> dict[Address, Estimate]:
     """Return linkage in a model world with its optimum, and each attack's gap to it."""
-    numbers = dict[Key, Estimate]()
+    numbers = dict[Address, Estimate]()
     for key, estimate in estimates.items():
-        task, _, linker = key.consumer.partition("/")
-        if linker == BOUND:
+        if key.plugin == BOUND:
             if key.metric == SUCCESS:
-                numbers[key._replace(metric=RANK_OPTIMUM)] = estimate
+                numbers[key.measured(RANK_OPTIMUM)] = estimate
             continue
         numbers[key] = estimate
-        best = estimates.get(Key(*key.where, f"{task}/{BOUND}", SUCCESS))
-        if key.metric == SUCCESS and key.knowledge and best is not None:
-            numbers[key._replace(metric=RANK_GAP)] = difference(best, estimate)
+        bound = Address(task=key.task, plugin=BOUND, metric=SUCCESS)
+        best = estimates.get(bound.at(*key.where))
+        if key.metric == SUCCESS and key.adversary and best is not None:
+            numbers[key.measured(RANK_GAP)] = difference(best, estimate)
     return numbers
 
 
 class Gap(NamedTuple):
     """The attack that comes closest to the optimum at a level of a model world."""
 
-    world: str
+    world: World
     where: Where
-    attack: Source  # With the task, if it links.
+    attack: Address  # With the task, if it links.
     reached: Estimate  # PLR or rank 1 of the attack there.
     gap: Estimate
     bound: Estimate
@@ -65,8 +67,10 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     than it is: the closest attack is the one with the lowest upper end of its gap.
     """
     world = row_worlds(summary)
-    rows = summary.assign(world=world)[world.str.startswith(MODEL)]
-    rows = rows.assign(task=[Source(consumer).task for consumer in rows["consumer"]])
+    rows = summary.assign(world=world)[
+        world.map(lambda other: other.is_model).astype(bool)
+    ]
+    rows = rows.assign(task=[parse_consumer(name).task for name in rows["consumer"]])
     # With very few people there is no interval.
     rows["most"] = rows["ci_high"].fillna(rows["value"])
     closest = []
@@ -83,16 +87,16 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
         for place, level_rows in rows[is_needed].groupby(
             _PLACE, sort=False, dropna=False
         ):
-            name, mechanism, level, _ = cast("tuple[str, str, float, str]", place)
+            name, mechanism, level, _ = cast("tuple[World, str, float, str]", place)
             is_gap = level_rows["metric"] == gap_metric
             lacking = level_rows[is_gap].nsmallest(1, "most")
             bounds = level_rows[level_rows["metric"].isin(bound_metrics)]
             if lacking.empty or bounds.empty:
                 continue
             best = lacking.iloc[0]
-            source = Source(best["consumer"], best["knowledge"])
+            source = parse_consumer(best["consumer"], best["knowledge"])
             is_own = (level_rows["consumer"] == source.consumer) & (
-                level_rows["knowledge"] == source.knowledge
+                level_rows["knowledge"] == source.adversary
             )
             reached = level_rows.loc[is_own & (level_rows["metric"] == metric)].iloc[0]
             is_exact = bound_metrics[0] in bounds["metric"].to_numpy()

@@ -10,10 +10,12 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import AS_SHARED, EstimatesByKey, Source, Where
+from evaluation.estimates.keys import EstimatesByAddress, Where, entries_in
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.estimates.summary import bootstrap_weights, clusters
+from evaluation.plan.address import AS_SHARED, Address, parse_row
+from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
@@ -43,10 +45,10 @@ _SPEED: Final = "speed_mps"
 def by_speed(
     out: Path,
     manifest: Mapping[str, Any],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
     families: Mapping[str, Family],
-    best: Mapping[str, Source],
+    best: Mapping[str, Address],
 ) -> pd.DataFrame:
     """Return PLR by net speed, as shared and after the strongest attack: `COLUMNS`.
 
@@ -57,22 +59,19 @@ def by_speed(
     cell cannot be read.
     """
     entries = {
-        (
-            (entry["mechanism"], entry["level"]),
-            Source(entry["consumer"], entry["knowledge"]),
-        ): entry
-        for entry in manifest["cells"]
-        if entry["kind"] in ("shared", "attack") and not entry.get("world")
+        parse_row(entry): entry
+        for entry in entries_in(manifest["cells"], OWN_WORLD)
+        if entry["kind"] in ("shared", "attack")
     }
     shown = [
-        where
-        for where, source in entries
-        if source == AS_SHARED and _is_shown(families, where)
+        cell.where
+        for cell in entries
+        if cell == AS_SHARED.at(*cell.where) and _is_shown(families, cell.where)
     ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
     at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
-    speed_by_source = _speeds(out, entries[at_raw, AS_SHARED])
+    speed_by_source = _speeds(out, entries[AS_SHARED.at(*at_raw)])
     strongest_by_mechanism = against_each(
         by_task(estimates, metric=EXPOSURE).get("", {})
     )
@@ -84,14 +83,14 @@ def by_speed(
             else strongest_by_mechanism.get(where[0])
         )
         for source in filter(None, (AS_SHARED, attack)):
-            if entry := entries.get((where, source)):
+            if entry := entries.get(source.at(*where)):
                 level = np.nan if where[1] is None else where[1]
                 about = (
                     manifest["dataset"]["name"],
                     where[0],
                     level,
                     source.consumer,
-                    source.knowledge,
+                    source.adversary,
                 )
                 rows += [
                     (*about, *numbers)

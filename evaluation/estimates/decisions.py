@@ -13,9 +13,10 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.keys import EstimatesByKey, Key, Measure, Where
+from evaluation.estimates.keys import EstimatesByAddress, Where
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.summary import Scored, bootstrap_weights
+from evaluation.plan.address import Address, parse_consumer
 from isac_track.intervals import Estimate, estimate_from_replicates, percentile_interval
 from isac_track.types import Bools, Floats, Ints
 
@@ -147,10 +148,10 @@ def _missed_at(rates: Curve, false_alarm: Estimate) -> Estimate:
 def decisions(
     scored: Sequence[Scored],
     manifest: Mapping[str, Any],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
     dataset: str,
-) -> tuple[pd.DataFrame, pd.DataFrame, dict[Key, Estimate]]:
+) -> tuple[pd.DataFrame, pd.DataFrame, dict[Address, Estimate]]:
     """Return every predictor's curve, a row on each, and misses at raw's false alarms.
 
     The reference is the first predictor of the run. The row gives the area under the
@@ -164,7 +165,7 @@ def decisions(
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = bootstrap_weights(manifest)
     at_reference: dict[Where, tuple[Floats, Floats]] = {}
-    at_raw_alarms: dict[Key, Estimate] = {}
+    at_raw_alarms: dict[Address, Estimate] = {}
     points, future_points = [np.zeros(0)], [np.zeros(0)]
     rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
@@ -174,7 +175,7 @@ def decisions(
     )
     for place, (entry, cluster, columns) in order:
         where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
-        alarms = Measure(consumer, "false_alarm_rate")
+        alarms = parse_consumer(consumer).measured("false_alarm_rate")
         raw_alarm = estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():
             is_separation = name == _SEPARATION
@@ -189,7 +190,7 @@ def decisions(
             if is_separation and raw_alarm is not None:
                 misses = _misses(all_conflicts, future, raw_alarm)
                 at_raw_alarms |= {
-                    Measure(consumer, metric).at(*where): missed
+                    parse_consumer(consumer).at(*where, metric): missed
                     for metric, missed in misses.items()
                 }
             points.append(all_conflicts.points())

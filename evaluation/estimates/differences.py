@@ -6,7 +6,7 @@ cells.
 
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.estimates.families import families_in
-from evaluation.estimates.keys import EstimatesByKey, Key, Where, horizons_in, row_keys
+from evaluation.estimates.keys import EstimatesByAddress, Where, horizons_in, row_dicts
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -28,8 +28,9 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.constants import horizon_world
+from evaluation.plan.address import Address, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
+from evaluation.plan.world import World, parse_world
 from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
@@ -78,13 +79,6 @@ COLUMNS = [
     "world",
 ]
 """`world` is a further horizon, as in data sets' names; empty for the run's own."""
-
-
-class _Number(NamedTuple):
-    """A number of a run: its horizon (empty for the run's own), and its key."""
-
-    world: str
-    key: Key
 
 
 class Difference(NamedTuple):
@@ -165,7 +159,7 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
     rows = _rows(
         {number: (in_a[number], in_b[number]) for number in shared}, first, second
     )
-    own = {number.key: in_a[number] for number in shared if not number.world}
+    own = {address: in_a[address] for address in shared if not address.world}
     return Comparison(
         a=about(out_a, first),
         b=about(out_b, second),
@@ -184,14 +178,16 @@ def _redrawn(manifest: Manifest, groups: Sequence[str], seed: int) -> dict[str, 
     return {**manifest, "groups": groups, "identity": identity}
 
 
-def _numbers(out: Path, manifest: Manifest) -> dict[_Number, Estimate]:
+def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
     """Return every number of a run, including robots' numbers at further horizons."""
     own = {**estimates(out, manifest)[0], **linkage_estimates(cards(out, manifest))}
-    numbers = {_Number("", key): estimate for key, estimate in own.items()}
+    numbers = own
     for horizon_s in horizons_in(manifest["cells"]):
-        world = horizon_world(horizon_s)
+        world = World(horizon_s=horizon_s)
         ahead = estimates(out, manifest, world=world)[0]
-        numbers |= {_Number(world, key): estimate for key, estimate in ahead.items()}
+        numbers |= {
+            replace(key, world=world): estimate for key, estimate in ahead.items()
+        }
     return numbers
 
 
@@ -242,21 +238,21 @@ def counts(rows: pd.DataFrame) -> dict[str, int]:
 
 
 def _rows(
-    pairs: Mapping[_Number, tuple[Estimate, Estimate]],
+    pairs: Mapping[Address, tuple[Estimate, Estimate]],
     first: Manifest,
     second: Manifest,
 ) -> pd.DataFrame:
     """Return a row for each pair, tested by Holm in either family, the surest first."""
-    consumers = {number.key.consumer for number in pairs}
+    consumers = {key.consumer for key in pairs}
     paired_by = {name: pairing(first, second, consumer=name) for name in consumers}
     # Plain rank 1 depends on how many candidates there are.
     same_size = {
-        number.key._replace(metric=SUCCESS)
-        for number, (a, b) in pairs.items()
-        if number.key.metric == "chance" and a.value == b.value
+        key.measured(SUCCESS)
+        for key, (a, b) in pairs.items()
+        if key.metric == "chance" and a.value == b.value
     }
     rows = []
-    for (world, key), (a, b) in pairs.items():
+    for key, (a, b) in pairs.items():
         if math.isnan(a.value) and math.isnan(b.value):
             continue
         metric, paired = METRICS[key.metric], paired_by[key.consumer] != NONE
@@ -272,10 +268,8 @@ def _rows(
             change = difference(a, b, paired=paired, metric=metric.name)
         rows.append(
             {
-                "mechanism": key.mechanism,
-                "level": math.nan if key.level is None else key.level,
-                **key.measure._asdict(),
-                "headline": _is_headline(world, key),
+                **key.to_columns(),
+                "headline": _is_headline(key),
                 "a": a.value,
                 "b": b.value,
                 **change._asdict(),
@@ -283,7 +277,7 @@ def _rows(
                 "n": min(a.n, b.n),
                 "pairing": paired_by[key.consumer],
                 "finding": IDENTICAL if same else UNTESTED,
-                "world": world,
+                "world": key.world.text,
             }
         )
     table = pd.DataFrame(rows, columns=COLUMNS)
@@ -301,16 +295,16 @@ def _rows(
     )
 
 
-def _is_headline(world: str, key: Key) -> bool:
+def _is_headline(key: Address) -> bool:
     """Whether a number is in the headline; at further horizons only future misses."""
-    if world:
+    if key.world:
         return key.metric == MISSED_FUTURE
     # A control tells nothing about an adversary.
-    return METRICS[key.metric].is_headline and "/control-" not in key.consumer
+    return METRICS[key.metric].is_headline and not key.control
 
 
 def _lead(
-    rows: pd.DataFrame, estimates: EstimatesByKey, cells: Sequence[Manifest]
+    rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Manifest]
 ) -> pd.DataFrame:
     """Return the leading rows, at the levels of the smoke preset or the first ones."""
     best = strongest(estimates, families_in(cells))
@@ -320,29 +314,29 @@ def _lead(
     missed = [measure for measure in known if measure.metric == MISSED_RATE][:1]
     measures = [*missed]
     if "" in best:
-        measures.append(best[""].measure(EXPOSURE))
+        measures.append(best[""].measured(EXPOSURE))
     for linker in [best[task] for task in best if task][:1]:
-        among_100 = linker.measure(SUCCESS_OF_100)
-        measures.append(among_100 if among_100 in known else linker.measure(SUCCESS))
+        among_100 = linker.measured(SUCCESS_OF_100)
+        measures.append(among_100 if among_100 in known else linker.measured(SUCCESS))
     levels = _lead_levels({key.where for key in estimates}, cells)
     # After the misses at the run's own horizon, the future misses at further horizons.
-    worlds = [world for world in dict.fromkeys(rows["world"]) if world]
-    robots = [measure._replace(metric=MISSED_FUTURE) for measure in missed]
+    ahead = [world for world in map(parse_world, rows["world"].unique()) if world]
+    robots = [measure.measured(MISSED_FUTURE) for measure in missed]
     wanted = [
-        *(("", measure.at(*where)) for measure in missed for where in levels),
+        *(measure.at(*where) for measure in missed for where in levels),
         *(
-            (world, robot.at(*where))
-            for world in worlds
+            replace(robot.at(*where), world=world)
+            for world in ahead
             for robot in robots
             for where in levels
         ),
         *(
-            ("", measure.at(*where))
+            measure.at(*where)
             for measure in measures[len(missed) :]
             for where in levels
         ),
     ]
-    numbers = zip(rows["world"], row_keys(rows), strict=True)
+    numbers = [parse_row(row) for row in row_dicts(rows)]
     index_by_number = dict(zip(numbers, rows.index, strict=True))
     lead = rows.loc[
         [index_by_number[number] for number in wanted if number in index_by_number]
@@ -378,9 +372,9 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
     again later.
     """
     moved = _unequal(first["identity"], second["identity"])
-    task, is_linked, _ = consumer.partition("/")
+    task = parse_consumer(consumer).task
     is_apart, aside = "sha256" in moved, ("linkage.", "crowd")
-    if is_linked:
+    if task:
         people_a, people_b = (
             run["linkage"]["tasks"].get(task) for run in (first, second)
         )
@@ -446,17 +440,16 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
     """Return the names on each axis of a run, in the order of its cells."""
     cells = manifest["cells"]
 
-    def consumers(*kinds: str) -> list[str]:
+    def consumers(*kinds: str) -> list[Address]:
         return [
-            cell["consumer"] for kind in kinds for cell in cells if cell["kind"] == kind
+            parse_row(cell) for kind in kinds for cell in cells if cell["kind"] == kind
         ]
 
-    linkers = [name.partition("/")[2] for name in consumers("linkage")]
     return {
         "mechanisms": [cell["spec"] for cell in cells],
-        "predictors": consumers("predictor"),
-        "attacks": consumers("attack") + linkers,
-        "tasks": [name.partition("/")[0] for name in consumers("linkage", "control")],
+        "predictors": [robot.consumer for robot in consumers("predictor")],
+        "attacks": [attack.attack_spec for attack in consumers("attack", "linkage")],
+        "tasks": [reader.task for reader in consumers("linkage", "control")],
     }
 
 

@@ -10,6 +10,7 @@ from typing import Any, Final, get_args
 
 import pandas as pd
 
+from evaluation.plan.address import plugin_name
 from isac_track.types import Adding
 
 RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
@@ -87,5 +88,5 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
 
 def with_unit(mechanism: str) -> str:
     """Return the name of a mechanism with the meaning and unit of its level."""
-    unit = LEVEL_UNITS.get(mechanism.partition(":")[0], "")
+    unit = LEVEL_UNITS.get(plugin_name(mechanism), "")
     return f"{mechanism}, {unit}" if unit else mechanism

@@ -5,8 +5,9 @@ adversary that was run, and rank 1 of the strongest linker of each task. Beside 
 the robot's own MAE and PLR.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import product
 from typing import Any, Final, NamedTuple
 
@@ -14,8 +15,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import AS_SHARED, Key, Measure, Source
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     CRITERIA,
@@ -33,7 +33,8 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.strongest_table import Strongest, strongest_on_each
-from evaluation.plan.constants import world_horizon_s
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_dataset
+from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
 from isac_track.types import Bools, Floats, Ints
@@ -86,14 +87,14 @@ class Quantity(NamedTuple):
     """A number that the frontier shows of every mechanism: a metric of some source."""
 
     metric: str
-    source_by_mechanism: Mapping[str, Source]
+    source_by_mechanism: Mapping[str, Address]
     """Source by mechanism, raw included: the strongest attack against each."""
     is_axis: bool = False  # Whether mechanisms are held against one another by it.
 
 
 def frontier_quantities(
     sweeps: Sweeps, attacks: Sequence[Strongest]
-) -> tuple[list[Quantity], dict[Key, Estimate]]:
+) -> tuple[list[Quantity], dict[Address, Estimate]]:
     """Return the quantities of every mechanism, and cross-fitted estimates of attacks.
 
     Descriptors are as shared and after the strongest reconstruction of each of
@@ -102,7 +103,7 @@ def frontier_quantities(
     """
     as_shared = dict.fromkeys(sweeps.families, AS_SHARED)
     quantities = [Quantity(name, as_shared) for name in DESCRIPTORS]
-    sources: dict[tuple[str, tuple[str, ...]], dict[str, Source]] = {}
+    sources: dict[tuple[str, tuple[str, ...]], dict[str, Address]] = {}
     for attack in attacks:
         group = attack.source.task, attack.among
         sources.setdefault(group, {})[attack.mechanism] = attack.source
@@ -116,12 +117,12 @@ def frontier_quantities(
             Quantity(metric, source_by_mechanism, is_axis=metric == metrics[0])
             for metric in metrics
         ]
-    crossed: dict[Key, Estimate] = {}
+    crossed: dict[Address, Estimate] = {}
     for attack in attacks:
         metrics = (SUCCESS, SUCCESS_OF_100) if attack.source.task else DESCRIPTORS
         for where, metric in product(attack.wheres, metrics):
             if estimate := attack.at(where, metric, sweeps.estimates):
-                crossed[attack.source.measure(metric).at(*where)] = estimate
+                crossed[attack.source.at(*where, metric)] = estimate
     return quantities, crossed
 
 
@@ -130,8 +131,8 @@ def frontier(
     *,
     predictors: Sequence[str],
     dataset: str,
-    world: str = "",
-    sums: Mapping[Key, ClusterSums] | None = None,
+    world: World = OWN_WORLD,
+    sums: Mapping[Address, ClusterSums] | None = None,
     attacks: Sequence[Strongest] | None = None,
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
@@ -150,9 +151,10 @@ def frontier(
     sweeps = Sweeps({**sweeps.estimates, **crossed}, sweeps.families)
     shared = [(quantity, _curves(sweeps, quantity)) for quantity in quantities]
     rows: list[dict[str, Any]] = []
+    locate = partial(in_run, dataset=dataset, world=world)
     for robot, (criterion, metric) in product(predictors, CRITERIA.items()):
         price = _price(sweeps, robot, metric)
-        robots = dict.fromkeys(sweeps.families, Source(robot))
+        robots = dict.fromkeys(sweeps.families, parse_consumer(robot))
         own = [Quantity(name, robots) for name in ROBOTS_OWN]
         axes, robot_rows = [], []
         for quantity, curves in [
@@ -170,13 +172,10 @@ def frontier(
             robot_rows += [
                 {
                     **row,
-                    "dataset": row_dataset(
-                        row["consumer"], dataset=dataset, world=world
-                    ),
                     "robot": robot,
                     "criterion": criterion,
                 }
-                for row in _rows(sweeps, price, quantity, left)
+                for row in _rows(sweeps, price, quantity, left, locate)
             ]
         beaten = _dominated(axes, price.is_dense)
         for row in robot_rows:
@@ -189,7 +188,7 @@ def frontier(
 class _Price:
     """Mechanisms where a robot's missed rate has risen by the targets, (P,)."""
 
-    cost: Measure
+    cost: Address
     reached: Mapping[
         str, tuple[Ints, Floats]
     ]  # Position on the curve, (1 + B, P) each.
@@ -198,7 +197,7 @@ class _Price:
 
 
 def _price(sweeps: Sweeps, robot: str, metric: str) -> _Price:
-    robots = dict.fromkeys(sweeps.families, Source(robot))
+    robots = dict.fromkeys(sweeps.families, parse_consumer(robot))
     costs = _curves(sweeps, Quantity(metric, robots))
     rises = {name: np.abs(curve - curve[:, -1:]) for name, curve in costs.items()}
     targets = np.array(TARGETS)
@@ -213,21 +212,26 @@ def _price(sweeps: Sweeps, robot: str, metric: str) -> _Price:
         )
         for name, position in reached.items()
     }
-    return _Price(Source(robot).measure(metric), reached, is_dense, level)
+    return _Price(parse_consumer(robot).measured(metric), reached, is_dense, level)
 
 
 def _rows(
-    sweeps: Sweeps, price: _Price, quantity: Quantity, left: Mapping[str, Floats]
+    sweeps: Sweeps,
+    price: _Price,
+    quantity: Quantity,
+    left: Mapping[str, Floats],
+    locate: Callable[[Address], Address],
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a quantity at a price: every mechanism at every target.
 
-    `left`, (1 + B, P), are the values of the quantity by mechanism.
+    `left`, (1 + B, P), are the values of the quantity by mechanism; `locate` gives an
+    address its recording and world.
     """
     for name in left:
-        measure = quantity.source_by_mechanism[name].measure(quantity.metric)
+        measure = quantity.source_by_mechanism[name].measured(quantity.metric)
         about = {
+            **locate(measure).to_columns(),
             **asdict(sweeps.families[name]),
-            **measure._asdict(),
             "n": sweeps.n(name, measure),
         }
         columns = _columns(sweeps, price, measure, left, name=name)
@@ -239,7 +243,7 @@ def _rows(
 def _columns(
     sweeps: Sweeps,
     price: _Price,
-    measure: Measure,
+    measure: Address,
     left: Mapping[str, Floats],
     *,
     name: str,
@@ -264,7 +268,7 @@ def usual_price(table: pd.DataFrame) -> pd.DataFrame:
     no other. A table without such conflicts is priced by all conflicts.
     """
     horizons = table["dataset"].map(
-        lambda name: world_horizon_s(name.rpartition(":")[2]) or 0.0
+        lambda name: parse_dataset(name).world.horizon_s or 0.0
     )
     rows: pd.DataFrame = table[horizons == horizons.max()]
     to_come: pd.DataFrame = rows[rows["criterion"] == FUTURE]
@@ -276,7 +280,7 @@ def usual_price(table: pd.DataFrame) -> pd.DataFrame:
 def _curves(sweeps: Sweeps, quantity: Quantity) -> dict[str, Floats]:
     return sweeps.together(
         {
-            name: source.measure(quantity.metric)
+            name: source.measured(quantity.metric)
             for name, source in quantity.source_by_mechanism.items()
         }
     )

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByKey
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.keys import EstimatesByAddress
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.linked_people import LinkedProbes
 from isac_track import intervals
 from isac_track.intervals import Estimate
@@ -40,7 +40,7 @@ TPR: Final = "tpr_at_fpr_1pct"
 
 def galleries(
     probes: Mapping[str, Sequence[LinkedProbes]],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
     dataset: str,
     seed: int,
@@ -59,12 +59,13 @@ def galleries(
         )
         for linked in levels:
             about = (
-                row_dataset(linked.linker.consumer, dataset=dataset),
+                in_run(linked.linker, dataset=dataset).dataset,
                 linked.mechanism,
                 np.nan if linked.level is None else linked.level,
-                *linked.linker,
+                linked.linker.consumer,
+                linked.linker.adversary,
             )
-            measure = linked.linker.measure(TPR)
+            measure = linked.linker.measured(TPR)
             tpr = estimates.get(measure.at(linked.mechanism, linked.level))
             for measured, size, metric, estimate in _sizes(linked, weights, tpr):
                 if np.isfinite(estimate.value):

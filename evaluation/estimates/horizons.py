@@ -7,11 +7,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByKey, Measure, horizons_in
+from evaluation.estimates.keys import EstimatesByAddress, horizons_in
 from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.constants import horizon_world
+from evaluation.plan.address import Address, parse_consumer, parse_row
 from evaluation.plan.presets import BASELINE
+from evaluation.plan.world import World
 from evaluation.store.cell_files import read_rows
 from isac_track.intervals import (
     FEWEST_EFFECTIVE,
@@ -34,14 +35,16 @@ def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     same scenes: those of the first are read. Raises DataError as `read_rows`.
     """
     frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
-    name, robots = manifest["dataset"]["name"], dict[str, Mapping[str, Any]]()
+    name, robots = manifest["dataset"]["name"], dict[World, Mapping[str, Any]]()
     for entry in manifest["cells"]:
         if entry["kind"] == "predictor":
-            robots.setdefault(entry.get("world") or "", entry)
-    for world in ("", *map(horizon_world, horizons_in(manifest["cells"]))):
+            robots.setdefault(parse_row(entry).world, entry)
+    horizons_s = (None, *horizons_in(manifest["cells"]))
+    for world in (World(horizon_s=horizon_s) for horizon_s in horizons_s):
         if world in robots:
             frame = _distribution(out, robots[world], manifest)
-            frames.append(frame.assign(dataset=f"{name}:{world}" if world else name))
+            dataset = Address(recording=name, world=world).dataset
+            frames.append(frame.assign(dataset=dataset))
     return pd.concat(frames[1:] or frames, ignore_index=True)[TIME_COLUMNS]
 
 
@@ -77,7 +80,7 @@ def _distribution(
 
 
 def beaten_by_standing_still(
-    own: EstimatesByKey, later: Mapping[float, EstimatesByKey]
+    own: EstimatesByAddress, later: Mapping[float, EstimatesByAddress]
 ) -> list[dict[str, Any]]:
     """Return the levels where a robot surely misses more than `BASELINE`, by horizon.
 
@@ -90,7 +93,7 @@ def beaten_by_standing_still(
     for horizon_s, at_horizon in ((None, own), *later.items()):
         robots: dict[str, list[dict[str, Any]]] = {}
         for key, missed in at_horizon.items():
-            still = at_horizon.get(Measure(BASELINE, MISSED_RATE).at(*key.where))
+            still = at_horizon.get(parse_consumer(BASELINE).at(*key.where, MISSED_RATE))
             if (
                 key.metric == MISSED_RATE
                 and key.consumer != BASELINE

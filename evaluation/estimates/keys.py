@@ -1,13 +1,19 @@
-"""Keys of a run's numbers: mechanism, level, consumer, metric and knowledge."""
+"""Tables of a run by the addresses of their rows, and levels as people write them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from evaluation.estimates.metrics import MISSED_RATE
-from evaluation.plan.constants import SHARED, is_world, world_horizon_s
+from evaluation.plan.address import (
+    Address,
+    parse_consumer,
+    parse_dataset,
+    parse_row,
+)
+from evaluation.plan.world import World, parse_world
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -17,83 +23,9 @@ if TYPE_CHECKING:
 
 INFORMED: Final = "informed"
 Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
-EstimatesByKey: TypeAlias = "Mapping[Key, Estimate]"
+EstimatesByAddress: TypeAlias = "Mapping[Address, Estimate]"
+"""Estimates of one run in one world, which their addresses leave out."""
 _MOST_WRITTEN_OUT = 1e7
-
-
-class Source(NamedTuple):
-    """Origin of positions: as shared, or rebuilt by an attack of an adversary."""
-
-    consumer: str
-    knowledge: str = ""
-
-    @property
-    def label(self) -> str:
-        """Text for people: the consumer, with the adversary in brackets."""
-        if not self.knowledge:
-            return self.consumer
-        return f"{self.consumer} ({self.knowledge})"
-
-    @property
-    def task(self) -> str:
-        """Linkage task; empty for a reconstruction."""
-        task, is_linked, _ = self.consumer.partition("/")
-        return task if is_linked else ""
-
-    @property
-    def attack(self) -> Source:
-        """The same source without its task."""
-        return Source(self.consumer.removeprefix(f"{self.task}/"), self.knowledge)
-
-    def measure(self, metric: str) -> Measure:
-        """Return the measure of this source by a metric."""
-        return Measure(self.consumer, metric, self.knowledge)
-
-
-AS_SHARED: Final = Source(SHARED)
-
-
-class Measure(NamedTuple):
-    """A metric of a source, measured at every mechanism level."""
-
-    consumer: str
-    metric: str
-    knowledge: str = ""
-
-    @property
-    def source(self) -> Source:
-        """Source whose positions are measured."""
-        return Source(self.consumer, self.knowledge)
-
-    @property
-    def label(self) -> str:
-        """Text for people: the source, and whether all probes are matched at once."""
-        label = self.source.label
-        return f"{label}, joint" if self.metric == "rank1_assigned" else label
-
-    def at(self, mechanism: str, level: float | None) -> Key:
-        """Return the key of this measure at a mechanism's level."""
-        return Key(mechanism, level, *self)
-
-
-class Key(NamedTuple):
-    """Identity of a number in the summary."""
-
-    mechanism: str
-    level: float | None
-    consumer: str
-    metric: str
-    knowledge: str = ""
-
-    @property
-    def where(self) -> Where:
-        """Mechanism and level."""
-        return self.mechanism, self.level
-
-    @property
-    def measure(self) -> Measure:
-        """Measure without the mechanism and its level."""
-        return Measure(self.consumer, self.metric, self.knowledge)
 
 
 def level_text(level: float | None) -> str:
@@ -117,26 +49,45 @@ def row_dicts(frame: pd.DataFrame) -> list[dict[str, Any]]:
     return [dict(zip(names, row, strict=True)) for row in zip(*columns, strict=True)]
 
 
-def row_keys(rows: pd.DataFrame) -> list[Key]:
-    """Return the key of each row of a summary."""
+def row_addresses(rows: pd.DataFrame) -> list[Address]:
+    """Return the address of each row of a summary, without recording and world."""
     knowledge = rows["knowledge"].astype(object).fillna("")
     names = ("mechanism", "level", "consumer", "metric")
-    columns = [*(rows[name] for name in names), knowledge]
     return [
-        Key(mechanism, None if math.isnan(level) else level, *measure)
-        for mechanism, level, *measure in zip(*columns, strict=True)
+        parse_consumer(consumer, adversary).at(
+            mechanism, None if math.isnan(level) else level, metric
+        )
+        for mechanism, level, consumer, metric, adversary in zip(
+            *(rows[name] for name in names), knowledge, strict=True
+        )
     ]
+
+
+def row_address(row: Mapping[Any, Any]) -> Address:
+    """Return the address of a row or of a manifest's entry, without what a run shares.
+
+    That is recording and world: all numbers of a mapping have the same.
+    """
+    return parse_row(row).within()
+
+
+def entries_in(
+    entries: Iterable[Mapping[str, Any]], world: World
+) -> list[Mapping[str, Any]]:
+    """Return the entries of a manifest that are of a world."""
+    return [entry for entry in entries if (entry.get("world") or "") == world.text]
 
 
 def horizons_in(entries: Iterable[Mapping[str, Any]]) -> list[float]:
     """Return the further horizons of a run, s, ascending, from its manifest's cells."""
-    worlds = {entry.get("world") or "" for entry in entries}
-    return sorted(
-        seconds for world in worlds if (seconds := world_horizon_s(world)) is not None
-    )
+    worlds = map(parse_world, {entry.get("world") or "" for entry in entries})
+    horizons_s = {world.horizon_s for world in worlds if world is not None}
+    return sorted(horizon_s for horizon_s in horizons_s if horizon_s is not None)
 
 
-def judged_at(own: EstimatesByKey, at_horizon: EstimatesByKey) -> EstimatesByKey:
+def judged_at(
+    own: EstimatesByAddress, at_horizon: EstimatesByAddress
+) -> EstimatesByAddress:
     """Return the estimates of a run with its robots judged at another horizon.
 
     The numbers of robots at that horizon replace those of the run's own; all other
@@ -151,15 +102,10 @@ def judged_at(own: EstimatesByKey, at_horizon: EstimatesByKey) -> EstimatesByKey
     return {**comparable, **at_horizon}
 
 
-def row_worlds(frame: pd.DataFrame) -> pd.Series[str]:
-    """Return the world of each row of a summary; empty for the run's own world."""
+def row_worlds(frame: pd.DataFrame) -> pd.Series[Any]:
+    """Return the world of each row of a table with the column `dataset`."""
     names = frame["dataset"]
-    parts = {name: name.rpartition(":") for name in names.unique()}
-    world_by_name = {
-        name: end if start and is_world(end) else ""
-        for name, (start, _, end) in parts.items()
-    }
-    return names.map(world_by_name).astype(names.dtype)
+    return names.map(lambda name: parse_dataset(str(name)).world).astype(object)
 
 
 def is_attack(frame: pd.DataFrame) -> pd.Series[bool]:

@@ -16,8 +16,8 @@ import pandas as pd
 
 from evaluation.estimates.best_robot import BestRobots
 from evaluation.estimates.families import RAW, Family
-from evaluation.estimates.keys import AS_SHARED, EstimatesByKey, Key, Source, Where
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.keys import EstimatesByAddress, Where, row_address
+from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.metrics import (
     COSTS,
     DESCRIPTORS,
@@ -37,6 +37,8 @@ from evaluation.estimates.strongest import (
     success_metric,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE, Strongest
+from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.linkability import GALLERY
 
@@ -91,11 +93,11 @@ def linked_share(
 
 
 def levels(
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
     attacks: Sequence[Strongest],
-    horizons: Mapping[str, EstimatesByKey],
-    best: Mapping[str, BestRobots],
+    horizons: Mapping[World, EstimatesByAddress],
+    best: Mapping[World, BestRobots],
     linked: pd.DataFrame,
     families: Mapping[str, Family],
     dataset: str,
@@ -104,9 +106,8 @@ def levels(
 
     A level protects if its mechanism claims to. `estimates` are all those of the run,
     misses at raw's false alarms among them; `attacks` are the strongest on each
-    mechanism; `horizons` are the estimates of robots by further horizon (as in
-    `dataset`, behind the name); `best` are the best robots by horizon (empty: the run's
-    own); `linked` is `linkability.csv`.
+    mechanism; `horizons` are the estimates of robots at further horizons; `best` are
+    the best robots by horizon; `linked` is `linkability.csv`.
     """
     chosen = {
         name
@@ -114,7 +115,7 @@ def levels(
         if family.protects or family.family == RAW
     }
     own = _select(estimates, chosen)
-    rows = list(_robot_rows(own, "", families, dataset))
+    rows = list(_robot_rows(own, OWN_WORLD, families, dataset))
     for world, numbers in horizons.items():
         at_horizon = _select(numbers, chosen)
         rows += _robot_rows(at_horizon, world, families, dataset)
@@ -123,7 +124,7 @@ def levels(
     rows += [
         _row(key, number, families, dataset)
         for key, number in own.items()
-        if key.measure.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
+        if key.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
     ]
     attacks_on_chosen = [attack for attack in attacks if attack.mechanism in chosen]
     rows += _reconstruction_rows(attacks_on_chosen, own, families, dataset)
@@ -132,8 +133,8 @@ def levels(
 
 
 def _select(
-    estimates: EstimatesByKey, mechanisms: Collection[str]
-) -> dict[Key, Estimate]:
+    estimates: EstimatesByAddress, mechanisms: Collection[str]
+) -> dict[Address, Estimate]:
     return {
         key: number for key, number in estimates.items() if key.mechanism in mechanisms
     }
@@ -141,7 +142,7 @@ def _select(
 
 def _reconstruction_rows(
     attacks: Sequence[Strongest],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     families: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
@@ -157,13 +158,13 @@ def _reconstruction_rows(
         for where in attack.wheres:
             for metric in (*DESCRIPTORS, MEDIAN, WIDE):
                 source = attack.source
-                key = source.measure(metric).at(*where)
+                key = source.at(*where, metric)
                 estimate = attack.at(where, metric, estimates)
                 if metric == WIDE and key not in attack.crossed.estimates:
                     source = at_wide
-                    estimate = estimates.get(source.measure(WIDE).at(*where))
+                    estimate = estimates.get(source.at(*where, WIDE))
                 if estimate is not None:
-                    own = source.measure(metric).at(*where)
+                    own = source.at(*where, metric)
                     about = {
                         "adversary": group_name(attack.among),
                         **_choices(attack, metric),
@@ -172,18 +173,21 @@ def _reconstruction_rows(
 
 
 def _robot_rows(
-    estimates: EstimatesByKey, world: str, families: Mapping[str, Family], dataset: str
+    estimates: EstimatesByAddress,
+    world: World,
+    families: Mapping[str, Family],
+    dataset: str,
 ) -> Iterator[dict[str, Any]]:
-    name = f"{dataset}:{world}" if world else dataset
+    name = Address(recording=dataset, world=world).dataset
     for key, number in estimates.items():
         if key.metric in _ROBOT_METRICS:
             yield _row(key, number, families, name)
 
 
 def _best_robot_rows(
-    robots: BestRobots, world: str, families: Mapping[str, Family], dataset: str
+    robots: BestRobots, world: World, families: Mapping[str, Family], dataset: str
 ) -> Iterator[dict[str, Any]]:
-    name = f"{dataset}:{world}" if world else dataset
+    name = Address(recording=dataset, world=world).dataset
     for key, number in robots.estimates.items():
         first, second = robots.choices[key.consumer]
         chosen = {"first_choice": first, "second_choice": second}
@@ -192,7 +196,7 @@ def _best_robot_rows(
 
 def _linker_rows(
     attacks: Sequence[Strongest],
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     linked: pd.DataFrame,
     families: Mapping[str, Family],
     dataset: str,
@@ -210,10 +214,10 @@ def _linker_rows(
     for linker in linkers:
         source, raw = linker.source, raws.get(linker.source.task)
         metric = success_metric(estimates, (raw or linker).source)
-        data = row_dataset(source.consumer, dataset=dataset)
+        data = task_recording(source.task, dataset=dataset)
         for where in linker.wheres:
-            key = source.measure(metric).at(*where)
-            card = cards.get((*where, *source), {})
+            key = source.at(*where, metric)
+            card = cards.get(source.at(*where), {})
             about = {name: str(card.get(name) or "") for name in ("outcome", "invalid")}
             about |= {"adversary": group_name(linker.among), **_choices(linker, metric)}
             chance = _chance(source, metric, where, estimates)
@@ -225,19 +229,16 @@ def _linker_rows(
                 share = linked_share(rank, chance, at_raw, raw_chance)
                 numbers[LINKAGE_SHARE] = share
             for name, number in numbers.items():
-                row = _row(key._replace(metric=name), number, families, data)
+                row = _row(key.measured(name), number, families, data)
                 yield row | about
 
 
-def _cards(linked: pd.DataFrame) -> dict[tuple[Any, ...], dict[Any, Any]]:
+def _cards(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
     """Return the rows of `linkability.csv` of all people, by level and linker."""
     if linked.empty:
         return {}
-    cards = {}
-    for row in linked[linked["cohort"] == "all"].to_dict("records"):
-        level = None if np.isnan(row["level"]) else row["level"]
-        cards[row["mechanism"], level, row["consumer"], row["knowledge"]] = row
-    return cards
+    rows = linked[linked["cohort"] == "all"].to_dict("records")
+    return {row_address(row): row for row in rows}
 
 
 def _choices(attack: Strongest, metric: str) -> dict[str, str]:
@@ -249,28 +250,24 @@ def _choices(attack: Strongest, metric: str) -> dict[str, str]:
 
 
 def _chance(
-    source: Source, metric: str, where: Where, estimates: EstimatesByKey
+    source: Address, metric: str, where: Where, estimates: EstimatesByAddress
 ) -> float:
     if metric == SUCCESS_OF_100:
         return 1.0 / GALLERY
-    return estimates.get(source.measure("chance").at(*where), _UNKNOWN).value
+    return estimates.get(source.at(*where, "chance"), _UNKNOWN).value
 
 
 def _row(
-    key: Key, number: Estimate, families: Mapping[str, Family], dataset: str
+    key: Address, number: Estimate, families: Mapping[str, Family], dataset: str
 ) -> dict[str, Any]:
     family = families[key.mechanism]
     return {
+        **key.to_columns(),
         "dataset": dataset,
-        "mechanism": key.mechanism,
-        "level": np.nan if key.level is None else key.level,
         "family": family.family,
         "adding": family.adding,
         "protects": family.protects,
         "adversary": "",
-        "consumer": key.consumer,
-        "knowledge": key.knowledge,
-        "metric": key.metric,
         **{name: getattr(number, name) for name in ("value", "ci_low", "ci_high", "n")},
         "outcome": "",
         "invalid": "",

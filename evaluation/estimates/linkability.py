@@ -9,7 +9,6 @@ invalid, and names the shortcut.
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -20,8 +19,10 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.keys import Source, Where, row_dicts
+from evaluation.estimates.keys import Where, entries_in, row_address, row_dicts
 from evaluation.estimates.strongest import most_knowing
+from evaluation.plan.address import Address, parse_consumer, parse_row
+from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
@@ -66,12 +67,15 @@ TWO_SESSIONS = "plaza-two-sessions"
 Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
 
 
-@lru_cache(maxsize=1024)
-def row_dataset(consumer: str, *, dataset: str, world: str = "") -> str:
-    """Return the data set of a row: simulated tasks and other worlds have their own."""
-    task = TASKS.get(consumer.partition("/")[0])
-    name = TWO_SESSIONS if task is not None and task.simulated else dataset
-    return f"{name}:{world}" if world else name
+def task_recording(task: str, *, dataset: str) -> str:
+    """Return the recording of a task's people: a simulated task has its own."""
+    known = TASKS.get(task)
+    return TWO_SESSIONS if known is not None and known.simulated else dataset
+
+
+def in_run(address: Address, *, dataset: str, world: World = OWN_WORLD) -> Address:
+    """Return an address with its recording, in a run of `dataset`, and its world."""
+    return address.within(task_recording(address.task, dataset=dataset), world)
 
 
 def cards(
@@ -79,18 +83,18 @@ def cards(
     manifest: Mapping[str, Any],
     *,
     drawn: Collection[str] | None = None,
-    world: str = "",
+    world: World = OWN_WORLD,
 ) -> Cards:
     """Return the card of every linkage cell of a world, with its entry in the manifest.
 
-    `world` is one of `WORLDS`. `drawn` are the attacks' metrics that need replicates;
-    without it all metrics of attacks and controls have them. Raises DataError if a cell
-    cannot be read.
+    `drawn` are the attacks' metrics that need replicates; without it all metrics of
+    attacks and controls have them. Raises DataError if a cell cannot be read.
     """
-    linked = (
-        entry for entry in manifest["cells"] if entry["kind"] in ("linkage", "control")
-    )
-    entries = [entry for entry in linked if entry.get("world", "") == world]
+    entries = [
+        entry
+        for entry in entries_in(manifest["cells"], world)
+        if entry["kind"] in ("linkage", "control")
+    ]
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 
@@ -100,28 +104,24 @@ def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
     `dataset` is that of the run.
     """
     ceilings = {
-        (entry["consumer"], entry["knowledge"]): card.numbers["p_value"]
+        parse_row(entry).source: card.numbers["p_value"]
         for entry, card in cards
         if entry["mechanism"] == CLEAN
     }
     leaks = _leaks(cards)
     rows = []
     for entry, card in cards:
-        consumer, numbers = entry["consumer"], card.numbers
+        address, numbers = row_address(entry), card.numbers
         p_value = numbers["p_value"]
         if entry["kind"] == "control":
             result = "beats chance" if p_value <= LEVEL else "at chance"
         else:
-            result = outcome(
-                p_value=p_value, ceiling_p_value=ceilings[consumer, entry["knowledge"]]
-            )
+            result = outcome(p_value=p_value, ceiling_p_value=ceilings[address.source])
         rank1 = card.estimates["rank1"]
         ends = rank1.value, rank1.ci_low, rank1.ci_high
         row = {
-            **{name: entry[name] for name in ("mechanism", "consumer", "knowledge")},
-            "dataset": row_dataset(consumer, dataset=dataset),
-            "level": np.nan if entry["level"] is None else entry["level"],
-            "invalid": ", ".join(leaks.get((entry["spec"], Source(consumer).task), ())),
+            **in_run(address, dataset=dataset).to_columns(),
+            "invalid": ", ".join(leaks.get((entry["spec"], address.task), ())),
         }
         everybody = {
             **numbers,
@@ -140,7 +140,8 @@ def _leaks(cards: Cards) -> dict[tuple[str, str], list[str]]:
     """Return the shortcuts that beat chance, by SPEC and task (after Holm)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
     for entry, card in cards:
-        task, _, name = entry["consumer"].partition("/control-")
+        address = parse_row(entry)
+        task, name = address.task, address.control
         if entry["kind"] == "control" and CONTROLS[name].audits(TASKS[task]):
             # Two-sided: scores that are low for mates also give them away.
             tails = card.numbers["p_value"], card.numbers["p_value_low"]
@@ -161,13 +162,13 @@ class LinkedTask:
     name: str
     about: str
     # Each attack with the adversary that knows most, short of the oracle.
-    attacks: tuple[Source, ...]
-    cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]]
+    attacks: tuple[Address, ...]
+    cohorts: dict[str, dict[Where, dict[Address, Mapping[str, Any]]]]
     """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
     controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.
 
     @property
-    def cells(self) -> dict[Where, dict[Source, Mapping[str, Any]]]:
+    def cells(self) -> dict[Where, dict[Address, Mapping[str, Any]]]:
         """Rows of the cohort of all people, at each level."""
         return self.cohorts["all"]
 
@@ -182,12 +183,14 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
         name: place for place, name in enumerate(linkability["mechanism"].unique())
     }
     tidy = tidy.sort_values("level", kind="stable", na_position="first")
-    tasks = {name: Source(name).task for name in linkability["consumer"].unique()}
+    tasks = {
+        name: parse_consumer(name).task for name in linkability["consumer"].unique()
+    }
     task_column = tidy["consumer"].map(tasks)
     tasks_linked = []
     for task in dict.fromkeys(tasks.values()):
         rows = tidy[task_column == task]
-        cohorts: dict[str, dict[Where, dict[Source, Mapping[str, Any]]]] = {}
+        cohorts: dict[str, dict[Where, dict[Address, Mapping[str, Any]]]] = {}
         linked = rows[rows["knowledge"] != ""]
         linked = linked.sort_values(
             "mechanism", kind="stable", key=lambda name: name.map(order)
@@ -197,15 +200,15 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
                 row["mechanism"],
                 None if math.isnan(row["level"]) else float(row["level"]),
             )
-            source = Source(row["consumer"], row["knowledge"]).attack
+            source = parse_consumer(row["consumer"], row["knowledge"]).without_task
             cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
         if "all" not in cohorts:
             continue
         sources = (source for level in cohorts["all"].values() for source in level)
-        linkers: dict[str, list[Source]] = {}
+        linkers: dict[str, list[Address]] = {}
         for source in most_knowing(sources):
             # A linker may run behind several reconstructions: keep these together.
-            linkers.setdefault(source.consumer.partition("@")[0], []).append(source)
+            linkers.setdefault(source.plugin, []).append(source)
         about = TASKS[task].about if task in TASKS else ""
         controls = tuple(row_dicts(rows[rows["knowledge"] == ""]))
         attacks = tuple(chain(*linkers.values()))

@@ -7,7 +7,6 @@ people are weights of the clusters.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from operator import itemgetter
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final, TypeAlias
@@ -20,7 +19,7 @@ from evaluation.compute.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.compute.link_setup import SIDES
 from evaluation.compute.tables import ON_TRIAL
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.estimates.keys import Measure, Source
+from evaluation.estimates.keys import entries_in
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
     ASSIGNED,
@@ -30,7 +29,9 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import against_each, by_task, first_half
+from evaluation.plan.address import Address, parse_row
 from evaluation.plan.constants import WINDOWS
+from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
 from isac_track.intervals import cluster_sums
 from isac_track.linkability import GALLERY
@@ -58,7 +59,7 @@ _PROBE_COLUMNS: Final = (
     "assigned",
     *COMPANIONS,
 )
-Choices: TypeAlias = "Mapping[str, Sequence[Measure]]"
+Choices: TypeAlias = "Mapping[str, Sequence[Address]]"
 _NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
 _WINDOW_COLUMNS: Final = (
     "side",
@@ -74,7 +75,7 @@ class LinkedProbes:
 
     mechanism: str
     level: float | None
-    linker: Source
+    linker: Address
     hit: Floats  # (N,) expected share of cases in which the mate comes first
     # (N,) the same among `GALLERY` without companions; NaN with fewer
     hit_among: Floats
@@ -96,7 +97,7 @@ class LinkedLevel:
     mechanism: str
     level: float | None
     # The strongest linker against this mechanism.
-    linker: Source
+    linker: Address
     # (C,) sum over mated probes of rank 1 in a gallery of 100, or in their own
     success: Floats
     chance: Floats  # (C,) the same sum for a guess
@@ -122,7 +123,7 @@ def read_probes(
     manifest: Mapping[str, Any],
     sweeps: Sweeps,
     *,
-    strongest: Mapping[str, Source],
+    strongest: Mapping[str, Address],
     choices: Mapping[tuple[str, str], Choices] = _NO_CHOICES,
 ) -> dict[str, list[LinkedProbes]]:
     """Return the linked probes of every level, by task, in the order of the run.
@@ -134,9 +135,8 @@ def read_probes(
     other half's choice. Without choices all are linked by the strongest, probe by
     probe. Raises DataError if a cell cannot be read.
     """
-    identity = itemgetter("mechanism", "level", "consumer", "knowledge")
     cells = {
-        identity(entry): entry for entry in manifest["cells"] if not entry.get("world")
+        parse_row(entry): entry for entry in entries_in(manifest["cells"], OWN_WORLD)
     }
     levels = by_task(sweeps.estimates, metric=SUCCESS)
     papers = {RAW} | {
@@ -154,13 +154,13 @@ def read_probes(
             if not (is_paper or sweeps.families[mechanism].is_added):
                 continue
             linker = usual if is_paper else linkers.get(mechanism, usual)
-            linked = cells.get((*where, *linker))
-            windows = cells.get((*where, f"{task}/{WINDOWS}", ""))
+            linked = cells.get(linker.at(*where))
+            windows = cells.get(Address(task=task, plugin=WINDOWS).at(*where))
             if linked and windows:
                 choice = choices.get((task, "" if is_paper else mechanism), {})
                 pairs = {
                     metric: [
-                        (cells.get((*where, *measure.source)), measure.metric)
+                        (cells.get(measure.source.at(*where)), measure.metric)
                         for measure in halves
                     ]
                     for metric, halves in choice.items()
@@ -238,7 +238,7 @@ def _probes(
     return LinkedProbes(
         mechanism=linked["mechanism"],
         level=linked["level"],
-        linker=Source(linked["consumer"], linked["knowledge"]),
+        linker=parse_row(linked).source,
         hit=hits[SUCCESS],
         hit_among=hits[SUCCESS_OF_100],
         strangers=_strangers(probes),

@@ -13,8 +13,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW, Family
-from evaluation.estimates.keys import AS_SHARED, EstimatesByKey, Measure
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.keys import EstimatesByAddress
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     ACHIEVED,
     COSTS,
@@ -25,7 +25,9 @@ from evaluation.estimates.metrics import (
     FUTURE_EQUAL_ALARMS,
     MISSED_RATE,
 )
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.plan.presets import SHARED
+from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, percentile_intervals
 from isac_track.types import Bools, Floats, Ints
 
@@ -41,7 +43,7 @@ N_POINTS, N_ATTACK_POINTS = 20, 10  # Points of a curve as shared, and after an 
 # Share of replicates that must reach a point for it to have an interval.
 MIN_DEFINED = 0.975
 FEWEST_LEVELS: Final = 2  # Fewest levels of a curve, beside raw.
-_SHOWN: Final = AS_SHARED.measure(EXPOSURE)
+_SHOWN: Final = AS_SHARED.measured(EXPOSURE)
 _SMALLEST = 1e-12
 _ROUNDING = 1e-9
 _INTERVALS = (
@@ -63,7 +65,7 @@ COLUMNS = [
     "mechanism",
     "family",
 ]
-Curves: TypeAlias = "dict[Measure, tuple[Floats, Floats]]"
+Curves: TypeAlias = "dict[Address, tuple[Floats, Floats]]"
 """Curves of two mechanisms over their levels, (1 + B, L) each, by measure."""
 
 
@@ -71,7 +73,7 @@ class Sweeps:
     """Every estimate of a run, and its mechanisms."""
 
     def __init__(
-        self, estimates: EstimatesByKey, families: Mapping[str, Family]
+        self, estimates: EstimatesByAddress, families: Mapping[str, Family]
     ) -> None:
         self.estimates = estimates
         self.families = families
@@ -121,7 +123,7 @@ class Sweeps:
         ]
         return [*filter(None, papers), *others]
 
-    def curves(self, a: str, b: str, measures: Iterable[Measure]) -> Curves:
+    def curves(self, a: str, b: str, measures: Iterable[Address]) -> Curves:
         """Return two mechanisms' curves, joined at raw, for each common measure."""
         joined_curves = {
             measure: self.together(dict.fromkeys((a, b, RAW), measure))
@@ -133,7 +135,7 @@ class Sweeps:
             if {a, b} <= by_mechanism.keys()
         }
 
-    def together(self, measures: Mapping[str, Measure]) -> dict[str, Floats]:
+    def together(self, measures: Mapping[str, Address]) -> dict[str, Floats]:
         """Return the curves of mechanisms, joined at raw and pooled, (1 + B, L) each.
 
         `measures` gives the measure of each mechanism; without raw among them there
@@ -155,7 +157,7 @@ class Sweeps:
         return dict(zip(stacked, curves, strict=True))
 
     def rests_on(
-        self, mechanisms: Iterable[str], *measures: Measure
+        self, mechanisms: Iterable[str], *measures: Address
     ) -> tuple[int, float]:
         """Return the least clusters and effective clusters over all levels and raw."""
         wheres = [(name, level) for name in mechanisms for level in self.levels(name)]
@@ -168,7 +170,7 @@ class Sweeps:
             min(estimate.n_effective for estimate in known),
         )
 
-    def n(self, mechanism: str, measure: Measure) -> int:
+    def n(self, mechanism: str, measure: Address) -> int:
         """Return the least clusters over a mechanism's levels; 0 if none was run."""
         keys = (measure.at(mechanism, level) for level in self.levels(mechanism))
         return min(
@@ -180,9 +182,9 @@ class _Match(NamedTuple):
     """A criterion by which two curves are matched, and the measures compared there."""
 
     criterion: str
-    by: Measure
+    by: Address
     predictor: str  # Empty where robots play no part.
-    measures: Sequence[Measure]
+    measures: Sequence[Address]
 
 
 def matched(
@@ -190,7 +192,7 @@ def matched(
     *,
     predictors: Sequence[str],
     dataset: str,
-    world: str = "",
+    world: World = OWN_WORLD,
     criteria: Collection[str] = (*CRITERIA, PLR),
 ) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise at matched points.
@@ -224,13 +226,10 @@ def matched(
             curves = sweeps.curves(mechanism, fixed, measures)
             parts += [
                 {
-                    "dataset": row_dataset(
-                        measure.consumer, dataset=dataset, world=world
-                    ),
                     "criterion": match.criterion,
-                    "adding": adding,
                     "predictor": match.predictor,
-                    **measure._asdict(),
+                    **in_run(measure, dataset=dataset, world=world).to_columns(),
+                    "adding": adding,
                     **points,
                     "n": min(sweeps.n(name, measure) for name in (mechanism, fixed)),
                     "mechanism": mechanism,
@@ -256,7 +255,7 @@ def _matches(
     attacked = [
         measure
         for measure in every_measure
-        if measure.consumer != SHARED and measure.knowledge
+        if measure.consumer != SHARED and measure.adversary
     ]
     measures = shared + [
         measure
@@ -266,7 +265,7 @@ def _matches(
     matches = [
         _Match(
             criterion,
-            Measure(predictor, metric),
+            parse_consumer(predictor).measured(metric),
             predictor,
             shared if place else measures,
         )
@@ -281,8 +280,8 @@ def _matches(
 
 
 def _compared(
-    curves: Curves, matched_by: Measure, measures: Sequence[Measure]
-) -> Iterator[tuple[Measure, dict[str, Floats]]]:
+    curves: Curves, matched_by: Address, measures: Sequence[Address]
+) -> Iterator[tuple[Address, dict[str, Floats]]]:
     """Yield measures with their columns of `matched.csv`, (P,), at matched points."""
     scales: Sequence[Floats] = curves.get(matched_by, ())
     reach = min(
@@ -338,8 +337,8 @@ def with_ends(
 
 
 def at_changes(
-    curves: Curves, matched_by: Measure, measures: Iterable[Measure], *, at: Floats
-) -> Iterator[tuple[Measure, Floats, Floats]]:
+    curves: Curves, matched_by: Address, measures: Iterable[Address], *, at: Floats
+) -> Iterator[tuple[Address, Floats, Floats]]:
     """Yield measures of both mechanisms at equal changes from raw, (1 + B, P) each.
 
     The measure `matched_by` has changed from raw by `at` there. Raw is the same for

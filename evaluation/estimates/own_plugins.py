@@ -15,14 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import (
-    AS_SHARED,
-    EstimatesByKey,
-    Key,
-    Measure,
-    Source,
-    Where,
-)
+from evaluation.estimates.keys import EstimatesByAddress, Where
 from evaluation.estimates.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
 from evaluation.estimates.strongest import (
     GROUPS,
@@ -33,6 +26,7 @@ from evaluation.estimates.strongest import (
     ranking_levels,
 )
 from evaluation.estimates.strongest_table import Strongest
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.plan.constants import IDENTITY, ORACLE
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, estimate_from_replicates
@@ -48,11 +42,11 @@ _ALARMS: Final = "false_alarm_rate"
 class Estimates:
     """Estimates of a run for comparing plug-ins, with the same bootstrap weights."""
 
-    own: EstimatesByKey  # Of scenes at the run's own horizon, and of linkage.
+    own: EstimatesByAddress  # Of scenes at the run's own horizon, and of linkage.
     later: Mapping[
-        float, EstimatesByKey
+        float, EstimatesByAddress
     ]  # Of predictors at further horizons, s, ascending.
-    sums: Mapping[Key, ClusterSums]  # Of attacks, by cluster.
+    sums: Mapping[Address, ClusterSums]  # Of attacks, by cluster.
     families: Mapping[str, Family]  # Mechanisms of the run.
     attacks: Sequence[Strongest]  # The strongest attack against each mechanism.
     leading: str  # Linkage task that linkers are compared in; empty if none leads.
@@ -85,23 +79,21 @@ def _attack_record(
     spec: str, *, own_attacks: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
     """Return the comparison of an attack or a linker; None if the run has no number."""
-    attacks = {key.measure.source for key in run.sums if key.knowledge}
-    attacks |= {
-        key.measure.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)
-    }
-    tasks = {source.task for source in attacks if source.attack.consumer == spec}
+    attacks = {key.source for key in run.sums if key.adversary}
+    attacks |= {key.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)}
+    tasks = {source.task for source in attacks if source.attack_spec == spec}
     if not tasks:
         return None
     task = run.leading if run.leading in tasks else min(tasks)
-    in_task = [source for source in attacks if source.task == task and source.knowledge]
+    in_task = [source for source in attacks if source.task == task and source.adversary]
     tested = _strongest(
-        [source for source in in_task if source.attack.consumer == spec], run=run
+        [source for source in in_task if source.attack_spec == spec], run=run
     )
     built_in = [
         source
         for source in in_task
-        if source.attack.consumer not in {*own_attacks, IDENTITY}
-        and source.knowledge in HEADLINE
+        if source.attack_spec not in {*own_attacks, IDENTITY}
+        and source.adversary in HEADLINE
     ]
     rival = _strongest(built_in, run=run)
     if tested is None:
@@ -116,33 +108,29 @@ def _attack_record(
     return {
         "kind": LINKER if task else ATTACK,
         "plugin": spec,
-        "knowledge": tested.source.knowledge,
+        "knowledge": tested.source.adversary,
         "metric": metric,
         "task": task,
         "horizon_s": None,
-        "rival": rival.source.attack.consumer if rival else "",
-        "rival_knowledge": rival.source.knowledge if rival else "",
+        "rival": rival.source.attack_spec if rival else "",
+        "rival_knowledge": rival.source.adversary if rival else "",
         **_compared(pairs),
     }
 
 
-def _strongest(sources: Collection[Source], *, run: Estimates) -> Strongest | None:
+def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | None:
     """Return the strongest of a task's attacks, cross-fitted; None without any."""
     if not sources:
         return None
     task = next(iter(sources)).task
     metric = SUCCESS if task else EXPOSURE
-    estimates = {
-        key: known for key, known in run.own.items() if key.measure.source in sources
-    }
+    estimates = {key: known for key, known in run.own.items() if key.source in sources}
     levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.families)]
     for among in (*GROUPS, (ORACLE,)):
         if source := choose_strongest(ranking, among=among):
             sums = {
-                key: summed
-                for key, summed in run.sums.items()
-                if key.measure.source in sources
+                key: summed for key, summed in run.sums.items() if key.source in sources
             }
             crossed = cross_fitted(sums, run.families, source, by=metric)
             return Strongest("", among, source, tuple(levels), crossed)
@@ -157,11 +145,13 @@ def _predictor_record(
         robots = {key.consumer for key in estimates if key.metric == MISSED_FUTURE}
         if spec not in robots:
             continue
-        measure = Measure(spec, MISSED_FUTURE)
+        measure = parse_consumer(spec).measured(MISSED_FUTURE)
         wheres = [key.where for key in estimates if key.measure == measure]
         levels = ranking_levels(wheres, run.families)
         missed: dict[str, list[Estimate | None]] = {
-            robot: _at_levels(estimates, Measure(robot, MISSED_FUTURE), levels)
+            robot: _at_levels(
+                estimates, parse_consumer(robot).measured(MISSED_FUTURE), levels
+            )
             for robot in (spec, *sorted(robots - {*own_predictors}))
         }
         rivals = {
@@ -173,7 +163,11 @@ def _predictor_record(
         rival_missed = missed[rival] if rival else [None] * len(levels)
         alarms = {
             name: _interval(
-                _mean(_at_levels(estimates, Measure(robot, _ALARMS), levels))
+                _mean(
+                    _at_levels(
+                        estimates, parse_consumer(robot).measured(_ALARMS), levels
+                    )
+                )
             )
             for name, robot in (("alarms", spec), ("rival_alarms", rival))
         }
@@ -193,7 +187,7 @@ def _predictor_record(
 
 
 def _at_levels(
-    estimates: EstimatesByKey, measure: Measure, levels: Sequence[Where]
+    estimates: EstimatesByAddress, measure: Address, levels: Sequence[Where]
 ) -> list[Estimate | None]:
     return [estimates.get(measure.at(*where)) for where in levels]
 
@@ -230,7 +224,7 @@ def _mechanism_records(
             "horizon_s": horizon_s,
             "robot": robot,
             "missed": _interval(missed.get(robot)),
-            "as_sent": _interval(run.own.get(AS_SHARED.measure(EXPOSURE).at(*where))),
+            "as_sent": _interval(run.own.get(AS_SHARED.at(*where, EXPOSURE))),
             "attacked": _interval(
                 attack.at(where, EXPOSURE, run.own) if attack else None
             ),

@@ -8,10 +8,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.estimates.keys import Measure
 from evaluation.estimates.matching import FUTURE, MIN_DEFINED, MISSED, Sweeps
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
-from evaluation.plan.constants import world_horizon_s
+from evaluation.plan.address import Address, parse_dataset
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 
@@ -156,9 +155,7 @@ def claims(
       only.
     """
     # Attacks are no part of the claims, and may be known for fewer people.
-    plain = (
-        key for key in sweeps.estimates if not key.knowledge and "/" not in key.consumer
-    )
+    plain = (key for key in sweeps.estimates if not (key.adversary or key.task))
     n_clusters = min((sweeps.estimates[key].n for key in plain), default=0)
     rows: list[tuple[object, ...]] = []
     for adding in ADDING_RULES:
@@ -193,8 +190,8 @@ def claims(
     return table
 
 
-def _measure(metric: str) -> Measure:
-    return Measure(PREDICTOR if metric == MISSED_RATE else SHARED, metric)
+def _measure(metric: str) -> Address:
+    return Address(plugin=PREDICTOR if metric == MISSED_RATE else SHARED, metric=metric)
 
 
 def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
@@ -296,7 +293,7 @@ def _by_rate(
     yield METRICS[MISSED_RATE].text, rows[rows["criterion"] == MISSED]
     to_come = rows[rows["criterion"] == FUTURE]
     for dataset, at_horizon in to_come.groupby("dataset", sort=False):
-        horizon_s = world_horizon_s(str(dataset).rpartition(":")[2])
+        horizon_s = parse_dataset(str(dataset)).world.horizon_s
         ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
         yield f"{METRICS[MISSED_FUTURE].text}{ahead}", at_horizon
 

@@ -19,13 +19,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, FID, RAW, families_in
-from evaluation.estimates.keys import (
-    AS_SHARED,
-    EstimatesByKey,
-    Source,
-    Where,
-    horizons_in,
-)
+from evaluation.estimates.keys import EstimatesByAddress, Where, horizons_in
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import (
@@ -38,7 +32,8 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.constants import horizon_world
+from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.world import World
 from isac_track.config import StageSettings
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
@@ -189,7 +184,7 @@ def _from_verdict(
 
 
 def _at(
-    numbers: EstimatesByKey, where: Where, best: Mapping[str, Source]
+    numbers: EstimatesByAddress, where: Where, best: Mapping[str, Address]
 ) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     pairs = {}
@@ -198,7 +193,7 @@ def _at(
         pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
         attacked, shared = (
-            source.measure(EXPOSURE).at(*where) for source in (best[""], AS_SHARED)
+            source.at(*where, EXPOSURE) for source in (best[""], AS_SHARED)
         )
         pairs["left_after_attack"] = attacked, shared
     answers = {
@@ -209,7 +204,7 @@ def _at(
     if LINKED_IN in best:
         linker, names = best[LINKED_IN], (SUCCESS_OF_100, SUCCESS, "chance")
         among_100, own, chance = (
-            numbers.get(linker.measure(name).at(*where)) for name in names
+            numbers.get(linker.at(*where, name)) for name in names
         )
         if among_100 and math.isfinite(among_100.value):
             answers["people_linked"] = _less(among_100, 0.01)
@@ -218,14 +213,14 @@ def _at(
     return answers
 
 
-def _ahead(out: Path, manifest: Mapping[str, Any]) -> EstimatesByKey:
+def _ahead(out: Path, manifest: Mapping[str, Any]) -> EstimatesByAddress:
     """Return the estimates of robots at `HORIZON_S`; empty without that horizon."""
     if HORIZON_S not in horizons_in(manifest["cells"]):
         return {}
-    return estimates(out, manifest, world=horizon_world(HORIZON_S))[0]
+    return estimates(out, manifest, world=World(horizon_s=HORIZON_S))[0]
 
 
-def _lost_ahead(ahead: EstimatesByKey, where: Where) -> dict[str, Estimate]:
+def _lost_ahead(ahead: EstimatesByAddress, where: Where) -> dict[str, Estimate]:
     """Return how many more future conflicts the first robot misses than under raw."""
     missed = next((key.measure for key in ahead if key.metric == MISSED_FUTURE), None)
     if missed is None or not {missed.at(*where), missed.at(RAW, None)} <= ahead.keys():

@@ -27,15 +27,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import (
-    AS_SHARED,
-    INFORMED,
-    EstimatesByKey,
-    Key,
-    Measure,
-    Source,
-    Where,
-)
+from evaluation.estimates.keys import INFORMED, EstimatesByAddress, Where
 from evaluation.estimates.metrics import (
     ASSIGNED,
     DESCRIPTORS,
@@ -46,6 +38,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
     WIDE,
 )
+from evaluation.plan.address import AS_SHARED, Address
 from evaluation.plan.presets import IDENTITY
 from evaluation.store.people import in_first_half
 from isac_track.types import Bools, Floats, read_only
@@ -55,7 +48,7 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 # Success of every attack at each level.
-Levels: TypeAlias = "dict[Where, dict[Source, float]]"
+Levels: TypeAlias = "dict[Where, dict[Address, float]]"
 # Adversaries of which the strongest is the headline.
 HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
@@ -71,17 +64,17 @@ _CHOICES: Final = {
 
 
 def choose_strongest(
-    levels: Iterable[Mapping[Source, float]], *, among: Collection[str] = HEADLINE
-) -> Source | None:
+    levels: Iterable[Mapping[Address, float]], *, among: Collection[str] = HEADLINE
+) -> Address | None:
     """Return the strongest attack over some levels, or None if none counts.
 
     `levels` has the success of every attack at each level; attacks of the adversaries
     `among` compete.
     """
-    values: dict[Source, list[float]] = {}
+    values: dict[Address, list[float]] = {}
     for level in levels:
         for source, value in level.items():
-            if source.knowledge in among and source.consumer != IDENTITY:
+            if source.adversary in among and source.consumer != IDENTITY:
                 values.setdefault(source, []).append(value)
     most = max(map(len, values.values()), default=0)
     means = {
@@ -94,8 +87,8 @@ def choose_strongest(
 
 
 def strongest(
-    estimates: EstimatesByKey, families: Mapping[str, Family]
-) -> dict[str, Source]:
+    estimates: EstimatesByAddress, families: Mapping[str, Family]
+) -> dict[str, Address]:
     """Return the strongest linker by task, and the strongest reconstruction as "".
 
     `estimates` are all those of the run, `families` its mechanisms.
@@ -123,15 +116,15 @@ def ranking_levels(
     return [where for where in distinct if _chooses(where, families, family_names)]
 
 
-def naming_rules(estimates: EstimatesByKey) -> dict[Source, str]:
+def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
     """Return the rule, of `RULES`, by which each linker names more mates on average.
 
     A linker without a known rate at any level is left out.
     """
-    rates: dict[Source, dict[str, list[float]]] = {}
+    rates: dict[Address, dict[str, list[float]]] = {}
     for key, estimate in estimates.items():
         if key.metric in RULES and np.isfinite(estimate.value):
-            rates_of_linker = rates.setdefault(key.measure.source, {})
+            rates_of_linker = rates.setdefault(key.source, {})
             rates_of_linker.setdefault(key.metric, []).append(estimate.value)
     means = {
         linker: {rule: float(np.mean(values)) for rule, values in by_rule.items()}
@@ -143,16 +136,16 @@ def naming_rules(estimates: EstimatesByKey) -> dict[Source, str]:
     }
 
 
-def success_metric(estimates: EstimatesByKey, linker: Source) -> str:
+def success_metric(estimates: EstimatesByAddress, linker: Address) -> str:
     """Return a linker's success metric: rank 1 of 100 if it has as many candidates."""
-    at_raw = estimates.get(linker.measure(SUCCESS_OF_100).at(RAW, None))
+    at_raw = estimates.get(linker.measured(SUCCESS_OF_100).at(RAW, None))
     is_known = at_raw is not None and np.isfinite(at_raw.value)
     return SUCCESS_OF_100 if is_known else SUCCESS
 
 
 def _choosing(
     by_where: Levels, families: Mapping[str, Family], family_names: Collection[str]
-) -> Iterator[Mapping[Source, float]]:
+) -> Iterator[Mapping[Address, float]]:
     return (
         block
         for where, block in by_where.items()
@@ -175,17 +168,17 @@ class CrossFitted:
     """Success of the strongest attack without the bias of its choice."""
 
     # Under the headline's name.
-    estimates: dict[Key, Estimate] = field(default_factory=dict)
-    choices: dict[str, list[Measure]] = field(default_factory=dict)
+    estimates: dict[Address, Estimate] = field(default_factory=dict)
+    choices: dict[str, list[Address]] = field(default_factory=dict)
     """Attack that either half of the people chose, with the metric that counts for it,
     by ranking metric (PLR, rank 1, rank 1 of 100). The first half is scored by the
     second choice."""
 
 
 def cross_fitted(
-    sums: Mapping[Key, ClusterSums],
+    sums: Mapping[Address, ClusterSums],
     families: Mapping[str, Family],
-    headline: Source,
+    headline: Address,
     *,
     by: str = EXPOSURE,
 ) -> CrossFitted:
@@ -201,12 +194,12 @@ def cross_fitted(
     metric `by`. Ranked by rank 1, a linker may name mates probe by probe or all at once
     (`RULES`); rank 1 of 100 has a choice of its own.
     """
-    among = HEADLINE if headline.knowledge in HEADLINE else (headline.knowledge,)
+    among = HEADLINE if headline.adversary in HEADLINE else (headline.adversary,)
     eligible = {
         key: summed
         for key, summed in sums.items()
-        if key.knowledge in among
-        and key.measure.source.task == headline.task
+        if key.adversary in among
+        and key.source.task == headline.task
         and key.consumer != IDENTITY
         and np.isfinite(summed.sums).all()
     }
@@ -227,10 +220,12 @@ def cross_fitted(
 
 
 def _rivals(
-    sums: Mapping[Key, ClusterSums], wheres: Collection[Where], ranked: Collection[str]
-) -> dict[Measure, list[ClusterSums]]:
+    sums: Mapping[Address, ClusterSums],
+    wheres: Collection[Where],
+    ranked: Collection[str],
+) -> dict[Address, list[ClusterSums]]:
     """Return the attacks measured at the most of some levels, and their sums there."""
-    values: dict[Measure, list[ClusterSums]] = {}
+    values: dict[Address, list[ClusterSums]] = {}
     for key, summed in sums.items():
         if key.metric in ranked and key.where in wheres and summed.sums[1].any():
             values.setdefault(key.measure, []).append(summed)
@@ -241,29 +236,29 @@ def _rivals(
 
 
 def _scored(
-    sums: Mapping[Key, ClusterSums],
-    rivals: Mapping[Measure, Sequence[ClusterSums]],
-    headline: Source,
+    sums: Mapping[Address, ClusterSums],
+    rivals: Mapping[Address, Sequence[ClusterSums]],
+    headline: Address,
     *,
     metrics: Collection[str],
-) -> tuple[dict[Key, Estimate], list[Measure]]:
+) -> tuple[dict[Address, Estimate], list[Address]]:
     """Return a choice's numbers under the headline's name, and the choices."""
     # Import here: reading a finished run needs none of it.
     from evaluation.estimates.cross_fit import cross_fit  # noqa: PLC0415 - as said above
 
     first = next(iter(rivals.values()))[0]
-    keys: list[Key] = []
+    keys: list[Address] = []
     scored: list[list[Floats]] = []
     for where, metric in product(dict.fromkeys(key.where for key in sums), metrics):
         # A linker that names all mates at once is scored by that, too.
         measures = [
-            rival if metric in RULES else rival.source.measure(metric)
+            rival if metric in RULES else rival.source.measured(metric)
             for rival in rivals
         ]
         candidates = [sums.get(measure.at(*where)) for measure in measures]
         known = [summed.whole() for summed in candidates if summed is not None]
         if len(known) == len(rivals):
-            keys.append(headline.measure(metric).at(*where))
+            keys.append(headline.measured(metric).at(*where))
             scored.append(known)
     if not keys:
         return {}, []
@@ -291,7 +286,7 @@ def first_half(clusters: tuple[str, ...]) -> Bools:
     return read_only(np.array([in_first_half(name) for name in clusters], dtype=bool))
 
 
-def by_task(estimates: EstimatesByKey, *, metric: str) -> dict[str, Levels]:
+def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
     """Return the success of every attack by task, level, and attack.
 
     A linker's rank 1 is that by the better of `RULES`.
@@ -300,7 +295,7 @@ def by_task(estimates: EstimatesByKey, *, metric: str) -> dict[str, Levels]:
     ranked = RULES if metric == SUCCESS else (metric,)
     for key, estimate in estimates.items():
         if key.metric in ranked:
-            source = key.measure.source
+            source = key.source
             successes = values.setdefault(source.task, {}).setdefault(key.where, {})
             successes[source] = float(
                 np.fmax(successes.get(source, np.nan), estimate.value)
@@ -310,9 +305,9 @@ def by_task(estimates: EstimatesByKey, *, metric: str) -> dict[str, Levels]:
 
 def against_each(
     levels: Levels, *, among: Collection[str] = HEADLINE
-) -> dict[str, Source]:
+) -> dict[str, Address]:
     """Return the strongest attack against each mechanism over its levels, if any."""
-    levels_of_mechanism: dict[str, list[Mapping[Source, float]]] = {}
+    levels_of_mechanism: dict[str, list[Mapping[Address, float]]] = {}
     for (mechanism, _), block in levels.items():
         levels_of_mechanism.setdefault(mechanism, []).append(block)
     best = {
@@ -322,15 +317,15 @@ def against_each(
     return {name: source for name, source in best.items() if source}
 
 
-def most_knowing(sources: Iterable[Source]) -> list[Source]:
+def most_knowing(sources: Iterable[Address]) -> list[Address]:
     """Return the source as shared, and each attack with the adversary that knows most.
 
     The oracle, a reference, stands only for an attack that no other adversary can run.
     """
     rank = {name: place for place, name in enumerate(("", *HEADLINE))}
-    best: dict[str, Source] = {}
+    best: dict[str, Address] = {}
     for source in sources:
         name = "" if source == AS_SHARED else source.consumer
         pair = best.get(name, source), source
-        best[name] = max(pair, key=lambda candidate: rank.get(candidate.knowledge, 0))
+        best[name] = max(pair, key=lambda candidate: rank.get(candidate.adversary, 0))
     return list(best.values())

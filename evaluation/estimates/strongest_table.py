@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import EstimatesByKey, Key, Source, Where
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     ASSIGNED,
     DESCRIPTORS,
@@ -29,6 +29,7 @@ from evaluation.estimates.strongest import (
     by_task,
     cross_fitted,
 )
+from evaluation.plan.address import Address
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
@@ -59,18 +60,18 @@ class Strongest:
 
     mechanism: str
     among: tuple[str, ...]  # One of `GROUPS`.
-    source: Source  # The attack that all people together choose.
+    source: Address  # The attack that all people together choose.
     wheres: tuple[Where, ...]  # The mechanism's levels.
     crossed: CrossFitted  # Without estimates where sums over people are not known.
 
     def at(
-        self, where: Where, metric: str, estimates: EstimatesByKey
+        self, where: Where, metric: str, estimates: EstimatesByAddress
     ) -> Estimate | None:
         """Return a number at a level, cross-fitted if possible; None if unknown."""
-        key = self.source.measure(metric).at(*where)
+        key = self.source.at(*where, metric)
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
-        keys = [key, key._replace(metric=ASSIGNED)] if metric == SUCCESS else [key]
+        keys = [key, key.measured(ASSIGNED)] if metric == SUCCESS else [key]
         known = [
             estimates[key]
             for key in keys
@@ -80,8 +81,8 @@ class Strongest:
 
 
 def strongest_on_each(
-    estimates: EstimatesByKey,
-    sums: Mapping[Key, ClusterSums],
+    estimates: EstimatesByAddress,
+    sums: Mapping[Address, ClusterSums],
     families: Mapping[str, Family],
 ) -> tuple[Strongest, ...]:
     """Return the strongest attacks against every mechanism of a run.
@@ -89,9 +90,9 @@ def strongest_on_each(
     `estimates` are all those of the run, `sums` those of attacks by cluster, `families`
     the mechanisms.
     """
-    own_sums: dict[tuple[str, str], dict[Key, ClusterSums]] = {}
+    own_sums: dict[tuple[str, str], dict[Address, ClusterSums]] = {}
     for key, summed in sums.items():
-        group = key.mechanism, key.measure.source.task
+        group = key.mechanism, key.source.task
         own_sums.setdefault(group, {})[key] = summed
     strongest = []
     for ranked_by in (EXPOSURE, SUCCESS):
@@ -108,7 +109,7 @@ def strongest_on_each(
 
 
 def strongest_table(
-    strongest: Sequence[Strongest], estimates: EstimatesByKey, *, dataset: str
+    strongest: Sequence[Strongest], estimates: EstimatesByAddress, *, dataset: str
 ) -> pd.DataFrame:
     """Return a row for each number of the strongest attacks: `COLUMNS`."""
     rows = [row for attack in strongest for row in _rows(attack, estimates, dataset)]
@@ -116,31 +117,27 @@ def strongest_table(
 
 
 def _rows(
-    attack: Strongest, estimates: EstimatesByKey, dataset: str
+    attack: Strongest, estimates: EstimatesByAddress, dataset: str
 ) -> Iterable[dict[str, Any]]:
     source, task = attack.source, attack.source.task
     for where in attack.wheres:
         for metric in _LINKER_METRICS if task else DESCRIPTORS:
+            number = source.at(*where, metric)
             estimate = attack.at(where, metric, estimates)
             if estimate is None or not np.isfinite(estimate.value):
                 continue
             ranked = EXPOSURE if not task else metric
             first, second = attack.crossed.choices.get(ranked) or (source, source)
             yield {
-                "dataset": row_dataset(source.consumer, dataset=dataset),
-                "mechanism": where[0],
-                "level": np.nan if where[1] is None else where[1],
+                **in_run(number, dataset=dataset).to_columns(),
                 "task": task,
                 "adversary": (
                     SINGLE_RELEASE if attack.among == HEADLINE else attack.among[0]
                 ),
-                "consumer": source.consumer,
-                "knowledge": source.knowledge,
-                "metric": metric,
                 "value": estimate.value,
                 "ci_low": estimate.ci_low,
                 "ci_high": estimate.ci_high,
                 "n": estimate.n,
-                "first_choice": first.label.removeprefix(f"{task}/"),
-                "second_choice": second.label.removeprefix(f"{task}/"),
+                "first_choice": first.without_task.label,
+                "second_choice": second.without_task.label,
             }

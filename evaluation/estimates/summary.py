@@ -4,7 +4,7 @@ The unit is the source track, or the group that walks together: every interval d
 whole clusters, the same ones for every mechanism, so that differences are paired.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import groupby
 from operator import itemgetter
@@ -16,8 +16,8 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import EstimatesByKey, Key
-from evaluation.estimates.linkability import Cards, row_dataset
+from evaluation.estimates.keys import EstimatesByAddress, entries_in, row_address
+from evaluation.estimates.linkability import Cards, in_run
 from evaluation.estimates.metrics import (
     BOUNDS,
     DESCRIPTORS,
@@ -30,9 +30,10 @@ from evaluation.estimates.metrics import (
     WORST_TENTH,
 )
 from evaluation.estimates.worst_off import person_means, worst_tenth
-from evaluation.plan.constants import MODEL
+from evaluation.plan.address import Address
+from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.cell_files import read_rows
-from evaluation.store.linkage_outcomes import ClusterSums
+from evaluation.store.linkage_outcomes import ClusterSums, LinkageOutcome
 from isac_track.intervals import (
     Estimate,
     cluster_sums,
@@ -42,6 +43,7 @@ from isac_track.intervals import (
 from isac_track.types import Floats, Ints, read_only
 
 N_REPLICATES = 1000
+_NUMBERS = ("value", "ci_low", "ci_high", "n")
 COLUMNS = [
     "dataset",
     "mechanism",
@@ -95,8 +97,8 @@ class Scored(NamedTuple):
 
 
 def estimates(
-    out: Path, manifest: Mapping[str, Any], *, world: str = ""
-) -> tuple[dict[Key, Estimate], tuple[Scored, ...], dict[Key, ClusterSums]]:
+    out: Path, manifest: Mapping[str, Any], *, world: World = OWN_WORLD
+) -> tuple[dict[Address, Estimate], tuple[Scored, ...], dict[Address, ClusterSums]]:
     """Return estimates of every scene metric, predictors' scores, and attacks' sums.
 
     The estimates have intervals and replicates. The sums are those of the descriptors
@@ -105,22 +107,22 @@ def estimates(
     """
     weights = bootstrap_weights(manifest)
     n, names = weights.shape[1], tuple(manifest["groups"])
-    numbers: dict[Key, Estimate] = {}
+    numbers: dict[Address, Estimate] = {}
     scored: list[Scored] = []
-    attacked: dict[Key, ClusterSums] = {}
+    attacked: dict[Address, ClusterSums] = {}
     entries = [
         entry
-        for entry in manifest["cells"]
-        if entry["kind"] in _CELL_COLUMNS and entry.get("world", "") == world
+        for entry in entries_in(manifest["cells"], world)
+        if entry["kind"] in _CELL_COLUMNS
     ]
-    gap = [GAP] if MODEL in world else []
+    gap = [GAP] if world.is_model else []
     every_column = {
         name for columns in (*_CELL_COLUMNS.values(), gap) for name in columns
     }
     for _, entries_of_file in groupby(entries, key=itemgetter("files")):
         keys, sums = [], []
         for entry in entries_of_file:
-            kind = entry["kind"]
+            kind, address = entry["kind"], row_address(entry)
             columns = [*_CELL_COLUMNS[kind], *(gap if kind == "attack" else [])]
             table = read_rows(out, entry, columns=columns, beside=every_column)
             cluster = clusters(table, manifest)
@@ -129,9 +131,9 @@ def estimates(
                 scored.append(Scored(entry, cluster, decided))
             elif kind != "bound":
                 worst = _worst_tenth(table, cluster, weights)
-                numbers[cell_key(entry, WORST_TENTH)] = worst
+                numbers[address.measured(WORST_TENTH)] = worst
             for metric, parts in ratios(kind, table).items():
-                keys.append(cell_key(entry, metric))
+                keys.append(address.measured(metric))
                 sums.append(
                     [
                         cluster_sums(values=values, cluster=cluster, n_clusters=n)
@@ -146,14 +148,14 @@ def estimates(
         attacked |= {
             key: ClusterSums(summed, weights, used, names=names)
             for key, summed in zip(keys, totals, strict=True)
-            if key.knowledge and key.metric in {*DESCRIPTORS, *DISTANCE}
+            if key.adversary and key.metric in {*DESCRIPTORS, *DISTANCE}
         }
     return numbers, tuple(scored), attacked
 
 
 def _estimate_ratios(
-    keys: Sequence[Key], totals: Floats, weights: Floats
-) -> dict[Key, Estimate]:
+    keys: Sequence[Address], totals: Floats, weights: Floats
+) -> dict[Address, Estimate]:
     """Return the estimates of K ratios from their sums by cluster, (K, 2, C)."""
     estimated = ratio_estimates(
         numerator=totals[:, 0],
@@ -186,33 +188,26 @@ def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
     return worst_tenth(means, weights=weights)
 
 
-def cell_key(entry: Mapping[str, Any], metric: str) -> Key:
-    """Return the key of a metric of a cell of the manifest."""
-    return Key(
-        entry["mechanism"],
-        entry["level"],
-        entry["consumer"],
-        metric,
-        entry["knowledge"],
-    )
-
-
-def linkage_estimates(cards: Cards) -> dict[Key, Estimate]:
+def linkage_estimates(cards: Cards) -> dict[Address, Estimate]:
     """Return every metric of the linkage cells, from their cards."""
     return {
-        cell_key(entry, metric): estimate
-        for entry, card in cards
+        address.measured(metric): estimate
+        for address, card in _addressed(cards)
         for metric, estimate in card.estimates.items()
     }
 
 
-def linkage_sums(cards: Cards) -> dict[Key, ClusterSums]:
+def linkage_sums(cards: Cards) -> dict[Address, ClusterSums]:
     """Return the rank metrics of linkage attacks, summed by cluster."""
     return {
-        cell_key(entry, metric): summed
-        for entry, card in cards
+        address.measured(metric): summed
+        for address, card in _addressed(cards)
         for metric, summed in card.sums.items()
     }
+
+
+def _addressed(cards: Cards) -> Iterator[tuple[Address, LinkageOutcome]]:
+    return ((row_address(entry), card) for entry, card in cards)
 
 
 def bootstrap_weights(manifest: Mapping[str, Any]) -> Floats:
@@ -240,9 +235,9 @@ def clusters(table: pa.Table, manifest: Mapping[str, Any]) -> Ints:
 
 
 def to_frame(
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     *,
-    worlds: Mapping[str, EstimatesByKey],
+    worlds: Mapping[World, EstimatesByAddress],
     families: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
@@ -251,27 +246,17 @@ def to_frame(
     `worlds` are the estimates in other worlds, which the data set's name shows;
     `families` are the run's mechanisms.
     """
-    estimates_by_dataset = {dataset: estimates} | {
-        f"{dataset}:{world}": other for world, other in worlds.items()
-    }
+    estimates_by_world = {OWN_WORLD: estimates, **worlds}
     rows = [
-        (
-            row_dataset(key.consumer, dataset=name),
-            key.mechanism,
-            np.nan if key.level is None else key.level,
-            key.consumer,
-            key.knowledge,
-            key.metric,
-            estimate.value,
-            estimate.ci_low,
-            estimate.ci_high,
-            estimate.n,
-            METRICS[key.metric].summary_unit,
-            families[key.mechanism].family,
-            families[key.mechanism].adding,
-        )
-        for name, world_estimates in estimates_by_dataset.items()
-        for key, estimate in world_estimates.items()
+        {
+            **in_run(address, dataset=dataset, world=world).to_columns(),
+            **{name: getattr(estimate, name) for name in _NUMBERS},
+            "unit": METRICS[address.metric].summary_unit,
+            "family": families[address.mechanism].family,
+            "adding": families[address.mechanism].adding,
+        }
+        for world, in_world in estimates_by_world.items()
+        for address, estimate in in_world.items()
     ]
     return pd.DataFrame(rows, columns=COLUMNS)
 

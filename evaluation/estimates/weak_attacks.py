@@ -18,20 +18,15 @@ import pandas as pd
 
 from evaluation.estimates.bounds import Gap
 from evaluation.estimates.families import CLEAN, RAW
-from evaluation.estimates.keys import (
-    AS_SHARED,
-    EstimatesByKey,
-    Source,
-    Where,
-    where_text,
-)
+from evaluation.estimates.keys import EstimatesByAddress, Where, where_text
 from evaluation.estimates.metrics import EXPOSURE, SUCCESS
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer, plugin_name
 from evaluation.plan.constants import BOUND
 from evaluation.plan.presets import IDENTITY
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
-Levels = Mapping[Where, Mapping[Source, Estimate]]
+Levels = Mapping[Where, Mapping[Address, Estimate]]
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # The simplest first.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [
@@ -79,15 +74,15 @@ class _Pair(NamedTuple):
 
     kind: str
     where: Where
-    attack: Source
-    by: Source  # The rival that beats it; without a name if there is none.
+    attack: Address
+    by: Address  # The rival that beats it; without a name if there is none.
     minus: Estimate
     plus: Estimate
     text: str
 
 
 def flags(
-    estimates: EstimatesByKey, *, slow: Collection[str] = frozenset()
+    estimates: EstimatesByAddress, *, slow: Collection[str] = frozenset()
 ) -> tuple[pd.DataFrame, dict[str, dict[str, int]]]:
     """Return the flags of a run, a row each (`COLUMNS`), and the extent of the search.
 
@@ -95,10 +90,10 @@ def flags(
     number of comparisons left out by reason. `slow` are the attacks that saw only one
     release of each source track: no other attack saw the same.
     """
-    levels: dict[Where, dict[Source, Estimate]] = {}
+    levels: dict[Where, dict[Address, Estimate]] = {}
     for key, estimate in estimates.items():
-        if key.metric == EXPOSURE and key.knowledge:
-            levels.setdefault(key.where, {})[key.measure.source] = estimate
+        if key.metric == EXPOSURE and key.adversary:
+            levels.setdefault(key.where, {})[key.source] = estimate
     left_out: Counter[str] = Counter()
     pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
     pairs += _falling_pairs(levels, estimates, left_out)
@@ -120,8 +115,10 @@ def flags(
             kind,
             mechanism,
             np.nan if level is None else level,
-            *attack,
-            *by,
+            attack.consumer,
+            attack.adversary,
+            by.consumer,
+            by.adversary,
             EXPOSURE,
         )
         sentence = f"{attack.label} {pair.text}, {_points(*interval, sign='+')} points"
@@ -149,9 +146,10 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
             f" {_points(*interval)} points below"
         )
         about = FAR, mechanism, np.nan if level is None else level
+        names = gap.attack.consumer, gap.attack.adversary
         metric = SUCCESS if gap.attack.task else EXPOSURE
         rows.append(
-            (*about, *gap.attack, BOUND, "", metric, *interval, len(exact), sentence)
+            (*about, *names, BOUND, "", metric, *interval, len(exact), sentence)
         )
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -220,18 +218,18 @@ def _line(kind: str, rows: pd.DataFrame) -> str:
             f"does not fall with the noise in {share} mechanisms"
             f" ({', '.join(rows['mechanism'])}), by {_points(*interval, sign='+')}"
         )
-    attack = f"{worst['attack']} ({worst['knowledge']})"
+    attack = parse_consumer(worst["attack"], worst["knowledge"]).label
     return f"flag: {attack} {text} points: flags.json"
 
 
 def _beaten_pairs(
     levels: Levels,
-    estimates: EstimatesByKey,
+    estimates: EstimatesByAddress,
     slow: Collection[str],
     left_out: Counter[str],
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = estimates.get(AS_SHARED.measure(EXPOSURE).at(*where))
+        shared = estimates.get(AS_SHARED.at(*where, EXPOSURE))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
             minus, plus = plr[attack], plr[by]
@@ -248,9 +246,9 @@ def _beaten_pairs(
 
 
 def _falling_pairs(
-    levels: Levels, estimates: EstimatesByKey, left_out: Counter[str]
+    levels: Levels, estimates: EstimatesByAddress, left_out: Counter[str]
 ) -> Iterator[_Pair]:
-    rmse, exposed = AS_SHARED.measure("rmse"), AS_SHARED.measure(EXPOSURE)
+    rmse, exposed = AS_SHARED.measured("rmse"), AS_SHARED.measured(EXPOSURE)
     mechanisms = (name for name, _ in levels if name not in (RAW, CLEAN))
     for mechanism in dict.fromkeys(mechanisms):
         # In the order of the actual noise, whichever way the level counts.
@@ -266,7 +264,7 @@ def _falling_pairs(
         attacks = [
             attack
             for attack in levels[most]
-            if attack in levels[least] and attack.consumer.partition(":")[0] != IDENTITY
+            if attack in levels[least] and plugin_name(attack.plugin) != IDENTITY
         ]
         quiet, noisy = (estimates.get(exposed.at(*where)) for where in (least, most))
         if noise[most] < _LEAST_RISE * noise[least]:
@@ -285,21 +283,21 @@ def _falling_pairs(
                     f" {where_text(*least)}, {100 * plus.value:.1f} % at"
                     f" {where_text(*most)}"
                 )
-                yield _Pair(DOES_NOT_FALL, most, attack, Source(""), minus, plus, text)
+                yield _Pair(DOES_NOT_FALL, most, attack, Address(), minus, plus, text)
 
 
-def _should_win(attack: Source, by: Source) -> bool:
+def _should_win(attack: Address, by: Address) -> bool:
     """Whether the first attack should do no worse than the second."""
-    base, by_base = (source.consumer.partition(":")[0] for source in (attack, by))
+    base, by_base = plugin_name(attack.plugin), plugin_name(by.plugin)
     if base == IDENTITY:
         return False
     if attack.consumer == by.consumer:
-        return _RANK[by.knowledge] < _RANK[attack.knowledge]
+        return _RANK[by.adversary] < _RANK[attack.adversary]
     if base in SIMPLER:
         simpler = SIMPLER[: SIMPLER.index(base)]
     else:
         simpler = _COMPARED_WITH.get(base, SIMPLER)
-    return by_base in simpler and _RANK[by.knowledge] <= _RANK[attack.knowledge]
+    return by_base in simpler and _RANK[by.adversary] <= _RANK[attack.adversary]
 
 
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:

@@ -8,17 +8,8 @@ from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import Task, task_named
-from evaluation.plan.constants import (
-    BLOCK_SCENES,
-    BOUND,
-    MODEL,
-    ORACLE,
-    OTHER_LAW,
-    OTHER_LAW_WORLD,
-    WINDOWS,
-    WORLDS,
-    horizon_world,
-)
+from evaluation.plan.address import Address, control_name
+from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
 from evaluation.plan.presets import (
     BREAKER,
     PRESETS,
@@ -27,6 +18,7 @@ from evaluation.plan.presets import (
     Preset,
 )
 from evaluation.plan.settings import AXES, Settings
+from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, WORLDS, World
 from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
 from isac_track.kalman.slow_errors import added_error
@@ -55,7 +47,7 @@ class Consumer:
     task: str = ""
     behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
-    world: str = ""  # One of `WORLDS`; empty: that of the run.
+    world: World = OWN_WORLD
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
@@ -67,16 +59,24 @@ class Consumer:
     @property
     def spec(self) -> str:
         """As in the column `consumer`."""
-        own = "@".join(plugin.spec for plugin in self.plugins)
-        special_names = {
-            "control": f"control-{self.control}",
-            "windows": WINDOWS,
-            "bound": BOUND,
-        }
-        name = special_names.get(
-            self.kind, own or (BOUND if self.kind == "linkage" else "")
+        return self.address.consumer
+
+    @property
+    def address(self) -> Address:
+        """Where its numbers belong, at every level."""
+        names = {"shared": SHARED, "windows": WINDOWS, "bound": BOUND}
+        name, behind = names.get(self.kind, BOUND), ""
+        if self.kind == "control":
+            name = control_name(self.control)
+        elif self.plugin is not None:
+            name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
+        return Address(
+            world=self.world,
+            task=self.task,
+            plugin=name,
+            reconstruction=behind,
+            adversary=self.knowledge,
         )
-        return f"{self.task}/{name}" if self.task else name or SHARED
 
     @property
     def requires(self) -> frozenset[Knowledge]:
@@ -103,13 +103,7 @@ class Consumer:
     @property
     def label(self) -> str:
         """Name for people: with the adversary, and the world if it is not the run's."""
-        return consumer_label(self.spec, self.knowledge, self.world)
-
-
-def consumer_label(consumer: str, knowledge: str, world: str) -> str:
-    """Return the name of a consumer in the files of a run."""
-    name = f"{consumer} ({knowledge})" if knowledge else consumer
-    return f"{name}, {world}" if world else name
+        return self.address.cell_label
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +121,10 @@ class Axes:
     skipped: Mapping[str, str] = field(default_factory=dict)
     # SPECs of predictors that are read in all scenes.
     utility: frozenset[str] = frozenset()
-    worlds: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
+    worlds: Mapping[World, tuple[Plugin, ...]] = field(default_factory=dict)
     """Mechanisms whose scenes are attacked in others of `WORLDS`, too."""
     slow_in_worlds: bool = False
-    linked_in: Mapping[str, tuple[Plugin, ...]] = field(default_factory=dict)
+    linked_in: Mapping[World, tuple[Plugin, ...]] = field(default_factory=dict)
     """The worlds where people are linked, and the mechanisms there."""
     horizons_s: tuple[float, ...] = ()
     """Further horizons, a world each, where predictors alone read, in all scenes."""
@@ -189,7 +183,7 @@ class Axes:
         std_m, tau_s = added_error(mechanism.instance)
         return not needs_slow or (std_m > 0.0 and tau_s > 0.0)
 
-    def consumers_in(self, world: str) -> tuple[Consumer, ...]:
+    def consumers_in(self, world: World) -> tuple[Consumer, ...]:
         """Return the consumers in another world: no robot predicts a model's walks."""
         return tuple(
             replace(consumer, world=world)
@@ -201,12 +195,12 @@ class Axes:
     def robots_at(self, horizon_s: float) -> tuple[Consumer, ...]:
         """Return the predictors at a further horizon: those read in all scenes."""
         return tuple(
-            replace(consumer, world=horizon_world(horizon_s))
+            replace(consumer, world=World(horizon_s=horizon_s))
             for consumer in self.consumers
             if consumer.kind == "predictor" and consumer.spec in self.utility
         )
 
-    def readers_in(self, world: str, task: Task) -> tuple[Consumer, ...]:
+    def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
         """Return the linkers in another world, and the optimum that knows the model."""
         linkers = [reader for reader in self.readers(task) if reader.kind == "linkage"]
         linkers.append(Consumer("linkage", task=task.name))
@@ -292,7 +286,7 @@ def axes(settings: Settings) -> Axes:
     named_predictors = plugins.parse_all("predictors", chosen["predictors"].named)
     utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
     utility |= {plugin.spec for plugin in named_predictors}
-    worlds: dict[str, tuple[Plugin, ...]] = {}
+    worlds: dict[World, tuple[Plugin, ...]] = {}
     # A user who names mechanisms has asked for these alone.
     if not chosen["mechanisms"].replaces:
         worlds = _worlds(
@@ -349,7 +343,7 @@ def _asked_stronger(settings: Settings) -> list[str]:
 
 def _worlds(
     mechanisms: Iterable[Plugin], preset: Preset, *, law: str, has_attacks: bool
-) -> dict[str, tuple[Plugin, ...]]:
+) -> dict[World, tuple[Plugin, ...]]:
     """Return the mechanisms that are computed in other worlds, by world.
 
     A run under `OTHER_LAW` has no other law.
@@ -362,13 +356,13 @@ def _worlds(
         world: tuple(plugin for plugin in mechanisms if plugin.spec in specs)
         for world, specs in specs_by_world.items()
         if (has_attacks or world == OTHER_LAW_WORLD)
-        and (law != OTHER_LAW or world == MODEL)
+        and (law != OTHER_LAW or not world.law)
     }
 
 
 def _linked_in(
-    worlds: Mapping[str, tuple[Plugin, ...]], preset: Preset, *, law: str
-) -> dict[str, tuple[Plugin, ...]]:
+    worlds: Mapping[World, tuple[Plugin, ...]], preset: Preset, *, law: str
+) -> dict[World, tuple[Plugin, ...]]:
     """Return the mechanisms that are linked in other worlds, by world.
 
     Only walks of a model with Gaussian errors: else the optimum is not known.
@@ -376,7 +370,7 @@ def _linked_in(
     return {
         world: tuple(plugin for plugin in levels if plugin.spec in preset.model_linked)
         for world, levels in worlds.items()
-        if MODEL in world and (OTHER_LAW_WORLD in world or law == OTHER_LAW)
+        if world.is_model and (world.law or law) == OTHER_LAW
     }
 
 

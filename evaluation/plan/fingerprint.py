@@ -123,7 +123,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
     if keep_scores and consumer.kind in {"linkage", "control"}:
         content.append("scores")
     if consumer.world:
-        content.append(consumer.world)
+        content.append(consumer.world.text)
     return digest(content)
 
 

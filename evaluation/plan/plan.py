@@ -15,6 +15,7 @@ from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.presets import BREAKER, PRESETS
 from evaluation.plan.settings import Settings, check_threads
+from evaluation.plan.world import World
 from isac_track import datasets, plugins
 from isac_track.config import PatrolSettings
 from isac_track.datasets import Dataset, crowd
@@ -41,8 +42,8 @@ class Unit:
     consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
-    def world(self) -> str:
-        """Its world, which all consumers share; empty: that of the run."""
+    def world(self) -> World:
+        """Its world, which all consumers share."""
         return next(iter(self.consumers.values())).world
 
     @property

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.loops import GAIN, prepare_loop
-from evaluation.plan.constants import horizon_world
+from evaluation.plan.address import parse_row
 from evaluation.plan.plan import Plan
+from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
 from evaluation.pool.gallery import write_sample_tracks
 from evaluation.pool.missing_cells import ComputedCells, compute_missing
@@ -96,9 +97,11 @@ def execute(
     else:
         manifest["gallery_without"] = []
         write_gallery([], out=out)
-    manifest["exhausted_redraws"] = _exhausted_redraws(out, manifest["cells"], "")
+    manifest["exhausted_redraws"] = _exhausted_redraws(
+        out, manifest["cells"], OWN_WORLD
+    )
     for horizon_s, horizon_entry in manifest["horizons"].items():
-        world = horizon_world(float(horizon_s))
+        world = World(horizon_s=float(horizon_s))
         horizon_entry["exhausted_redraws"] = _exhausted_redraws(
             out, manifest["cells"], world
         )
@@ -173,14 +176,14 @@ def _note_computed(
 
 
 def _exhausted_redraws(
-    out: Path, cells: Iterable[dict[str, Any]], world: str
+    out: Path, cells: Iterable[dict[str, Any]], world: World
 ) -> int | None:
     """Return the number of a world's agents whose place has no clearance.
 
     None if no cell of a predictor tells.
     """
     forecasts = (entry for entry in cells if entry["kind"] == "predictor")
-    in_world = (entry for entry in forecasts if (entry.get("world") or "") == world)
+    in_world = (entry for entry in forecasts if parse_row(entry).world == world)
     entry = next(in_world, None)
     if entry is None:
         return None

@@ -15,6 +15,7 @@ from evaluation.compute.loops import (
     list_loops,
     prepare_loop,
 )
+from evaluation.plan.address import parse_label
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.failures import Failures
@@ -149,7 +150,7 @@ def _prepare_loops(
 def _describe_cell(name: CellName) -> str:
     """Return a cell in words: of linkage if its consumer's label begins with a task."""
     _, spec, label = name
-    stage = "linkage" if "/" in label.partition(":")[0] else "scenes"
+    stage = "linkage" if parse_label(label).task else "scenes"
     return f"{stage}: {spec} > {label}"
 
 

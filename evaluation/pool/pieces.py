@@ -10,7 +10,8 @@ import numpy as np
 
 from evaluation.compute.linkage import view_key
 from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork
-from evaluation.plan.constants import BLOCK_SCENES, WORLDS, horizon_world
+from evaluation.plan.constants import BLOCK_SCENES
+from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_files import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
 from isac_track.scenes import track_order
@@ -121,7 +122,7 @@ def _cut_scenes(missing: Sequence[Unit], ready: Plan) -> list[Block]:
     return blocks
 
 
-def _scene_orders(ready: Plan) -> dict[str, Ints]:
+def _scene_orders(ready: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
     settings = ready.settings
 
@@ -133,16 +134,16 @@ def _scene_orders(ready: Plan) -> dict[str, Ints]:
             seed=settings.seed,
         )
 
-    orders = dict.fromkeys(("", *WORLDS), order(len(ready.tracks)))
+    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(ready.tracks)))
     for horizon_s, tracks in ready.tracks.further.items():
-        orders[horizon_world(horizon_s)] = order(len(tracks))
+        orders[World(horizon_s=horizon_s)] = order(len(tracks))
     return orders
 
 
 def _cut_linkage(missing: Sequence[Unit], ready: Plan) -> list[LinkWork]:
     """Return the missing levels of every linkage task, in every world."""
     groups = tuple(sorted(set(ready.tracks.group)))
-    walked = [(sessions, "") for sessions in ready.sessions]
+    walked = [(sessions, OWN_WORLD) for sessions in ready.sessions]
     walked += [
         (sessions, world)
         for world in ready.axes.linked_in

@@ -10,7 +10,7 @@ import pandas as pd
 
 from evaluation.estimates import paper
 from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
-from evaluation.estimates.keys import AS_SHARED, Source, row_dicts, where_text
+from evaluation.estimates.keys import row_dicts, where_text
 from evaluation.estimates.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -20,7 +20,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.constants import world_horizon_s
+from evaluation.plan.address import AS_SHARED, parse_consumer, parse_dataset
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.result_tables import laplace_notes
@@ -220,13 +220,13 @@ def _frontier_head(row: Mapping[str, Any]) -> str:
     """Return the head of the column in which a row of the frontier stands."""
     if row["metric"] == ROBOT_PLR:
         return METRICS[ROBOT_PLR].head
-    source = Source(row["consumer"], row["knowledge"])
+    source = parse_consumer(row["consumer"], row["knowledge"])
     if source == AS_SHARED:
         state = "shared"
-    elif source.knowledge in HEADLINE:
+    elif source.adversary in HEADLINE:
         state = "attacked"
     else:
-        state = f"after {source.knowledge}"
+        state = f"after {source.adversary}"
     return f"{source.task or METRICS[row['metric']].head}, {state}"
 
 
@@ -234,7 +234,7 @@ def price_text(priced: pd.DataFrame) -> str:
     """Return a sentence on the missed conflicts that price the rows of a frontier."""
     if not (priced["criterion"] == FUTURE).any():
         return "The price: missed conflicts, at raw's false alarms."
-    horizon_s = world_horizon_s(str(priced["dataset"].iloc[0]).rpartition(":")[2])
+    horizon_s = parse_dataset(str(priced["dataset"].iloc[0])).world.horizon_s
     ahead = "" if horizon_s is None else f" {horizon_s:g} s ahead"
     return (
         f"The price: missed conflicts that are still to come{ahead}, at raw's false"
@@ -251,10 +251,11 @@ def flag_table(run: Results) -> Table:
     columns = [
         make.text_column("flag", lambda row: row["kind"].replace("_", " ")),
         make.text_column(
-            "attack", lambda row: Source(row["attack"], row["knowledge"]).label
+            "attack", lambda row: parse_consumer(row["attack"], row["knowledge"]).label
         ),
         make.text_column(
-            "beaten by", lambda row: Source(row["by"], row["by_knowledge"]).label
+            "beaten by",
+            lambda row: parse_consumer(row["by"], row["by_knowledge"]).label,
         ),
         *mechanism_columns(run.families),
         make.number_column("PLR difference", "points", *ends, scale=100.0, sign="+"),

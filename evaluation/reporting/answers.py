@@ -267,7 +267,7 @@ def _links_details(table: Headline, where: Where) -> tuple[str, ...]:
         phrase = sentence_case(task_phrase(source.task))
         joint = " It matches all people at once." if column.is_joint else ""
         sentences.append(
-            f"{phrase}, the strongest attack is {source.attack.label} with"
+            f"{phrase}, the strongest attack is {source.without_task.label} with"
             f" {percent(rank1)}.{joint}"
         )
         if math.isfinite(column.candidates):

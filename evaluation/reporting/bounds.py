@@ -13,7 +13,7 @@ from evaluation.estimates.metrics import (
     RANK_GAP,
     SUCCESS,
 )
-from evaluation.plan.constants import MODEL, OTHER_LAW, OTHER_LAW_WORLD
+from evaluation.plan.world import World
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results, mechanism_columns
@@ -37,10 +37,9 @@ _RATIO = (
 )
 
 
-def world_error_law(world: str, run: Results) -> str:
+def world_error_law(world: World, run: Results) -> str:
     """Return the error law of a world of a run."""
-    own = run.manifest["settings"]["stages"]["sensing.law"]
-    return OTHER_LAW if OTHER_LAW_WORLD in world else str(own)
+    return world.law or str(run.manifest["settings"]["stages"]["sensing.law"])
 
 
 def bound_table(run: Results) -> Table:
@@ -51,7 +50,8 @@ def bound_table(run: Results) -> Table:
     }
 
     def recorded(row: Mapping[str, Any]) -> Cell:
-        return ceilings.get(row["where"], Cell()) if row["world"] == MODEL else Cell()
+        has_own_law = not row["world"].law
+        return ceilings.get(row["where"], Cell()) if has_own_law else Cell()
 
     columns = [
         make.text_column("error law", lambda row: world_error_law(row["world"], run)),
@@ -70,7 +70,9 @@ def linked_bound_table(run: Results) -> Table:
     """Return the gap between the closest linker and the optimal likelihood ratio."""
     columns = [
         make.text_column("task", lambda row: row["attack"].task),
-        make.text_column("closest linker", lambda row: row["attack"].attack.label),
+        make.text_column(
+            "closest linker", lambda row: row["attack"].without_task.label
+        ),
         _column("rank 1 there", SUCCESS, "reached"),
         _column("optimum", SUCCESS, "bound"),
         _column("gap", RANK_GAP, "gap"),

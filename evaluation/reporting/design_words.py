@@ -151,7 +151,7 @@ def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
     values: dict[str, Any] = {
         "adversary": side.adversary or None,
         "attack": side.source.consumer if side.source else None,
-        "knowledge": side.source.knowledge if side.source else None,
+        "knowledge": side.source.adversary if side.source else None,
     }
     if limit is not None:
         values["breaks"] = side.breaks(limit)
@@ -162,8 +162,8 @@ def _linked(linked: Linked) -> dict[str, Any]:
     """Return the linkage of a task as plain values."""
     return {
         "task": linked.task,
-        "attack": linked.source.attack.consumer if linked.source else None,
-        "knowledge": linked.source.knowledge if linked.source else None,
+        "attack": linked.source.attack_spec if linked.source else None,
+        "knowledge": linked.source.adversary if linked.source else None,
         "metric": linked.metric,
         "rank1": _number(linked.rank1),
         "chance": _finite(linked.chance),

@@ -10,10 +10,11 @@ from rich.console import Console
 
 from evaluation.estimates import differences as comparing
 from evaluation.estimates.families import with_unit
-from evaluation.estimates.keys import Source, where_text
+from evaluation.estimates.keys import where_text
 from evaluation.estimates.metrics import METRICS
-from evaluation.plan.constants import world_horizon_s
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.variants import BASE
+from evaluation.plan.world import OWN_WORLD, parse_world
 from evaluation.reporting import table as make
 from evaluation.reporting import terminal
 from evaluation.reporting.announcements import scenes_text
@@ -251,12 +252,13 @@ def _heading(row: Mapping[Any, Any], *, room: int) -> str:
 
 def _ahead(row: Mapping[Any, Any]) -> str:
     """Return the further horizon of a robot's number; empty at the run's own."""
-    horizon_s = world_horizon_s(row["world"])
+    world = parse_world(row["world"]) or OWN_WORLD
+    horizon_s = world.horizon_s
     return "" if horizon_s is None else f", {horizon_s:g} s ahead"
 
 
 def _source(row: Mapping[Any, Any]) -> str:
-    return Source(row["consumer"], row["knowledge"]).label
+    return parse_consumer(row["consumer"], row["knowledge"]).label
 
 
 def sign_changes(rows: pd.DataFrame) -> list[str]:

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from evaluation.estimates.keys import row_keys
+from evaluation.estimates.keys import row_addresses
 from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.estimates.strongest import strongest
 from evaluation.reporting.rows import Results
@@ -52,9 +52,9 @@ def load(out: Path | str) -> Results:
     ]
     # The choice reads only the values.
     values = map(_Value, rows["value"])
-    estimates: Any = dict(zip(row_keys(rows), values, strict=True))
+    estimates: Any = dict(zip(row_addresses(rows), values, strict=True))
     best = strongest(estimates, results.families)
-    attacks = {task: source.attack for task, source in best.items()}
+    attacks = {task: source.without_task for task, source in best.items()}
     return replace(results, strongest=attacks, make_first_table=_first_table)
 
 

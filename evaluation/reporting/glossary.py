@@ -11,6 +11,7 @@ from typing import Final
 
 from markupsafe import Markup, escape
 
+from evaluation.plan.address import parse_consumer
 from evaluation.reporting.names import ATTACK_NAMES, FAMILY_NAMES, ROBOT_NAMES
 
 _WORDS: Final = {
@@ -292,7 +293,7 @@ def definition(name: str) -> str:
         The sentence; empty for a name that the glossary does not have.
     """
     bare = name.strip()
-    linker = bare.rpartition("/")[2].partition("@")[0]
+    linker = parse_consumer(bare).plugin
     candidates = (
         bare,
         bare.partition(" (")[0],

@@ -12,7 +12,7 @@ import pandas as pd
 
 from evaluation.estimates.bounds import Gap, gaps
 from evaluation.estimates.families import CLEAN, SWEPT, Family, families_in
-from evaluation.estimates.keys import AS_SHARED, Key, Measure, Source, Where, row_worlds
+from evaluation.estimates.keys import Where, row_worlds
 from evaluation.estimates.metrics import (
     ASSIGNED,
     EXPOSURE,
@@ -30,8 +30,9 @@ from evaluation.estimates.strongest import (
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
-from evaluation.plan.constants import OTHER_LAW_WORLD, horizon_world, world_horizon_s
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.plan.presets import BASELINE
+from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, World
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import HEADLINE, estimates, find_family
 from evaluation.reporting.names import mechanism_name, robot_name, task_head
@@ -69,7 +70,7 @@ class HeadlineColumn:
 
     above: str  # Heading of several columns, such as `re-identified`.
     name: str
-    measure: Measure
+    measure: Address
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
     is_later: bool = False  # Whether it is read at the further horizon.
@@ -87,9 +88,9 @@ class Headline:
     """The columns of the first table, and the numbers of a run that fill them."""
 
     known: Mapping[str, Family]
-    numbers: Mapping[Key, Estimate]
+    numbers: Mapping[Address, Estimate]
     # The same under the other error law, where the run has it.
-    other_law: Mapping[Key, Estimate]
+    other_law: Mapping[Address, Estimate]
     gaps: Sequence[Gap]  # From the optimum, in model worlds.
     robots: Sequence[HeadlineColumn]
     shared: HeadlineColumn
@@ -100,7 +101,7 @@ class Headline:
     epsilon_m: float  # A position that is closer to the truth is known.
     horizon_s: float | None = None  # The longest further horizon of the run.
     # Numbers at that horizon.
-    later: Mapping[Key, Estimate] = field(default_factory=dict)
+    later: Mapping[Address, Estimate] = field(default_factory=dict)
 
     @property
     def columns(self) -> list[HeadlineColumn]:
@@ -124,7 +125,7 @@ class Headline:
             replace(
                 robot,
                 above=above,
-                measure=robot.measure._replace(metric=MISSED_FUTURE),
+                measure=robot.measure.measured(MISSED_FUTURE),
                 is_later=True,
             )
             for robot in self.robots
@@ -161,7 +162,7 @@ class Headline:
 def headline(
     summary: pd.DataFrame,
     *,
-    attacks: Mapping[str, Source] | None = None,
+    attacks: Mapping[str, Address] | None = None,
     linkability: pd.DataFrame | None = None,
     attacked: pd.DataFrame | None = None,
     epsilon_m: float = PrivacySettings().epsilon_m,
@@ -175,16 +176,16 @@ def headline(
     """
     rows = summary[summary["metric"].isin(_METRICS)]
     world = row_worlds(rows)
-    own = rows[world == ""]
+    own = rows[world == OWN_WORLD]
     numbers, known = estimates(own), families_in(own)
     if attacks is None:
         best = strongest(numbers, known)
-        attacks = {task: source.attack for task, source in best.items()}
-    horizons = [world_horizon_s(name) for name in world.unique()]
-    horizon_s = max((s for s in horizons if s is not None), default=None)
-    later: dict[Key, Estimate] = {}
+        attacks = {task: source.without_task for task, source in best.items()}
+    horizons_s = {other.horizon_s for other in world.unique()} - {None}
+    horizon_s = max(horizons_s, default=None)
+    later: dict[Address, Estimate] = {}
     if horizon_s is not None:
-        later = estimates(rows[world == horizon_world(horizon_s)])
+        later = estimates(rows[world == World(horizon_s=horizon_s)])
     predictors = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
     by_mechanism = _own_strongest(numbers, known, attacks)
     if attacked is not None and not attacked.empty:
@@ -195,10 +196,10 @@ def headline(
     worst: HeadlineColumn | None = None
     if reconstruction := attacks.get(""):
         after_attack = HeadlineColumn(
-            above, "attacked", reconstruction.measure(EXPOSURE)
+            above, "attacked", reconstruction.measured(EXPOSURE)
         )
         worst = HeadlineColumn(
-            above, "worst tenth", reconstruction.measure(WORST_TENTH)
+            above, "worst tenth", reconstruction.measured(WORST_TENTH)
         )
     wheres = dict.fromkeys(key.where for key in numbers)
     return Headline(
@@ -207,7 +208,7 @@ def headline(
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(predictors),
-        shared=HeadlineColumn(above, "as sent", AS_SHARED.measure(EXPOSURE)),
+        shared=HeadlineColumn(above, "as sent", AS_SHARED.measured(EXPOSURE)),
         attacked=after_attack,
         worst=worst,
         linked=_linked(attacks, numbers, linkability),
@@ -225,19 +226,23 @@ def _robots(predictors: Sequence[str]) -> list[HeadlineColumn]:
     added = [name for name in others if name not in _BESIDE]
     ordered = dict.fromkeys([*usual[:1], *added, *(usual[1:] or others)])
     return [
-        HeadlineColumn(_MISSED, robot_name(name), Measure(name, MISSED_RATE))
+        HeadlineColumn(
+            _MISSED, robot_name(name), parse_consumer(name).measured(MISSED_RATE)
+        )
         for name in list(ordered)[:_MOST_ROBOTS]
     ]
 
 
-def _only_metric(numbers: Mapping[Key, Estimate], metric: str) -> dict[Key, Estimate]:
+def _only_metric(
+    numbers: Mapping[Address, Estimate], metric: str
+) -> dict[Address, Estimate]:
     """Return the numbers of a metric."""
     return {key: number for key, number in numbers.items() if key.metric == metric}
 
 
 def _cross_fitted(
-    attacked: pd.DataFrame, attacks: Mapping[str, Source]
-) -> dict[Key, Estimate]:
+    attacked: pd.DataFrame, attacks: Mapping[str, Address]
+) -> dict[Address, Estimate]:
     """Return the cross-fitted numbers of `attacked`; keys name the headline attack.
 
     The worst tenth has no row there: it is cross-fitted over releases already.
@@ -246,17 +251,17 @@ def _cross_fitted(
     tasks = rows["task"].astype(object).fillna("")
     numbers = estimates(rows).items()
     return {
-        _headline_source(task, attacks).measure(key.metric).at(*key.where): estimate
+        replace(attacks[task], task=task).at(*key.where, key.metric): estimate
         for task, (key, estimate) in zip(tasks, numbers, strict=True)
         if task in attacks
     }
 
 
 def _own_strongest(
-    numbers: Mapping[Key, Estimate],
+    numbers: Mapping[Address, Estimate],
     known: Mapping[str, Family],
-    attacks: Mapping[str, Source],
-) -> dict[Key, Estimate]:
+    attacks: Mapping[str, Address],
+) -> dict[Address, Estimate]:
     """Return the numbers of the strongest attack on each mechanism.
 
     Their keys name the headline attack of the task. Rank 1 is by the better of the two
@@ -264,7 +269,7 @@ def _own_strongest(
     """
     # The headline attack is the strongest against raw, fixed noise and FID. It would
     # flatter other mechanisms, so that each of them has its own strongest attack.
-    own: dict[Key, Estimate] = {}
+    own: dict[Address, Estimate] = {}
     rules = naming_rules(numbers)
     for criterion, metrics in (
         (EXPOSURE, (EXPOSURE, WORST_TENTH)),
@@ -273,30 +278,19 @@ def _own_strongest(
         for task, blocks in by_task(numbers, metric=criterion).items():
             if task not in attacks:
                 continue
-            best, headline = against_each(blocks), _headline_source(task, attacks)
+            best, headline = against_each(blocks), replace(attacks[task], task=task)
             for where, metric in product(blocks, metrics):
                 is_usual = known[where[0]].family in (*SWEPT, CLEAN)
                 source = headline if is_usual else best.get(where[0], headline)
                 rule = rules.get(source, SUCCESS) if metric == SUCCESS else metric
-                if (key := source.measure(rule).at(*where)) in numbers:
-                    own[headline.measure(metric).at(*where)] = numbers[key]
+                if (key := source.at(*where, rule)) in numbers:
+                    own[headline.at(*where, metric)] = numbers[key]
     return own
 
 
-def _headline_source(task: str, attacks: Mapping[str, Source]) -> Source:
-    """Return the headline attack of a task, as the consumer column names it."""
-    consumer, knowledge = attacks[task]
-    return Source(f"{task}/{consumer}" if task else consumer, knowledge)
-
-
-def _headline(task: str, attacks: Mapping[str, Source]) -> Source:
-    consumer, knowledge = attacks[task]
-    return Source(f"{task}/{consumer}" if task else consumer, knowledge)
-
-
 def _linked(
-    attacks: Mapping[str, Source],
-    numbers: Mapping[Key, Estimate],
+    attacks: Mapping[str, Address],
+    numbers: Mapping[Address, Estimate],
     linkability: pd.DataFrame | None,
 ) -> list[HeadlineColumn]:
     """Return a column for each linkage task that is shown.
@@ -311,16 +305,16 @@ def _linked(
     rules, columns = naming_rules(numbers), []
     own_tasks = [task for task in attacks if task]
     for task in [name for name in TASKS if name in attacks] or own_tasks[:3]:
-        source, head = _headline_source(task, attacks), task_head(task)
+        source, head = replace(attacks[task], task=task), task_head(task)
         column = HeadlineColumn(
-            _LINKED, head, source.measure(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY
+            _LINKED, head, source.measured(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY
         )
         if column.measure not in values:
             column = HeadlineColumn(
                 _LINKED,
                 head,
-                source.measure(SUCCESS),
-                chance=values.get(source.measure("chance"), math.nan),
+                source.measured(SUCCESS),
+                chance=values.get(source.measured("chance"), math.nan),
                 candidates=_mean_candidates(source, linkability),
                 is_joint=rules.get(source) == ASSIGNED,
             )
@@ -328,7 +322,7 @@ def _linked(
     return columns
 
 
-def _mean_candidates(source: Source, linkability: pd.DataFrame | None) -> float:
+def _mean_candidates(source: Address, linkability: pd.DataFrame | None) -> float:
     """Return the mean size of the gallery of a linker; NaN if it is unknown."""
     if linkability is None:
         return math.nan

@@ -6,9 +6,10 @@ from typing import TYPE_CHECKING, Final
 import pandas as pd
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Key, row_keys
+from evaluation.estimates.keys import row_addresses
 
 if TYPE_CHECKING:
+    from evaluation.plan.address import Address
     from isac_track.intervals import Estimate
 
 HEADLINE: Final = (
@@ -27,9 +28,9 @@ def find_family(known: Mapping[str, Family], mechanism: str) -> Family:
     return known.get(mechanism, Family(mechanism, mechanism, ""))
 
 
-def estimates(rows: pd.DataFrame) -> "dict[Key, Estimate]":
+def estimates(rows: pd.DataFrame) -> "dict[Address, Estimate]":
     """Return the estimates of a summary by key."""
     from isac_track.intervals import Estimate  # noqa: PLC0415 - see `load`
 
     columns = (rows[name] for name in (*ENDS, "n"))
-    return dict(zip(row_keys(rows), map(Estimate, *columns), strict=True))
+    return dict(zip(row_addresses(rows), map(Estimate, *columns), strict=True))

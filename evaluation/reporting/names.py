@@ -10,6 +10,7 @@ from typing import Final
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import level_text
+from evaluation.plan.address import plugin_name
 from evaluation.reporting.table import plugin_label
 
 _MECHANISMS: Final = {
@@ -145,7 +146,8 @@ def short_family_name(family: Family) -> str:
 
 def spec_text(family: Family, level: float | None) -> str:
     """Return a level as options take it: `fid:1,adding=independent`."""
-    name, _, parameters = family.mechanism.partition(":")
+    name = plugin_name(family.mechanism)
+    parameters = family.mechanism.removeprefix(name).removeprefix(":")
     if "." in name:  # A class in a module has a colon of its own.
         return " ".join(filter(None, [family.mechanism, level_text(level)]))
     values = ",".join(filter(None, [level_text(level), parameters]))

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final
 
+from evaluation.plan.address import parse_label
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.reporting.amounts import counted, listed
 
@@ -315,7 +316,7 @@ def approximation(manifest: Mapping[str, Any], task: str) -> str:
     if not lost:
         return ""
     per_probe = manifest["settings"]["stages"]["linkage.candidates"]
-    linker = lost["consumer"].partition("/")[2]
+    linker = parse_label(lost["consumer"]).without_task.label
     mean, most = (round(100.0 * lost[name], 1) + 0.0 for name in ("loss", "most"))
     return (
         f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f}"

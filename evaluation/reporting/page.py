@@ -6,7 +6,8 @@ from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates import weak_attacks
-from evaluation.estimates.keys import Source, is_attack
+from evaluation.estimates.keys import is_attack
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.pool.failures import failed_lines
 from evaluation.reporting.amounts import counted
@@ -90,7 +91,7 @@ def title(run: Results) -> str:
     shared = run.ours[run.ours["consumer"] == SHARED]
     levels = len(shared[["mechanism", "level"]].drop_duplicates())
     consumers = run.summary.loc[is_attack(run.summary), "consumer"].unique()
-    attacks = {Source(name).attack.consumer.partition("@")[0] for name in consumers}
+    attacks = {parse_consumer(name).plugin for name in consumers}
     attacks.discard(IDENTITY)
     parts = [
         f"{counted(run.manifest['dataset']['tracks_used'], 'pedestrian track')}",

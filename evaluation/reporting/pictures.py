@@ -7,8 +7,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Measure, Where
+from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import MISSED_RATE
+from evaluation.plan.address import parse_consumer
 from evaluation.reporting import takeaways
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
@@ -149,7 +150,7 @@ def planes(table: Headline) -> dict[str, list[Picture]]:
 def _front(table: Headline, robot: str, privacy: HeadlineColumn) -> Picture | None:
     """Return all levels over a robot's misses and a privacy metric, with the front."""
     task = privacy.measure.source.task
-    missed = HeadlineColumn("", "", Measure(robot, MISSED_RATE))
+    missed = HeadlineColumn("", "", parse_consumer(robot).measured(MISSED_RATE))
     curves = _curves(table, missed, privacy)
     points = _points(curves)
     noun = "share of re-identified people" if task else "PLR after attack"

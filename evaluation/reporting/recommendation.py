@@ -321,7 +321,7 @@ def _worse(side: Attacked, limit: float) -> Estimate:
 def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:
     """Return the cost and the privacy of a level, and the adversaries that break it."""
     side = offer.attacked if offer.attacked.source else offer.shared
-    is_attacked = side.source is not None and side.source.knowledge
+    is_attacked = side.source is not None and side.source.adversary
     subject = "an attack" if is_attacked else "without an attack, an adversary"
     wide_m = WIDE_TIMES * epsilon_m
     near, wide = percent(side.value(EXPOSURE)), percent(side.value(WIDE))
@@ -431,7 +431,7 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
 
 def _adversary(check: Check) -> str:
     """Return the adversary of a check."""
-    if check.source is None or not check.source.knowledge:
+    if check.source is None or not check.source.adversary:
         return "an adversary without an attack"
     return adversary_name(check.adversary) if check.adversary in BEYOND else "an attack"
 

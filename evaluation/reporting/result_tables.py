@@ -3,6 +3,7 @@
 import re
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 from typing import Any, Final
@@ -11,14 +12,7 @@ import pandas as pd
 
 from attacks.tasks.controls import CONTROLS
 from evaluation.estimates.families import CLEAN, LEVEL_UNITS, families_in
-from evaluation.estimates.keys import (
-    AS_SHARED,
-    Source,
-    is_attack,
-    row_dicts,
-    row_worlds,
-    where_text,
-)
+from evaluation.estimates.keys import is_attack, row_dicts, row_worlds, where_text
 from evaluation.estimates.linkability import INVALID, REMARKS, LinkedTask, remarks
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
@@ -32,7 +26,8 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.constants import ORACLE, world_horizon_s
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer
+from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import find_family
@@ -104,7 +99,7 @@ def _sweep_table(
     rows: pd.DataFrame, predictor: str, place: int, *, n_reports: int
 ) -> Table:
     """Return utility of a predictor at all levels; at place 0 also descriptors."""
-    metrics = {Source(predictor): UTILITY}
+    metrics = {parse_consumer(predictor): UTILITY}
     if place == 0:
         metrics |= {AS_SHARED: DESCRIPTORS}
     rows = rows[rows["consumer"].isin([source.consumer for source in metrics])]
@@ -133,13 +128,13 @@ def horizon_tables(summary: pd.DataFrame) -> list[Table]:
     """Return missed conflicts of robots at every further horizon, a table each."""
     worlds, tables = row_worlds(summary), []
     for world in worlds.unique():
-        if (horizon_s := world_horizon_s(world)) is None:
+        if (horizon_s := world.horizon_s) is None:
             continue
         rows = summary[worlds == world]
         columns = [
             Column(
                 f"{METRICS[metric].head}, {robot}",
-                partial(_cell, Source(robot), metric),
+                partial(_cell, parse_consumer(robot), metric),
                 "%",
             )
             for robot in rows["consumer"].unique()
@@ -203,7 +198,7 @@ def _level_table(
     )
 
 
-def _cell(source: Source, metric: str, level: Mapping[str, Any]) -> Cell:
+def _cell(source: Address, metric: str, level: Mapping[str, Any]) -> Cell:
     return make.estimate_cell(metric, level["sources"].get(source, {}).get(metric))
 
 
@@ -215,10 +210,10 @@ def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(knowledge=rows["knowledge"].where(is_attack(rows), ""))
 
 
-def list_sources(rows: pd.DataFrame) -> list[Source]:
+def list_sources(rows: pd.DataFrame) -> list[Address]:
     """Return the sources of positions in some rows, in the order of the run."""
     first = rows[["consumer", "knowledge"]].drop_duplicates()
-    return [Source(*pair) for pair in first.itertuples(index=False)]
+    return [parse_consumer(*pair) for pair in first.itertuples(index=False)]
 
 
 def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Table:
@@ -233,7 +228,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
         Column(source.label, partial(_cell, source, EXPOSURE)) for source in shown
     ]
     notes = []
-    if any(source.knowledge == ORACLE for source in shown):
+    if any(source.adversary == ORACLE for source in shown):
         notes.append(_ORACLE)
     notes += [
         f"{source.consumer} saw only the first release of each source track."
@@ -245,7 +240,7 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
     return _level_table("exposure", title, rows, columns, notes=notes)
 
 
-def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
+def attack_table(summary: pd.DataFrame, *, only: Address | None = None) -> Table:
     """Return descriptors after all attacks at representative levels.
 
     With `only` they are those of a single source, at all levels.
@@ -282,7 +277,7 @@ def attack_table(summary: pd.DataFrame, *, only: Source | None = None) -> Table:
 
 
 def _merged(
-    mechanism: str, level: float | None, sources: Mapping[Source, Mapping[str, Any]]
+    mechanism: str, level: float | None, sources: Mapping[Address, Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the rows of a level; adversaries with the same numbers share a row."""
     cells = {
@@ -294,7 +289,7 @@ def _merged(
     }
     consumers = [source.consumer for source in sources]
     shared = cells.get(AS_SHARED, {})
-    groups: dict[tuple[str, tuple[str, ...]], list[Source]] = {}
+    groups: dict[tuple[str, tuple[str, ...]], list[Address]] = {}
     for source, own in cells.items():
         # Only an attack has a ratio to the benchmark. A control that says the same is
         # left out.
@@ -308,7 +303,7 @@ def _merged(
             groups.setdefault(key, []).append(source)
     rows = []
     for (consumer, _), members in groups.items():
-        knowledge = [source.knowledge for source in members]
+        knowledge = [source.adversary for source in members]
         is_any = len(members) == consumers.count(consumer) > 1
         row: dict[str, Any] = {"mechanism": mechanism, "level": level}
         row |= cells[members[0]]
@@ -405,15 +400,15 @@ def _control_notes(task: LinkedTask) -> list[str]:
 def strength_table(run: Results) -> Table:
     """Return ranks and scores of each task's headline linker at a few levels."""
     records: list[dict[str, Any]] = []
-    for task, (consumer, knowledge) in run.strongest.items():
+    for task, attack in run.strongest.items():
         if not task:
             continue
-        source = Source(f"{task}/{consumer}", knowledge)
+        source = replace(attack, task=task)
         by_level = estimates_by_level(source_rows(run.ours, source))
         for where in representative_levels(by_level, run.families, controls=False):
             row = _strength_cells(by_level[where][source])
             row |= {"mechanism": where[0], "level": where[1]}
-            records.append(row | {"task": task, "linker": source.attack.label})
+            records.append(row | {"task": task, "linker": attack.label})
     columns = [
         make.text_column("task"),
         make.text_column("linker"),
@@ -491,7 +486,7 @@ def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
     """Return whether each control beats chance, at the levels where that may differ."""
     tests: dict[str, list[bool]] = {}
     for row in task.controls:
-        name = row["consumer"].partition("/control-")[2]
+        name = parse_consumer(row["consumer"]).control
         outcomes = tests.setdefault(name, [])
         # A control that sees only times gives the same result at every level.
         if not (outcomes and name in CONTROLS and CONTROLS[name].sees_times_only):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,8 +21,9 @@ from evaluation.estimates.families import (
     Family,
     families_in,
 )
-from evaluation.estimates.keys import Source, Where, level_text
+from evaluation.estimates.keys import Where, level_text
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
+from evaluation.plan.address import Address, parse_consumer, parse_dataset, plugin_name
 from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family
@@ -41,7 +42,7 @@ if TYPE_CHECKING:
     from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
-CONTROLS: Final = frozenset(spec.partition(":")[0] for spec in DISSOCIATION)
+CONTROLS: Final = frozenset(map(plugin_name, DISSOCIATION))
 """Families of controls: they separate a descriptor from linkability."""
 # Ratio of the levels' ends from which an unknown mechanism has a logarithmic axis.
 _LOG_SPAN = 30.0
@@ -129,7 +130,7 @@ class Results:
     speeds: pd.DataFrame
     verdict: dict[str, Any]
     failed: pd.DataFrame
-    strongest: Mapping[str, Source] = field(default_factory=dict)
+    strongest: Mapping[str, Address] = field(default_factory=dict)
     conflict_times: pd.DataFrame = field(default_factory=pd.DataFrame)
     attacked: pd.DataFrame = field(default_factory=pd.DataFrame)
     make_first_table: Callable[[Results], Table] | None = None
@@ -141,7 +142,12 @@ class Results:
 
         The data sets of worlds are named `DATASET:WORLD`.
         """
-        return self.summary[~self.summary["dataset"].str.startswith(f"{self.dataset}:")]
+        names = self.summary["dataset"]
+        is_elsewhere = [
+            name != self.dataset and parse_dataset(name).recording == self.dataset
+            for name in names
+        ]
+        return self.summary[~np.array(is_elsewhere, dtype=bool)]
 
     def __repr__(self) -> str:
         """Return the title of the run, and the table of the first screen in lines."""
@@ -248,7 +254,7 @@ class Results:
         rows = self.measured
         rows = rows[rows["metric"] == name]
         place = METRICS[name].measured
-        row_tasks = rows["consumer"].map(lambda consumer: Source(consumer).task)
+        row_tasks = rows["consumer"].map(lambda consumer: parse_consumer(consumer).task)
         task = task or next(iter(row_tasks), "")
         rows = rows[row_tasks == task]
         if place == "predictor":
@@ -258,26 +264,30 @@ class Results:
         else:
             consumer = after
             if after in ("", STRONGEST):
-                consumer, knowledge = self.strongest.get(task, Source(""))
-                rows = rows[rows["knowledge"] == knowledge]
-            consumer = f"{task}/{consumer}" if task else consumer
+                strongest = self.strongest.get(task, Address())
+                consumer = strongest.consumer
+                rows = rows[rows["knowledge"] == strongest.adversary]
+            consumer = replace(parse_consumer(consumer), task=task).consumer
         values = rows[rows["consumer"] == consumer]
         if values.empty:
             has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
             raise SettingsError(
                 f"the run has no {name} of {consumer or after!r}; it has that of {has}"
             )
-        table = self._level_frame(values, task=task)
+        table = self._level_frame(values)
         table.attrs["title"] = (
             f"{METRICS[name].title}, {_positions_label(values, place)}"
         )
         return table
 
-    def _level_frame(self, rows: pd.DataFrame, *, task: str) -> pd.DataFrame:
+    def _level_frame(self, rows: pd.DataFrame) -> pd.DataFrame:
         """Return rows of a summary with the columns that `frame` promises."""
         known = rows["mechanism"].map(self.families)
         is_attack = rows["knowledge"] != ""
-        attack = rows["consumer"].where(is_attack, "").str.removeprefix(f"{task}/")
+        attack = [
+            parse_consumer(consumer).attack_spec if is_so else ""
+            for consumer, is_so in zip(rows["consumer"], is_attack, strict=True)
+        ]
         columns = {
             "family": [family.name for family in known],
             "level": rows["level"].where(
@@ -391,12 +401,13 @@ class Results:
         """The linkage tasks, on the run's data set or on their own."""
         from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
             linked_tasks,
-            row_dataset,
+            task_recording,
         )
 
-        expected = self.linkability["consumer"].map(
-            partial(row_dataset, dataset=self.dataset)
-        )
+        expected = [
+            task_recording(parse_consumer(consumer).task, dataset=self.dataset)
+            for consumer in self.linkability["consumer"]
+        ]
         return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
 
 
@@ -408,7 +419,7 @@ def _positions_label(rows: pd.DataFrame, place: str) -> str:
     consumer, knowledge = str(rows["consumer"].iloc[0]), rows["knowledge"].unique()
     if consumer == SHARED:
         return "as shared"
-    label = Source(consumer, knowledge[0] if len(knowledge) == 1 else "").label
+    label = parse_consumer(consumer, knowledge[0] if len(knowledge) == 1 else "").label
     if place in ("descriptor", "reconstruction", "distance"):
         return f"after {label}"
     return label
@@ -460,20 +471,20 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
 
 def estimates_by_level(
     frame: pd.DataFrame,
-) -> dict[Where, dict[Source, dict[str, Estimate]]]:
+) -> dict[Where, dict[Address, dict[str, Estimate]]]:
     """Return the estimates of a summary by level, rising, then source, then metric."""
-    by_level: dict[Where, dict[Source, dict[str, Estimate]]] = {}
+    by_level: dict[Where, dict[Address, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
     for key, estimate in estimates(ordered).items():
         by_source = by_level.setdefault(key.where, {})
-        by_source.setdefault(key.measure.source, {})[key.metric] = estimate
+        by_source.setdefault(key.source, {})[key.metric] = estimate
     place = {name: n for n, name in enumerate(frame["mechanism"].unique())}
     return dict(sorted(by_level.items(), key=lambda item: place[item[0][0]]))
 
 
-def source_rows(frame: pd.DataFrame, source: Source) -> pd.DataFrame:
+def source_rows(frame: pd.DataFrame, source: Address) -> pd.DataFrame:
     """Return the rows of a summary about the positions of a source."""
-    is_same = frame["knowledge"].fillna("") == source.knowledge
+    is_same = frame["knowledge"].fillna("") == source.adversary
     return frame[is_same & (frame["consumer"] == source.consumer)]
 
 

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import families_in
-from evaluation.estimates.keys import INFORMED, Source, row_keys, row_worlds
+from evaluation.estimates.keys import INFORMED, row_addresses, row_worlds
 from evaluation.estimates.metrics import (
     RECONSTRUCTION,
     SUCCESS,
@@ -28,6 +28,8 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
+from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.world import OWN_WORLD
 from evaluation.pool.failures import failed_lines
 from evaluation.reporting import answer_tables, result_tables, terminal
 from evaluation.reporting.announcements import changed_settings
@@ -203,14 +205,14 @@ def _linkage(summary: pd.DataFrame) -> Table:
         replace(text_column("chance"), unit="%", align="right"),
         text_column("linker"),
     ]
-    records: dict[Source, dict[str, Any]] = {}
+    records: dict[Address, dict[str, Any]] = {}
     for where in representative_levels(numbers, known, controls=False):
         heading = mechanism_name(known[where[0]], where[1])
         columns.append(cell_column(heading, f"{where}"))
         for source, metrics in numbers[where].items():
             keys: dict[str, Any] = {
                 "task": source.task,
-                "linker": source.attack.consumer,
+                "linker": source.attack_spec,
                 "chance": f"{100 * metrics['chance'].value:.1f}",
             }
             record = records.setdefault(source, keys)
@@ -246,8 +248,11 @@ def published(run: Results) -> pd.DataFrame:
         return summary
     by_level = estimates_by_level(summary)
     shown = set(representative_levels(by_level, run.families, controls=False))
-    is_shown = np.array([key.where in shown for key in row_keys(summary)])
-    is_control = summary["consumer"].str.contains("/control-")
+    is_shown = np.array([key.where in shown for key in row_addresses(summary)])
+    is_control = np.array(
+        [bool(parse_consumer(name).control) for name in summary["consumer"]],
+        dtype=bool,
+    )
     return summary[summary["metric"].isin(_SHOWN) & ~is_control & is_shown]
 
 
@@ -299,7 +304,7 @@ def filled(text: str, *, results: Path) -> str:
             attacked = pd.read_csv(path.with_stem(path.stem + _STRONGEST))
             table = _FIRST[name](headline(rows, attacked=attacked))
         else:
-            table = DOCS[name](rows[row_worlds(rows) == ""])
+            table = DOCS[name](rows[row_worlds(rows) == OWN_WORLD])
         return f"{start}{markdown(table)}{end}"
 
     return _BLOCK.sub(block, text)

@@ -31,6 +31,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any, Final
 
+from evaluation.plan.address import parse_row
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:  # workers write files, too, and need no pandas: 40 MB each
@@ -211,11 +212,7 @@ def _escape_formula(value: object) -> object:
 
 def entry_label(entry: Mapping[str, Any]) -> str:
     """Return the label of the consumer of an entry of a manifest."""
-    from evaluation.plan.axes import (  # noqa: PLC0415 - a reader needs none
-        consumer_label,
-    )
-
-    return consumer_label(entry["consumer"], entry["knowledge"], entry.get("world", ""))
+    return parse_row(entry).cell_label
 
 
 def is_temporary(name: str) -> bool:

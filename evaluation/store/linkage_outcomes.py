@@ -28,6 +28,7 @@ from evaluation.compute.link_scores import (
 )
 from evaluation.compute.link_setup import linkage_weights
 from evaluation.compute.tables import ROWS
+from evaluation.plan.address import parse_row
 from evaluation.store.cell_files import (
     check_columns,
     consumer_tables,
@@ -169,7 +170,7 @@ def _outcomes(
         outcome = _stored_outcome(table, places, stored)
         about = outcome.about
         if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
-            task = entry["consumer"].partition("/")[0]
+            task = parse_row(entry).task
             drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
             clusters = tuple(labels.get(name, name) for name in about["clusters"])
             by_draws[clusters, drawn_as].append(outcome)
@@ -214,7 +215,7 @@ def _add_rank_sums(
     """
     groups, assigned = _coded(table.column("group")), _coded(table.column("assigned"))
     above, tied, chance, *companions = (table[name].to_numpy() for name in _COUNTED)
-    is_mate = np.array(
+    mate_code = np.array(
         [ASSIGNED.index(name) - 1 for name in assigned.names], dtype=np.int64
     )
     n_outcomes, n_clusters = len(outcomes), weights.shape[1]
@@ -232,7 +233,7 @@ def _add_rank_sums(
         companions=np.stack(
             [counts[rows].astype(np.int64) for counts in companions], axis=1
         ),
-        assigned=is_mate[assigned.codes[rows]],
+        assigned=mate_code[assigned.codes[rows]],
         cluster=place[groups.codes[rows]] + first,
         n_gallery=max(
             outcome.about["numbers"]["gallery_sizes"][1] for outcome in outcomes

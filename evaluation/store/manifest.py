@@ -28,6 +28,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 import numpy as np
 
 import isac_track
+from evaluation.plan.address import parse_row
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES
@@ -401,7 +402,7 @@ def candidate_losses(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, 
     outcomes = read_outcomes(out, linked, drawn=())
     for entry, outcome in zip(linked, outcomes, strict=True):
         if n_checked := outcome.numbers.get("n_checked"):
-            task = entry["consumer"].partition("/")[0]
+            task = parse_row(entry).task
             rank1_loss = outcome.numbers["rank1_loss"]
             losses_by_task[task].append(
                 _CellLoss(rank1_loss, n_checked, entry_label(entry), entry["spec"])
@@ -432,9 +433,14 @@ def _git_commit() -> str | None:
 
 def consumer_fields(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
     """Return the fields of an entry that name its mechanism and consumer."""
-    names = ("kind", "knowledge", "world")
-    fields = {name: getattr(consumer, name) for name in names}
-    return {"spec": mechanism.spec, "consumer": consumer.spec, **fields}
+    address = consumer.address
+    return {
+        "spec": mechanism.spec,
+        "consumer": address.consumer,
+        "kind": consumer.kind,
+        "knowledge": address.adversary,
+        "world": address.world.text,
+    }
 
 
 def cell_entries(

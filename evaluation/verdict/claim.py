@@ -12,7 +12,6 @@ import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED
 from evaluation.estimates.frontier import TARGETS
-from evaluation.estimates.keys import AS_SHARED, Measure, Source
 from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     CRITERIA,
@@ -24,6 +23,7 @@ from evaluation.estimates.matching import (
 )
 from evaluation.estimates.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
 from evaluation.estimates.strongest import success_metric
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
@@ -40,7 +40,7 @@ AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # Kinds of claim.
 
 def claims(
     sweeps: Sweeps,
-    strongest: Mapping[str, Source],
+    strongest: Mapping[str, Address],
     *,
     predictor: str,
     criteria: Collection[str] = tuple(CRITERIA),
@@ -54,14 +54,14 @@ def claims(
     `horizon_s` is the further horizon, if any, at which the robots of `sweeps` are
     judged.
     """
-    compared = {AS_SHARED.measure(descriptor): AS_IS for descriptor in DESCRIPTORS}
+    compared = {AS_SHARED.measured(descriptor): AS_IS for descriptor in DESCRIPTORS}
     for task, source in strongest.items():
         if task:
-            compared[source.measure(success_metric(sweeps.estimates, source))] = LINKED
+            compared[source.measured(success_metric(sweeps.estimates, source))] = LINKED
         else:
-            compared |= dict.fromkeys(map(source.measure, DESCRIPTORS), AFTER)
+            compared |= dict.fromkeys(map(source.measured, DESCRIPTORS), AFTER)
     costs = {
-        Measure(predictor, metric): criterion
+        parse_consumer(predictor).measured(metric): criterion
         for criterion, metric in CRITERIA.items()
         if criterion in criteria
     }
@@ -143,7 +143,7 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
     )
 
 
-def _claim(measure: Measure, gap: _Gap, about: _About) -> Draft:
+def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
     """Return the item of a measure compared at the rises."""
     source, is_linkage = measure.source, about.compared == LINKED
     descriptor = "" if is_linkage else measure.metric
@@ -165,7 +165,7 @@ def _claim(measure: Measure, gap: _Gap, about: _About) -> Draft:
         adding=about.adding,
         descriptor=descriptor,
         task=source.task,
-        subject="" if about.compared == AS_IS else source.attack.label,
+        subject="" if about.compared == AS_IS else source.without_task.label,
         criterion=about.criterion,
         effect=gap.mean,
         parted_at=0.0,
@@ -178,7 +178,7 @@ def _claim(measure: Measure, gap: _Gap, about: _About) -> Draft:
     )
 
 
-def _sentences(measure: Measure, relative: float, about: _About) -> dict[str, str]:
+def _sentences(measure: Address, relative: float, about: _About) -> dict[str, str]:
     """Return the sentences of an item by decision."""
     where, name = about.where, about.mechanism or "FID"
     head = NAME.get(measure.metric, "")

@@ -6,16 +6,16 @@ from itertools import product
 import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES
-from evaluation.estimates.keys import AS_SHARED, Source
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.plan.address import AS_SHARED, Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import estimate_from_replicates
 
 
-def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:
+def inflation(sweeps: Sweeps, attacks: Iterable[Address]) -> Iterator[Draft]:
     """Yield an item for every attack, adding rule, mechanism and descriptor."""
     for attack, adding in product(attacks, ADDING_RULES):
         for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
@@ -23,10 +23,10 @@ def inflation(sweeps: Sweeps, attacks: Iterable[Source]) -> Iterator[Draft]:
 
 
 def _inflated(
-    sweeps: Sweeps, mechanism: str, adding: str, attack: Source, descriptor: str
+    sweeps: Sweeps, mechanism: str, adding: str, attack: Address, descriptor: str
 ) -> Iterator[Draft]:
     """Yield an item, if any level of a mechanism was attacked."""
-    measures = attack.measure(descriptor), AS_SHARED.measure(descriptor)
+    measures = attack.measured(descriptor), AS_SHARED.measured(descriptor)
     levels = []
     for level in sweeps.levels(mechanism):
         keys = [measure.at(mechanism, level) for measure in measures]

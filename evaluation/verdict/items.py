@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
 from evaluation.estimates.matching import MIN_DEFINED
-from evaluation.plan.constants import horizon_world
+from evaluation.plan.world import World
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
@@ -57,7 +57,7 @@ class Draft:
             str(self.details.get(name, "")) for name in ("of", "mechanism")
         )
         horizon_s = self.details.get("horizon_s")
-        horizon = "" if horizon_s is None else horizon_world(horizon_s)
+        horizon = World(horizon_s=horizon_s).text
         parts = (
             self.adding,
             self.criterion,

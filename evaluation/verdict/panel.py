@@ -14,7 +14,7 @@ import numpy as np
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import FID, FIXED, RAW, Family
 from evaluation.estimates.keys import where_text
-from evaluation.estimates.linkability import row_dataset
+from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.linked_people import LinkedTask
 from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED
 from evaluation.plan.presets import PRESETS
@@ -162,9 +162,9 @@ def drawn_weights(
     The rows are: all clusters, bootstrap draws, and each cluster left out in turn. All
     tasks of a recording draw the same people.
     """
-    own = row_dataset(task.task, dataset=dataset)
+    own = task_recording(task.task, dataset=dataset)
     siblings = [
-        other for other in tasks if row_dataset(other.task, dataset=dataset) == own
+        other for other in tasks if task_recording(other.task, dataset=dataset) == own
     ]
     people = sorted({name for other in siblings for name in other.clusters})
     place = {name: column for column, name in enumerate(people)}

@@ -12,10 +12,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.estimates.keys import Measure, Source
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster
 from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import EXPOSURE
+from evaluation.plan.address import Address
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import Draft, decided
 from evaluation.verdict.validity import validity
@@ -27,7 +27,7 @@ def validity_sections(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
-    strongest: Mapping[str, Source],
+    strongest: Mapping[str, Address],
     manifest: Mapping[str, Any],
 ) -> dict[str, list[dict[str, Any]]]:
     """Return the sections that rest on linked people: validity and within.
@@ -54,8 +54,8 @@ def verdict(
     sweeps: Sweeps,
     across: Mapping[str, Sequence[dict[str, Any]]],
     *,
-    strongest: Mapping[str, Source],
-    scored: Mapping[str, Mapping[str, Sequence[Measure]]] | None = None,
+    strongest: Mapping[str, Address],
+    scored: Mapping[str, Mapping[str, Sequence[Address]]] | None = None,
     later: Mapping[float, Sweeps] | None = None,
     manifest: Mapping[str, Any],
 ) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def verdict(
 
 def _scoring_attacks(
     item: Mapping[str, Any],
-    scored: Mapping[str, Mapping[str, Sequence[Measure]]],
+    scored: Mapping[str, Mapping[str, Sequence[Address]]],
 ) -> list[str]:
     """Return the attacks that score an item; empty if they are the item's subject."""
     is_after = item["section"] == rules.INFLATION or item.get("of") == claim.AFTER
@@ -113,7 +113,7 @@ def _scoring_attacks(
         return []
     ranked = EXPOSURE if is_after else str(item.get("metric"))
     choices = scored.get(item["task"], {}).get(ranked, ())
-    labels = [choice.label.removeprefix(f"{item['task']}/") for choice in choices]
+    labels = [choice.without_task.label for choice in choices]
     return labels if {*labels} - {item["subject"]} else []
 
 

@@ -9,6 +9,7 @@ from urllib.parse import quote_plus, unquote_plus
 import pandas as pd
 
 from evaluation.estimates.differences import load_verdict
+from evaluation.plan.address import parse_label
 from evaluation.plan.variants import BASE, variants
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
@@ -63,7 +64,7 @@ def attack_tasks(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]
             ),
         ]
         for subject in filter(None, subjects):
-            tasks[subject.rpartition(" (")[0]].add(item["task"])
+            tasks[parse_label(subject).consumer].add(item["task"])
     return {spec: frozenset(names) for spec, names in tasks.items()}
 
 

@@ -17,7 +17,7 @@ import pandas as pd
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.families import ADDING_RULES, RAW, Family
-from evaluation.estimates.keys import AS_SHARED, Source, Where
+from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     EQUAL_ALARMS,
@@ -34,6 +34,8 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import BEYOND
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
+from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_row
+from evaluation.plan.world import World
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 
@@ -88,9 +90,9 @@ class Criterion:
         )
 
     @property
-    def world(self) -> str:
-        """World behind the data set's name; empty for the run's own horizon."""
-        return "" if self.horizon_s is None else f"horizon={self.horizon_s:.12g}s"
+    def world(self) -> World:
+        """The world of the robots' numbers."""
+        return World(horizon_s=self.horizon_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +151,7 @@ class Check:
     name: str  # As in `LIMITS`, `plr_wide`, or `rank1/TASK`.
     limit: float  # Infinite: the number must be known.
     measured: Estimate
-    source: Source | None = None  # The positions, or the linker, that it is of.
+    source: Address | None = None  # The positions, or the linker, that it is of.
     adversary: str = ""  # `SINGLE_RELEASE` or a name, for a number after attack.
     scenes: int = 0  # Number of scenes behind it; 0: it is not about scenes.
     missing: Unknown | None = None
@@ -208,7 +210,7 @@ class Attacked:
     """Numbers after the strongest attack of an adversary at a level."""
 
     adversary: str  # `SINGLE_RELEASE`, or a name.
-    source: Source | None = None  # None: it was not tried.
+    source: Address | None = None  # None: it was not tried.
     numbers: Mapping[str, Estimate] = field(default_factory=dict)  # By metric.
 
     def value(self, metric: str) -> Estimate:
@@ -227,7 +229,7 @@ class Linked:
     """Success of the strongest linker in a task."""
 
     task: str
-    source: Source | None = None  # None: it was not run at this level.
+    source: Address | None = None  # None: it was not run at this level.
     metric: str = SUCCESS  # Rank 1, or that of 100 candidates.
     rank1: Estimate = UNKNOWN
     chance: float = math.nan
@@ -454,9 +456,9 @@ def _missing_everywhere(offers: Sequence[Offer]) -> tuple[Unknown, ...]:
 class _Row:
     """A number of a level."""
 
-    world: str
+    world: World
     adversary: str
-    source: Source
+    source: Address
     metric: str
     measured: Estimate
     outcome: str
@@ -483,15 +485,11 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
         **{name: table[name].astype(object).fillna("") for name in texts}
     )
     for row in tidy.to_dict("records"):
-        name = str(row["dataset"])
-        if name != dataset and not name.startswith(f"{dataset}:"):
+        address = parse_row(row)
+        if address.recording != dataset:
             # Simulated people beside a recording.
             continue
-        world = name.removeprefix(dataset).removeprefix(":")
-        where = (
-            row["mechanism"],
-            None if math.isnan(row["level"]) else float(row["level"]),
-        )
+        where = address.where
         families[where] = Family(
             row["mechanism"],
             row["family"],
@@ -499,17 +497,16 @@ def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
             protects=bool(row["protects"]),
         )
         number = Estimate(row["value"], row["ci_low"], row["ci_high"], int(row["n"]))
-        source = Source(row["consumer"], row["knowledge"])
         about = (
             row["adversary"],
-            source,
+            address.source,
             row["metric"],
             number,
             row["outcome"],
             row["invalid"],
         )
         by_halves = row["first_choice"], row["second_choice"]
-        rows.setdefault(where, []).append(_Row(world, *about, chosen=by_halves))
+        rows.setdefault(where, []).append(_Row(address.world, *about, chosen=by_halves))
     return [
         _Level(where, families[where], tuple(numbers))
         for where, numbers in rows.items()
@@ -612,7 +609,7 @@ class _Frame:
             missing = "no horizon"
         elif math.isnan(offer.cost.value):
             missing = "no value"
-        source, most = Source(self.robot), limits.get(MISSED, math.inf)
+        source, most = parse_consumer(self.robot), limits.get(MISSED, math.inf)
         checks = [
             Check(MISSED, most, offer.cost, source, scenes=n_scenes, missing=missing)
         ]
@@ -688,7 +685,7 @@ def _tasks(level: _Level) -> list[str]:
 
 
 def _attacked(
-    level: _Level, adversary: str, *, source: Source | None = None
+    level: _Level, adversary: str, *, source: Address | None = None
 ) -> Attacked:
     """Return the numbers after an adversary's attack, the strongest by PLR."""
     rows = [

@@ -12,11 +12,11 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
-from evaluation.estimates.keys import Source
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
+from evaluation.plan.address import Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
 from evaluation.verdict.rules import NAME, known
@@ -31,7 +31,7 @@ def within(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
-    success: Mapping[str, Source],
+    success: Mapping[str, Address],
     seed: int,
 ) -> Iterator[Draft]:
     """Yield an item for every adding rule, descriptor and task.
@@ -72,7 +72,7 @@ def _item(
     levels: Sequence[LinkedProbes],
     adding: str,
     descriptor: str,
-    linker: Source,
+    linker: Address,
     drawn: Floats,
 ) -> Draft:
     excess = clustered_mean(
@@ -105,7 +105,7 @@ def _item(
         adding=adding,
         descriptor=descriptor,
         task=linker.task,
-        subject=linker.attack.label,
+        subject=linker.without_task.label,
         effect=correlation,
         parted_at=rules.LEAST_CORRELATION,
         above=rules.TRACKS,

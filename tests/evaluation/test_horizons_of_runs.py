@@ -12,11 +12,12 @@ import evaluation
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.frontier import usual_price
 from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
-from evaluation.estimates.keys import Measure, horizons_in, row_worlds
+from evaluation.estimates.keys import horizons_in, row_worlds
 from evaluation.estimates.metrics import MISSED_FUTURE, MISSED_RATE
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.constants import horizon_world, is_world, world_horizon_s
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import BASELINE, PRESETS
+from evaluation.plan.world import OWN_WORLD, World
 from evaluation.reporting import tables
 from evaluation.reporting.answers import answers, lead_robot
 from evaluation.reporting.figures.conflict_times import figures
@@ -51,11 +52,11 @@ def made(tmp_path_factory):
 
 def test_nothing_of_the_papers_horizon_changes(made):
     alone, both = (made[name].summary for name in ("alone", "both"))
-    own = both[row_worlds(both) == ""].reset_index(drop=True)
+    own = both[row_worlds(both) == OWN_WORLD].reset_index(drop=True)
     pd.testing.assert_frame_equal(own, alone)
-    assert set(row_worlds(both)) == {"", WORLD}
-    assert set(row_worlds(alone)) == {""}
-    later = both[row_worlds(both) == WORLD]
+    assert set(row_worlds(both)) == {OWN_WORLD, World(horizon_s=3.0)}
+    assert set(row_worlds(alone)) == {OWN_WORLD}
+    later = both[row_worlds(both) == World(horizon_s=3.0)]
     assert set(later["dataset"]) == {f"{made['both'].dataset}:{WORLD}"}
     assert set(later["consumer"]) == set(ROBOTS)  # nobody else reads there
     assert not both[KEYS].duplicated().any()
@@ -171,22 +172,7 @@ def test_every_preset_compares_its_robots_with_nobody_moving_on():
     )
 
 
-def test_a_horizon_has_a_name():
-    assert [horizon_world(3.0), horizon_world(1.5)] == ["horizon=3s", "horizon=1.5s"]
-    assert world_horizon_s("horizon=1.5s") == 1.5
-    for name in (
-        "",
-        "model",
-        "horizon=",
-        "horizon=s",
-        "horizon=3",
-        "xhorizon=3s",
-        "law=isotropic",
-    ):
-        assert world_horizon_s(name) is None
-    assert is_world("model")
-    assert is_world(WORLD)
-    assert not is_world("students03")
+def test_a_run_has_the_further_horizons_of_its_cells():
     assert horizons_in(
         [{"world": WORLD}, {"world": "model"}, {}, {"world": "horizon=1s"}]
     ) == [
@@ -252,10 +238,14 @@ class TestStandingStill:
         noise = stream(0, "test", "standing").normal(0.0, 0.01, 400)
         ends = {"n": clusters, "effective": float(clusters)}
         return {
-            Measure(robot, MISSED_RATE).at(*self.WHERE): estimate_from_replicates(
+            parse_consumer(robot)
+            .measured(MISSED_RATE)
+            .at(*self.WHERE): estimate_from_replicates(
                 np.append(missed, missed + noise), **ends
             ),
-            Measure(BASELINE, MISSED_RATE).at(*self.WHERE): estimate_from_replicates(
+            parse_consumer(BASELINE)
+            .measured(MISSED_RATE)
+            .at(*self.WHERE): estimate_from_replicates(
                 np.append(0.3, 0.3 + 0.9 * noise), **ends
             ),
         }
@@ -323,11 +313,11 @@ def test_the_screen_has_six_columns_at_most(n_linked):
     first = headline(make_summary(predictors=("least_squares", "kalman_cv")))
     robots = first.robots
     linked = [
-        HeadlineColumn("found", f"task-{n}", Measure(f"t{n}", "rank1"))
+        HeadlineColumn("found", f"task-{n}", parse_consumer(f"t{n}").measured("rank1"))
         for n in range(n_linked)
     ]
     later = {
-        robot.measure._replace(metric=MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
+        robot.measure.measured(MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
         for robot in robots
         for where in first.wheres
     }

@@ -21,7 +21,6 @@ from evaluation.estimates import (
 from evaluation.estimates import levels as levels_table
 from evaluation.estimates import weak_attacks as flags
 from evaluation.estimates.best_robot import BEST
-from evaluation.estimates.keys import Source
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     FUTURE_EQUAL_ALARMS,
@@ -31,6 +30,7 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
+from evaluation.plan.address import parse_consumer
 from evaluation.reporting.rows import Results
 from evaluation.store.files import FRAMES
 from evaluation.store.manifest import FAILED_COLUMNS
@@ -72,8 +72,8 @@ COHORTS = {"without_groups": 0.0206, "without_frozen": 0.0073}
 """Chance without a confounder."""
 CHANCE = 0.0072
 STRONGEST = {
-    "": Source("radial_rts", "informed"),
-    "rerelease": Source("shape@radial_rts", "informed"),
+    "": parse_consumer("radial_rts", "informed"),
+    "rerelease": parse_consumer("shape@radial_rts", "informed"),
 }
 
 
@@ -133,7 +133,7 @@ def make_linkability(at=None, *, tasks=LINKERS, dataset="students03", cohorts=CO
     for task, strengths in tasks.items():
         for place, (mechanism, level) in enumerate(levels() if at is None else at):
             where = {
-                "dataset": linkability.row_dataset(f"{task}/x", dataset=dataset),
+                "dataset": linkability.task_recording(task, dataset=dataset),
                 "mechanism": mechanism, "level": level, "invalid": "", "outcome": "links",
                 "chance": CHANCE, "cohort": "all", "n_probes": 276, "n_mated": 276,
                 "n_clusters": 175, "gallery_min": 138, "gallery_mean": 138.0, "gallery_max": 138,

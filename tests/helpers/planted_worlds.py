@@ -10,14 +10,15 @@ lowers success, *empty* if nothing has any effect.
 from dataclasses import dataclass
 
 import numpy as np
+from helpers.addresses import address_at
 from helpers.estimates import ratio_estimate
 from helpers.mechanisms import RULE, make_sweeps
 from scipy.stats import norm
 
-from evaluation.estimates.keys import Key, Source
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import EQUAL_ALARMS
 from evaluation.estimates.strongest import strongest
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import SHARED
 from evaluation.verdict.sections import validity_sections, verdict
 
@@ -134,26 +135,30 @@ def simulated(world, *, rng):
         hit = (drawn < norm.ppf(linked)).astype(float)
         for metric, scale in SCALES.items():
             noisy = scale * plr * np.exp(0.05 * rng.normal(size=n))
-            put(Key(mechanism, level, SHARED, metric), noisy, share=False)
+            put(address_at(mechanism, level, SHARED, metric), noisy, share=False)
             rebuilt = noisy * (1.0 if world.kind == "empty" else 1.5)
             after = rebuilt * np.exp(0.05 * rng.normal(size=n) - 0.05**2 / 2)
-            put(Key(mechanism, level, SMOOTHER, metric, "informed"), after, share=False)
-        put(Key(mechanism, level, LINKER, "rank1", "informed"), hit)
+            put(
+                address_at(mechanism, level, SMOOTHER, metric, "informed"),
+                after,
+                share=False,
+            )
+        put(address_at(mechanism, level, LINKER, "rank1", "informed"), hit)
         put(
-            Key(mechanism, level, LINKER, "chance", "informed"),
+            address_at(mechanism, level, LINKER, "chance", "informed"),
             np.full(n, CHANCE),
             share=False,
         )
         for metric in ("missed_conflict_rate", EQUAL_ALARMS):
             missed = rng.random(n) < world.misses(family, level)
-            put(Key(mechanism, level, PREDICTOR, metric), missed.astype(float))
+            put(address_at(mechanism, level, PREDICTOR, metric), missed.astype(float))
         seen = np.column_stack([plr, plr * np.exp(0.02 * rng.normal(size=n))])
         descriptors = {name: seen * scale for name, scale in SCALES.items()}
         levels.append(
             LinkedProbes(
                 mechanism,
                 level,
-                Source(LINKER, "informed"),
+                parse_consumer(LINKER, "informed"),
                 hit,
                 hit,
                 np.full(n, CHANCE),

@@ -1,9 +1,9 @@
 """A made-up run in which all that is matched is a straight line in the noise."""
 
 import numpy as np
+from helpers.addresses import address_at
 from helpers.mechanisms import RULE
 
-from evaluation.estimates.keys import Key
 from evaluation.estimates.metrics import EQUAL_ALARMS
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import Estimate
@@ -26,22 +26,24 @@ def run(*, advantage=0.0, stranger=0.0):
 
     def level(mechanism, at, noise, gain):
         for predictor, more in zip(PREDICTORS, (0.0, 0.05), strict=True):
-            result[Key(mechanism, at, predictor, "missed_conflict_rate")] = estimate(
-                0.1 + more + 0.2 * noise, spread
+            result[address_at(mechanism, at, predictor, "missed_conflict_rate")] = (
+                estimate(0.1 + more + 0.2 * noise, spread)
             )
-            result[Key(mechanism, at, predictor, EQUAL_ALARMS)] = estimate(
+            result[address_at(mechanism, at, predictor, EQUAL_ALARMS)] = estimate(
                 0.1 + more + 0.3 * noise, spread
             )
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 5.0)):
             value = scale * np.exp(-0.5 - noise - gain)
-            result[Key(mechanism, at, SHARED, metric)] = estimate(value, spread)
-            result[Key(mechanism, at, "kalman_rts", metric, "blind")] = estimate(
+            result[address_at(mechanism, at, SHARED, metric)] = estimate(value, spread)
+            result[address_at(mechanism, at, "kalman_rts", metric, "blind")] = estimate(
                 2 * value, spread
             )
         link = estimate(0.7 - 0.3 * noise, spread[:100])
-        result[Key(mechanism, at, "rerelease/shape", "rank1", "blind")] = link
-        result[Key(mechanism, at, "rerelease/control-random", "rank1", "")] = link
-        result[Key(mechanism, at, "new_traversal/shape", "auc", "blind")] = link
+        result[address_at(mechanism, at, "rerelease/shape", "rank1", "blind")] = link
+        result[address_at(mechanism, at, "rerelease/control-random", "rank1", "")] = (
+            link
+        )
+        result[address_at(mechanism, at, "new_traversal/shape", "auc", "blind")] = link
 
     level("raw", None, 0.0, 0.0)
     for rule in ("", RULE):

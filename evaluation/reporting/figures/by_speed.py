@@ -8,7 +8,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, RAW
-from evaluation.estimates.keys import Source, Where
+from evaluation.estimates.keys import Where
+from evaluation.plan.address import parse_row
 from evaluation.reporting.charts import (
     LOOKS,
     PERCENT,
@@ -113,6 +114,6 @@ def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:
     x = rows["speed_mps"].to_numpy()
     values = PERCENT * rows[ENDS].to_numpy(dtype=np.float64).T
     points = [f"{values[0, n]:.1f} % at {x[n]:.2f} m/s" for n in (0, -1)]
-    attack = Source(str(rows["consumer"].iloc[0]), str(rows["knowledge"].iloc[0])).label
+    attack = parse_row(rows.iloc[0].to_dict()).label
     ends = " to ".join(dict.fromkeys(points))
     return Curve(look, f"{name} after {attack}: {ends}", x, values, name)

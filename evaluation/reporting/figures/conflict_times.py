@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evaluation.plan.constants import world_horizon_s
+from evaluation.plan.address import parse_dataset
 from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
@@ -25,7 +25,7 @@ def figures(run: Results) -> Iterator[Figure]:
         curve = Curve(_LOOK, f"{now:.0f} % are inside at step 0", by_s, shares)
         x, y = Axis("time from now (s)"), Axis("conflicts that have begun (%)")
         chart = curves_chart([curve], x=x, y=y, across=[(_NOW, now)])
-        horizon_s = world_horizon_s(str(dataset).rpartition(":")[2])
+        horizon_s = parse_dataset(str(dataset)).world.horizon_s
         heading = (
             "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"
         )

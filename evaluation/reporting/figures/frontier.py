@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.frontier import VALUE, WHITE, usual_price
-from evaluation.estimates.keys import AS_SHARED, Source, row_dicts
+from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.strongest import HEADLINE
+from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.plan.presets import BASELINE
 from evaluation.reporting.answer_tables import price_text
 from evaluation.reporting.charts import (
@@ -135,7 +136,7 @@ def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark
     )
     for row in row_dicts(rows[~is_usual]):
         rise, value = PERCENT * row["target"], PERCENT * row["value"]
-        attack = Source(row["consumer"], row["knowledge"]).label
+        attack = parse_consumer(row["consumer"], row["knowledge"]).label
         name = f"{title}, after {attack}: {value:.0f} %"
         marks.append(Mark(look._replace(hollow=True), rise, value, name))
     return Curve(look, f"{title}: {points}", x, values, title), marks

@@ -10,10 +10,11 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import FID, FIXED, RAW
-from evaluation.estimates.keys import AS_SHARED, Source, is_attack
+from evaluation.estimates.keys import is_attack
 from evaluation.estimates.metrics import EXPOSURE, METRICS, MISSED_RATE
 from evaluation.estimates.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.estimates.strongest import most_knowing
+from evaluation.plan.address import AS_SHARED, Address
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting.charts import (
@@ -235,8 +236,8 @@ def _attacked(run: Results) -> Iterator[Figure]:
         for source in most_knowing(list_sources(rows))
         if source.consumer != IDENTITY
     ]
-    oracle = [source for source in chosen if source.knowledge == ORACLE]
-    others = [source for source in chosen if source.knowledge and source not in oracle]
+    oracle = [source for source in chosen if source.adversary == ORACLE]
+    others = [source for source in chosen if source.adversary and source not in oracle]
     looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
     looks |= {source: Look(place) for place, source in enumerate(others[: LOOKS - 1])}
     looks |= {
@@ -268,11 +269,11 @@ def _attacked(run: Results) -> Iterator[Figure]:
     )
 
 
-def _label(source: Source) -> str:
+def _label(source: Address) -> str:
     """Return the name of positions: as shared, or the attack and the adversary."""
     if source == AS_SHARED:
         return "as shared"
-    return f"{attack_name(source.consumer)} ({source.knowledge})"
+    return f"{attack_name(source.consumer)} ({source.adversary})"
 
 
 def _rise(series: Sequence[_Series]) -> str:

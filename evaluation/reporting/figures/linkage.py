@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Source
 from evaluation.estimates.linkability import LinkedTask
+from evaluation.plan.address import Address
 from evaluation.reporting.amounts import round_percent, sentence_case
 from evaluation.reporting.charts import (
     PERCENT,
@@ -171,7 +171,7 @@ def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
     return ""
 
 
-def _rank1_rows(task: LinkedTask, source: Source) -> pd.DataFrame:
+def _rank1_rows(task: LinkedTask, source: Address) -> pd.DataFrame:
     """Return finite rank 1 of an attack, and chance, with the columns of a summary."""
     keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
     known = (block[source] for block in task.cells.values() if source in block)

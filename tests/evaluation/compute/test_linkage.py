@@ -837,9 +837,9 @@ class TestOutcomes:
         ]
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
-        assert linkability.row_dataset("new_traversal/x", dataset="here") != "here"
-        assert linkability.row_dataset("split/x", dataset="here") == "here"
-        assert linkability.row_dataset("least_squares", dataset="here") == "here"
+        assert linkability.task_recording("new_traversal", dataset="here") != "here"
+        assert linkability.task_recording("split", dataset="here") == "here"
+        assert linkability.task_recording("", dataset="here") == "here"
 
 
 def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():

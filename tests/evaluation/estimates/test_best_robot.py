@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from helpers.addresses import address_at
 
 from evaluation.estimates.best_robot import BEST, best_robots
 from evaluation.estimates.decisions import curve
-from evaluation.estimates.keys import Key
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import Scored, bootstrap_weights
@@ -45,7 +45,7 @@ def planted(noises, *, n_people, rng, scenes_each=6, levels=LEVELS):
 
 
 def at(best, consumer, metric, where=LEVELS[1]):
-    return best.estimates[Key(*where, consumer, metric)]
+    return best.estimates[address_at(*where, consumer, metric)]
 
 
 def missed_by_hand(scored, name, people, weight, where, *, future=False):
@@ -172,13 +172,15 @@ def test_a_robot_that_lacks_levels_is_no_rival_and_others_choose_on_shared_level
     scored += planted(
         {"b": 0.1}, n_people=40, rng=stream(0, "test", "rivals"), levels=LEVELS[:1]
     )
-    known = {Key("ou", 0.4, "a", EQUAL_ALARMS): Estimate(0.25, 0.2, 0.3, 9)}
-    known[Key("ou", 0.4, "b", EQUAL_ALARMS)] = Estimate(0.1, 0.05, 0.15, 9)
+    known = {address_at("ou", 0.4, "a", EQUAL_ALARMS): Estimate(0.25, 0.2, 0.3, 9)}
+    known[address_at("ou", 0.4, "b", EQUAL_ALARMS)] = Estimate(0.1, 0.05, 0.15, 9)
     alone = best_robots(scored, make_manifest(40), known, among={"raw", "ou"})
     # Nothing is chosen, nothing is halved.
     assert alone.choices[ALL] == ("a", "a")
     assert alone.estimates == {
-        Key("ou", 0.4, ALL, EQUAL_ALARMS): known["ou", 0.4, "a", EQUAL_ALARMS, ""]
+        address_at("ou", 0.4, ALL, EQUAL_ALARMS): known[
+            address_at("ou", 0.4, "a", EQUAL_ALARMS)
+        ]
     }
     at_raw = best_robots(scored, make_manifest(40), known, among={"raw"})
     assert at_raw.choices[ALL] == ("b", "b")

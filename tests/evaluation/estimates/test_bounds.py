@@ -7,10 +7,10 @@ import pytest
 
 from evaluation import Settings, run
 from evaluation.estimates.bounds import Gap, gaps
-from evaluation.estimates.keys import Source
 from evaluation.estimates.weak_attacks import far_from_optimum, lines
-from evaluation.plan.constants import MODEL
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import DEFAULT, PRESETS
+from evaluation.plan.world import World
 from evaluation.reporting.bounds import bound_table, gap_text, linked_bound_table
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate
@@ -136,9 +136,9 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
 def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
     near, far = (
         Gap(
-            MODEL,
+            World(is_model=True),
             ("fid", 1.0),
-            Source(name, "blind"),
+            parse_consumer(name, "blind"),
             Estimate(0.6, 0.5, 0.7),
             gap,
             CERTAIN,

@@ -28,13 +28,19 @@ def finished(tmp_path_factory):
     return run(settings, progress=False, pictures=False)
 
 
+def strongest_rows(finished):
+    """The rows of the strongest reconstruction, at the fixed noise that is shown."""
+    best = finished.strongest[""]
+    return stored_rows(finished.out, "fixed:1", best.consumer, best.adversary)
+
+
 def test_every_bin_is_the_mean_of_its_people(finished):
     speeds = finished.speeds
     assert set(speeds["mechanism"]) == {"raw", "fixed"}
     assert set(speeds["level"].dropna()) == {1.0}  # not 0.7
     shared = stored_rows(finished.out, "raw", "shared")
     speed_by_source = dict(zip(shared["source"], shared["speed_mps"], strict=True))
-    rows = stored_rows(finished.out, "fixed:1", *finished.strongest[""])
+    rows = strongest_rows(finished)
     own = rows["source"].map(speed_by_source).astype(float)
     known = speeds[(speeds["mechanism"] == "fixed") & (speeds["knowledge"] != "")]
     assert len(known) > 1
@@ -80,7 +86,7 @@ def test_the_summary_has_the_worst_off_tenth_of_what_was_shared_and_attacked(fin
     summary = finished.summary[finished.summary["metric"] == "plr_worst_tenth"]
     cells = {("shared", ""), ("radial_rts", "blind"), ("radial_rts", "informed")}
     assert set(zip(summary["consumer"], summary["knowledge"], strict=True)) >= cells
-    rows = stored_rows(finished.out, "fixed:1", *finished.strongest[""])
+    rows = strongest_rows(finished)
     halves = []
     for _, releases in rows.groupby("source", observed=True):
         by_scene = releases.sort_values("scene")["plr"].to_numpy()
@@ -95,7 +101,7 @@ def test_the_summary_has_the_worst_off_tenth_of_what_was_shared_and_attacked(fin
         (summary["mechanism"] == "fixed")
         & (summary["level"] == 1.0)
         & (summary["consumer"] == finished.strongest[""].consumer)
-        & (summary["knowledge"] == finished.strongest[""].knowledge)
+        & (summary["knowledge"] == finished.strongest[""].adversary)
     ]
     assert row["value"].item() == pytest.approx(np.mean(expected), abs=1e-6)
     assert row["ci_low"].item() < row["value"].item() < row["ci_high"].item()

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, front, frontier
-from evaluation.estimates.keys import Source
 from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
 from evaluation.estimates.strongest import first_half
+from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
@@ -74,7 +74,7 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
 def test_intervals_white_noise_and_who_is_beaten():
     estimates = run(advantage=0.1)
     estimates |= {
-        key._replace(mechanism=WHITE): estimate
+        key.at(WHITE, key.level): estimate
         for key, estimate in estimates.items()
         if key.mechanism == f"fixed{RULE}"
     }
@@ -133,7 +133,11 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
 
 def test_the_strongest_on_each_mechanism_is_cross_fitted():
     """Two attacks, each better against one mechanism; the choice is scored by hand."""
-    n, first, second = 60, Source("kalman_rts", "blind"), Source("ou_rts", "informed")
+    n, first, second = (
+        60,
+        parse_consumer("kalman_rts", "blind"),
+        parse_consumer("ou_rts", "informed"),
+    )
     weights = cluster_weights(n_clusters=n, n_replicates=200, seed=0)
     rng, estimates, sums = np.random.default_rng(0), run(), {}
     people = rng.random((2, n))
@@ -142,7 +146,7 @@ def test_the_strongest_on_each_mechanism_is_cross_fitted():
         # against fixed.
         gain, left = 0.2 * (key.mechanism == "fid"), estimates[key].value
         for source, own in ((first, people[0]), (second, people[1] + gain)):
-            at = source.measure(key.metric).at(*key.where)
+            at = source.measured(key.metric).at(*key.where)
             over = np.stack([(0.5 + own) * left, np.ones(n)])
             sums[at] = ClusterSums(over, weights)
             value, drawn = over[0].mean(), weights @ over[0] / n
@@ -166,7 +170,7 @@ def test_the_strongest_on_each_mechanism_is_cross_fitted():
 def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_known():
     estimates = run()
     estimates |= {
-        key._replace(metric=SUCCESS_OF_100): item
+        key.measured(SUCCESS_OF_100): item
         for key, item in estimates.items()
         if key.metric == "rank1"
     }

@@ -5,11 +5,11 @@ import pytest
 from scipy.special import ndtr
 
 from evaluation.estimates.galleries import COLUMNS, galleries
-from evaluation.estimates.keys import Source
 from evaluation.estimates.linked_people import LinkedProbes
+from evaluation.plan.address import parse_consumer
 from isac_track.intervals import Estimate
 
-LINKER = Source("rerelease/histogram", "informed")
+LINKER = parse_consumer("rerelease/histogram", "informed")
 
 
 def make_probes(above, candidates):
@@ -32,7 +32,7 @@ def make_probes(above, candidates):
 
 
 def make_table(above, candidates):
-    tpr = {LINKER.measure("tpr_at_fpr_1pct").at("raw", None): Estimate(0.5, 0.4, 0.6)}
+    tpr = {LINKER.measured("tpr_at_fpr_1pct").at("raw", None): Estimate(0.5, 0.4, 0.6)}
     probes = {"rerelease": [make_probes(above, candidates)], "split": []}
     return galleries(probes, tpr, dataset="hall", seed=0)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from helpers.addresses import address_at
 from helpers.finished_runs import make_linkability
 from helpers.mechanisms import make_families
 from scipy.special import expit
@@ -9,10 +10,10 @@ from scipy.special import expit
 from evaluation.estimates.best_robot import BEST, BestRobots
 from evaluation.estimates.cross_fit import cross_fit
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import Key
 from evaluation.estimates.levels import COLUMNS, levels, linked_share
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_on_each
+from evaluation.plan.world import World
 from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
@@ -122,14 +123,16 @@ def run():
             ):
                 # Beyond epsilon another attack is the stronger.
                 lift = 1.5 if (metric, consumer) == ("plr_wide", "radial_rts") else 1.0
-                key = Key(name, level, consumer, metric, knowledge)
+                key = address_at(name, level, consumer, metric, knowledge)
                 estimates[key] = Estimate(lift * factor * value, 0.0, 1.0, 55)
         for metric, value in (("rank1", plr), ("chance", 0.02)):
-            estimates[Key(name, level, LINKER, metric, "informed")] = drawn([value] * 5)
-        estimates[Key(name, level, "kalman_cv", EQUAL_ALARMS)] = Estimate(
+            estimates[address_at(name, level, LINKER, metric, "informed")] = drawn(
+                [value] * 5
+            )
+        estimates[address_at(name, level, "kalman_cv", EQUAL_ALARMS)] = Estimate(
             0.1, 0.0, 0.2, 55
         )
-        horizon[Key(name, level, "kalman_cv", FUTURE_EQUAL_ALARMS)] = Estimate(
+        horizon[address_at(name, level, "kalman_cv", FUTURE_EQUAL_ALARMS)] = Estimate(
             0.2, 0.1, 0.3, 55
         )
     known = make_families(estimates) | {
@@ -142,18 +145,18 @@ def run():
     linked.loc[linked["mechanism"] == "ou", "invalid"] = "noise_level"
     best = BestRobots(
         {
-            Key("ou", 0.4, BEST[FUTURE_EQUAL_ALARMS], FUTURE_EQUAL_ALARMS): Estimate(
-                0.21, 0.1, 0.3
-            )
+            address_at(
+                "ou", 0.4, BEST[FUTURE_EQUAL_ALARMS], FUTURE_EQUAL_ALARMS
+            ): Estimate(0.21, 0.1, 0.3)
         },
         {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
     )
     attacks = strongest_on_each(estimates, {}, known)
     about = {
         "attacks": attacks,
-        "horizons": {"horizon=3s": horizon},
+        "horizons": {World(horizon_s=3.0): horizon},
         "linked": linked,
-        "best": {"horizon=3s": best},
+        "best": {World(horizon_s=3.0): best},
         "families": known,
     }
     return levels(estimates, **about, dataset="walks")

@@ -2,21 +2,22 @@
 
 import numpy as np
 import pytest
+from helpers.addresses import address_at
 from helpers.runs import stored_rows
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation.estimates.families import families_in
-from evaluation.estimates.keys import Key, Source
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster, read_probes
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.strongest import first_half
+from evaluation.plan.address import parse_consumer
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate
 
 TASKS = {
-    "rerelease": Source("rerelease/shape", "blind"),
-    "split": Source("split/shape", "blind"),
+    "rerelease": parse_consumer("rerelease/shape", "blind"),
+    "split": parse_consumer("split/shape", "blind"),
 }
 SPECS = {
     ("raw", None): "raw",
@@ -37,7 +38,7 @@ def run(tmp_path_factory):
     )
     results = evaluation.run(settings, pictures=False)
     result = {
-        Key(
+        address_at(
             row.mechanism,
             None if np.isnan(row.level) else row.level,
             row.consumer,
@@ -63,17 +64,17 @@ def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run
         for item in task.levels:
             for name, sums in (("rank1", item.success), ("chance", item.chance)):
                 expected = numbers[
-                    Key(
+                    address_at(
                         item.mechanism,
                         item.level,
                         item.linker.consumer,
                         name,
-                        item.linker.knowledge,
+                        item.linker.adversary,
                     )
                 ]
                 assert sums.sum() / item.probes.sum() == pytest.approx(expected.value)
             spec = SPECS[item.mechanism, item.level]
-            rows = stored_rows(out, spec, *item.linker)
+            rows = stored_rows(out, spec, item.linker.consumer, item.linker.adversary)
             linked = rows[rows["above"] >= 0]
             windows = stored_rows(out, spec, f"{task.task}/windows")
             own_windows = windows.merge(
@@ -99,9 +100,9 @@ def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
             "rank1_assigned",
         ):  # a linker counts by the better of both
             for key, item in numbers.items():
-                is_linker = key.knowledge and key.measure.source.task == task
+                is_linker = key.adversary and key.source.task == task
                 if key.mechanism == "offset" and key.metric == rule and is_linker:
-                    source = key.measure.source
+                    source = key.source
                     rivals[source] = max(item.value, rivals.get(source, 0.0))
         assert len(rivals) > 1
         assert linkers == {
@@ -145,13 +146,16 @@ def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
     numbers, out, _ = run
     manifest = read_manifest(out)
     sweeps = Sweeps(numbers, families_in(manifest["cells"]))
-    linker, other = TASKS["rerelease"], Source("rerelease/profile", "blind")
-    pair = [linker.measure("rank1"), other.measure("rank1_assigned")]
+    linker, other = TASKS["rerelease"], parse_consumer("rerelease/profile", "blind")
+    pair = [linker.measured("rank1"), other.measured("rank1_assigned")]
     choices = {("rerelease", ""): {"rank1": pair}}
     read = read_probes(out, manifest, sweeps, strongest=TASKS, choices=choices)
     for level in read["rerelease"][:2]:
         spec = SPECS[level.mechanism, level.level]
-        first, second = (stored_rows(out, spec, *source) for source in (linker, other))
+        first, second = (
+            stored_rows(out, spec, source.consumer, source.adversary)
+            for source in (linker, other)
+        )
         is_first = first_half(level.clusters)[level.cluster]
         by_rank = np.where(first["above"] == 0, 1.0 / first["tied"].clip(lower=1), 0.0)
         joint = (second["assigned"] == "mate").to_numpy() * 1.0

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers.addresses import address_at
 from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import FID, FIXED, PREDICTORS, run
 from hypothesis import given, settings
@@ -11,7 +12,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import isotonic_regression, lsq_linear
 
-from evaluation.estimates.keys import Key, Measure
 from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     COLUMNS,
@@ -26,6 +26,7 @@ from evaluation.estimates.matching import (
     places,
     rising,
 )
+from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import SHARED
 
 
@@ -114,11 +115,11 @@ def test_levels_run_from_the_noisiest():
 
 def test_a_curve_ends_at_raw_and_without_it_or_with_one_level_there_is_none():
     estimates = run()
-    both = dict.fromkeys(("fid", "raw"), Measure(SHARED, "plr"))
+    both = dict.fromkeys(("fid", "raw"), parse_consumer(SHARED).measured("plr"))
     curve = make_sweeps(estimates).together(both)["fid"]
     assert curve.shape == (201, len(FID) + 1)
     assert curve[0, -1] == pytest.approx(
-        estimates[Key("raw", None, SHARED, "plr")].value
+        estimates[address_at("raw", None, SHARED, "plr")].value
     )
     no_raw = {
         key: estimate for key, estimate in estimates.items() if key.mechanism != "raw"
@@ -205,7 +206,7 @@ def test_nothing_is_extrapolated(table):
 
 def test_a_point_that_few_replicates_reach_has_no_interval():
     estimates = run()
-    missed = estimates[Key("fid", 1.0, PREDICTORS[0], "missed_conflict_rate")]
+    missed = estimates[address_at("fid", 1.0, PREDICTORS[0], "missed_conflict_rate")]
     missed.replicates[::2] = 0.1  # half of the replicates end early
     table = frame(estimates)
     last = table[(table["criterion"] == MISSED) & (table["predictor"] == PREDICTORS[0])]
@@ -217,11 +218,11 @@ def test_a_point_that_few_replicates_reach_has_no_interval():
     assert np.isfinite(last[["fixed_low", "fixed_high"]]).all(axis=None)
 
 
-LINKED = Measure("rerelease/shape", "rank1", "blind")
+LINKED = parse_consumer("rerelease/shape", "blind").measured("rank1")
 
 
 def test_unequal_numbers_of_replicates_are_paired_with_the_first():
-    by, rank1 = Measure(PREDICTORS[0], "missed_conflict_rate"), LINKED
+    by, rank1 = parse_consumer(PREDICTORS[0]).measured("missed_conflict_rate"), LINKED
     curves = make_sweeps(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
     ((_, ours, theirs),) = at_changes(curves, by, [rank1], at=np.array([0.05]))
     # Replicates of rank 1 are 100 of 200: paired with the others there would be a

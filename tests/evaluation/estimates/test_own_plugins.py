@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import AS_SHARED, Measure, Source
 from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 
@@ -42,7 +42,9 @@ def make_run(rates, *, knowledge="blind", task="", metric="plr", more=(), later=
     for attack, by_level in rates.items():
         consumer = f"{task}/{attack}" if task else attack
         for where, rate in zip(LEVELS, by_level, strict=True):
-            sums[Source(consumer, knowledge).measure(metric).at(*where)] = summed(rate)
+            sums[parse_consumer(consumer, knowledge).measured(metric).at(*where)] = (
+                summed(rate)
+            )
     own = {key: estimated(summed_rates) for key, summed_rates in sums.items()} | dict(
         more
     )
@@ -53,7 +55,7 @@ def make_run(rates, *, knowledge="blind", task="", metric="plr", more=(), later=
 
 def missed(rates, *, metric="missed_future_rate"):
     return {
-        Measure(robot, metric).at(*where): estimated(summed(rate))
+        parse_consumer(robot).measured(metric).at(*where): estimated(summed(rate))
         for robot, by_level in rates.items()
         for where, rate in zip(LEVELS, by_level, strict=True)
     }
@@ -154,7 +156,7 @@ def test_a_predictor_alone_has_no_rival():
 
 
 def test_a_mechanism_has_its_numbers_at_every_level():
-    shared = {AS_SHARED.measure("plr").at(*where): Estimate(0.2) for where in LEVELS}
+    shared = {AS_SHARED.measured("plr").at(*where): Estimate(0.2) for where in LEVELS}
     robots = missed({"kalman_cv": (0.1, 0.2, 0.3), "line": (0.4, 0.4, 0.4)})
     run = make_run(PLR, more=shared | robots)
     records = plugin_records({"mechanisms": ["fixed"]}, run)
@@ -171,7 +173,7 @@ def test_fewer_than_fifteen_people_have_no_interval():
     few[:10] = 1.0
     run = make_run({})
     sums = {
-        Source(name, "blind").measure("plr").at(*where): ClusterSums(
+        parse_consumer(name, "blind").measured("plr").at(*where): ClusterSums(
             np.stack([rate * few, few]), WEIGHTS
         )
         for name, rate in (("mine", 0.5), ("radial_rts", 0.7))

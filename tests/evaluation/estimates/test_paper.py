@@ -6,10 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.addresses import address_at
 from helpers.mechanisms import make_sweeps
 
 from evaluation.estimates import matching, paper
-from evaluation.estimates.keys import Key
 from isac_track.intervals import Estimate
 
 N = 200
@@ -46,12 +46,14 @@ def results(*, advantage=0.0, spread=0.001, suffix="", rate_of_error=None):
     result = {}
 
     def add(mechanism, level, rate, lower):
-        result[Key(mechanism, level, PREDICTOR, "missed_conflict_rate")] = estimate(
-            rate, spread
+        result[address_at(mechanism, level, PREDICTOR, "missed_conflict_rate")] = (
+            estimate(rate, spread)
         )
         for metric, scale in (("plr", 1.0), ("ael", 2.0), ("mel", 3.0)):
             value = scale * np.exp(-4.0 * rate - lower)
-            result[Key(mechanism, level, SHARED, metric)] = estimate(value, spread)
+            result[address_at(mechanism, level, SHARED, metric)] = estimate(
+                value, spread
+            )
 
     add("raw", None, 0.10, 0.0)
     for level, rate in zip(ETAS, (0.34, 0.30, 0.25, 0.15), strict=True):
@@ -99,7 +101,7 @@ def test_monotone_holds_fails_and_stays_between():
     assert claim(result, "rate falls")["answer"] == "holds"
     assert claim(result, "MEL rises")["answer"] == "holds"
     bump = {
-        Key("fid", 100.0, SHARED, "plr"): estimate(0.1, 0.001)
+        address_at("fid", 100.0, SHARED, "plr"): estimate(0.1, 0.001)
     }  # below its neighbours
     row = claim(result | bump, "PLR rises")
     assert row["answer"] == "does not hold"
@@ -107,7 +109,9 @@ def test_monotone_holds_fails_and_stays_between():
     flat = dict(result)
     for level in ETAS:
         values = np.random.default_rng(int(level)).normal(0.3, 0.05, N)
-        flat[Key("fid", level, SHARED, "plr")] = Estimate(0.3, 0.2, 0.4, 50, values)
+        flat[address_at("fid", level, SHARED, "plr")] = Estimate(
+            0.3, 0.2, 0.4, 50, values
+        )
     assert claim(flat, "PLR rises")["answer"] == "between"
 
 
@@ -123,7 +127,9 @@ def test_the_history_claim(history, holds):
 @pytest.mark.parametrize("spread", [0.001, 0.01])
 def test_the_paper_table_says_within_only_for_the_papers_recording(spread):
     result = results()
-    result[Key("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(0.10, spread)
+    result[address_at("raw", None, PREDICTOR, "missed_conflict_rate")] = estimate(
+        0.10, spread
+    )
     ours = paper.paper_table(make_sweeps(result), dataset="students03")
     raw = ours[
         (ours["mechanism"] == "raw") & (ours["metric"] == "missed_conflict_rate")
@@ -203,7 +209,7 @@ def test_a_difference_is_judged_by_the_errors_of_both(metric, ours, is_far):
 def test_some_eta_gives_the_rate_that_is_said_without_one(shift, answer):
     result = results()
     for level in ETAS:
-        key = Key("fid", level, PREDICTOR, "missed_conflict_rate")
+        key = address_at("fid", level, PREDICTOR, "missed_conflict_rate")
         result[key] = estimate(result[key].value + shift, 0.001)
     row = claim(result, "approximately 27 %")
     assert row["answer"] == answer

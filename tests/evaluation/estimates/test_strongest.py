@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from helpers.mechanisms import make_families
 
-from evaluation.estimates.keys import Source
 from evaluation.estimates.strongest import (
     choose_strongest,
     cross_fitted,
@@ -12,17 +11,21 @@ from evaluation.estimates.strongest import (
     naming_rules,
     strongest,
 )
+from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
 
-SHAPE, DTW = Source("rerelease/shape", "blind"), Source("rerelease/dtw", "informed")
+SHAPE, DTW = (
+    parse_consumer("rerelease/shape", "blind"),
+    parse_consumer("rerelease/dtw", "informed"),
+)
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
 
 
 def values(by_source, *, metric="rank1", levels=LEVELS):
     """Return each attack's success by level: a number for all, or a number for each."""
     return {
-        source.measure(metric).at(*where): Estimate(achieved)
+        source.measured(metric).at(*where): Estimate(achieved)
         for source, successes in by_source.items()
         for where, achieved in zip(
             levels, np.broadcast_to(successes, len(levels)), strict=True
@@ -34,11 +37,11 @@ def values(by_source, *, metric="rank1", levels=LEVELS):
 OTHERS = (("raw", None), ("clean", None), ("mine:Ou", 1.0))
 ALONE = values({SHAPE: (0.5, 0.9, 0.1), DTW: (0.4, 0.1, 0.3)}, levels=OTHERS)
 ORACLE, CONTROL = (
-    Source("rerelease/dtw", "oracle"),
-    Source("rerelease/control-times", ""),
+    parse_consumer("rerelease/dtw", "oracle"),
+    parse_consumer("rerelease/control-times", ""),
 )
-SMOOTHER = Source("kalman_rts", "informed")
-AS_THEY_ARE = {Source("shared"): 0.9, Source("identity", "blind"): 0.8}
+SMOOTHER = parse_consumer("kalman_rts", "informed")
+AS_THEY_ARE = {parse_consumer("shared"): 0.9, parse_consumer("identity", "blind"): 0.8}
 
 
 @pytest.mark.parametrize(
@@ -74,7 +77,11 @@ def test_its_mean_is_a_number():
 def test_what_one_half_chose_is_scored_on_the_other():
     """Against sums by hand: an attack good on one half is not as good on the other."""
     rng = np.random.default_rng(0)
-    n, first, second = 60, Source("kalman_rts", "blind"), Source("radial_rts", "blind")
+    n, first, second = (
+        60,
+        parse_consumer("kalman_rts", "blind"),
+        parse_consumer("radial_rts", "blind"),
+    )
     weights = cluster_weights(n_clusters=n, n_replicates=50, seed=0)
     tracks = rng.integers(0, 5, n).astype(float)
     used = np.flatnonzero(tracks)  # the others are in no scene, and are not kept
@@ -83,7 +90,7 @@ def test_what_one_half_chose_is_scored_on_the_other():
     own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
     shares = {source: share * tracks for source, share in own.items()}
     every = {
-        source.measure(metric).at(*where): np.stack([share * rng.random(n), tracks])
+        source.measured(metric).at(*where): np.stack([share * rng.random(n), tracks])
         for where in LEVELS
         for source, share in shares.items()
         for metric in ("plr", "mel")
@@ -94,25 +101,25 @@ def test_what_one_half_chose_is_scored_on_the_other():
     }
     crossed = cross_fitted(sums, known := make_families(sums), first)
     result = crossed.estimates
-    assert crossed.choices == {"plr": [first.measure("plr"), second.measure("plr")]}
+    assert crossed.choices == {"plr": [first.measured("plr"), second.measured("plr")]}
     for key in (
-        first.measure(metric).at(*where)
+        first.measured(metric).at(*where)
         for where in LEVELS
         for metric in ("plr", "mel")
     ):
-        theirs = every[second.measure(key.metric).at(*key.where)][0]
+        theirs = every[second.measured(key.metric).at(*key.where)][0]
         scored = np.where(is_first, theirs, every[key][0])
         assert result[key].value == pytest.approx(scored.sum() / tracks.sum())
         assert result[key].replicates == pytest.approx(
             weights @ scored / (weights @ tracks), abs=1e-6
         )
-    assert result[first.measure("plr").at("raw", None)].value < 0.2
+    assert result[first.measured("plr").at("raw", None)].value < 0.2
     # Where both halves choose the headline its own numbers stand.
     alone = {
         key: summed for key, summed in sums.items() if key.consumer == "kalman_rts"
     }
     crossed = cross_fitted(alone, known, first)
-    assert crossed.choices == {"plr": [first.measure("plr")] * 2}
+    assert crossed.choices == {"plr": [first.measured("plr")] * 2}
     for key in alone:
         own = every[key][0]
         assert crossed.estimates[key].value == pytest.approx(own.sum() / tracks.sum())
@@ -123,12 +130,12 @@ def test_a_linker_counts_by_the_better_way_to_name_mates():
     n = 90
     weights = cluster_weights(n_clusters=n, n_replicates=30, seed=0)
     rates = {
-        SHAPE.measure("rank1"): 0.5,
-        SHAPE.measure("rank1_assigned"): 0.6,
-        SHAPE.measure("rank1_g100"): 0.3,
-        DTW.measure("rank1"): 0.7,
-        DTW.measure("rank1_assigned"): 0.8,
-        DTW.measure("rank1_g100"): 0.2,
+        SHAPE.measured("rank1"): 0.5,
+        SHAPE.measured("rank1_assigned"): 0.6,
+        SHAPE.measured("rank1_g100"): 0.3,
+        DTW.measured("rank1"): 0.7,
+        DTW.measured("rank1_assigned"): 0.8,
+        DTW.measured("rank1_g100"): 0.2,
     }
     sums = {
         measure.at(*where): ClusterSums(
@@ -139,12 +146,12 @@ def test_a_linker_counts_by_the_better_way_to_name_mates():
     }
     known = make_families(sums)
     crossed = cross_fitted(sums, known, SHAPE, by="rank1")
-    joint, per_probe = DTW.measure("rank1_assigned"), SHAPE.measure("rank1_g100")
+    joint, per_probe = DTW.measured("rank1_assigned"), SHAPE.measured("rank1_g100")
     assert crossed.choices == {"rank1": [joint] * 2, "rank1_g100": [per_probe] * 2}
     assert joint.label == "rerelease/dtw (informed), joint"
     for where in LEVELS:
-        among_all = crossed.estimates[SHAPE.measure("rank1").at(*where)]
-        among_100 = crossed.estimates[SHAPE.measure("rank1_g100").at(*where)]
+        among_all = crossed.estimates[SHAPE.measured("rank1").at(*where)]
+        among_100 = crossed.estimates[SHAPE.measured("rank1_g100").at(*where)]
         assert (among_all.value, among_100.value) == pytest.approx((0.8, 0.3))
     result = {key: Estimate(summed.sums[0].mean()) for key, summed in sums.items()}
     assert strongest(result, known) == {"rerelease": DTW}

@@ -5,11 +5,11 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.addresses import address_at
 from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
 from evaluation.estimates import weak_attacks as flags
-from evaluation.estimates.keys import Key
 from evaluation.estimates.weak_attacks import COLUMNS
 from isac_track.intervals import Estimate, percentile_interval
 
@@ -27,12 +27,12 @@ def estimate(value, *, spread=0.03, own=0.0, n=50):
 def make_run(plr, *, level=1.0, mechanism="fixed", shared=0.2, rmse=1.5):
     """One level with PLR by attack and adversary."""
     estimates = {
-        Key(mechanism, level, "shared", "plr"): estimate(shared),
-        Key(mechanism, level, "shared", "rmse"): estimate(rmse),
+        address_at(mechanism, level, "shared", "plr"): estimate(shared),
+        address_at(mechanism, level, "shared", "rmse"): estimate(rmse),
     }
     for (attack, knowledge), value in plr.items():
         number = value if isinstance(value, Estimate) else estimate(value)
-        estimates[Key(mechanism, level, attack, "plr", knowledge)] = number
+        estimates[address_at(mechanism, level, attack, "plr", knowledge)] = number
     return estimates
 
 

@@ -19,7 +19,7 @@ from helpers.finished_runs import (
 from helpers.summaries import BAD, SHIFTED, changed, table
 from helpers.summaries import RAW as PLANTED_RAW
 
-from evaluation.estimates.keys import Source
+from evaluation.plan.address import parse_consumer
 from evaluation.reporting.amounts import round_percent
 from evaluation.reporting.answers import answers
 from evaluation.reporting.headline import headline, headline_table
@@ -293,7 +293,7 @@ def test_a_plug_in_is_called_by_its_class_where_a_person_reads():
 def test_linkage_across_sessions_is_in_the_table_and_the_third_answer():
     tasks = ("handover-1s", "handover-5s", "rerelease", "cross_session")
     linked = make_linkability(tasks={task: {"shape": 0.4} for task in tasks})
-    best = STRONGEST | dict.fromkeys(tasks, Source("shape", "informed"))
+    best = STRONGEST | dict.fromkeys(tasks, parse_consumer("shape", "informed"))
     run = with_links(make_run(linkability=linked, strongest=best))
     assert "In another session, the strongest" in " ".join(answers(run)[2].details)
     heads = [column.name for column in headline_table(run.headline).columns]
@@ -360,7 +360,9 @@ def test_the_worst_tenth_under_slow_noise_is_by_the_attack_that_is_strongest_the
     attacked = attacked.assign(task="", adversary="one release")
     for given in (None, attacked):
         first = headline(
-            summary, attacks={"": Source("radial_rts", "informed")}, attacked=given
+            summary,
+            attacks={"": parse_consumer("radial_rts", "informed")},
+            attacked=given,
         )
         assert first.worst is not None
         worst = first.at(("ou", 0.4), first.worst)

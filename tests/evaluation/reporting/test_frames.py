@@ -190,7 +190,7 @@ def test_a_frame_has_the_rows_of_the_summary(made, asked, rows, attack):
 def test_the_strongest_attack_is_the_verdicts(made):
     best = made.run.strongest[""]
     frame = made.loaded.frame("plr", after="strongest")
-    assert set(frame["attack"] + frame["knowledge"]) == {best.consumer + best.knowledge}
+    assert set(frame["attack"] + frame["knowledge"]) == {best.consumer + best.adversary}
     every = made.loaded.frame("plr", after=best.consumer)
     assert len(frame) == len(MECHANISMS) < len(every)
 

@@ -138,7 +138,7 @@ class TestVerdict:
     def test_a_run_without_linkage_or_attack_says_so(self):
         estimates, _ = simulated(World("valid"), rng=np.random.default_rng(12))
         said = planted_verdict(
-            {key: number for key, number in estimates.items() if not key.knowledge}, {}
+            {key: number for key, number in estimates.items() if not key.adversary}, {}
         )
         assert {item["section"] for item in said["items"]} == {"claim"}
         empty = planted_verdict({}, {})

@@ -1,0 +1,254 @@
+"""The address of a number: which recording, world, mechanism, attack and metric.
+
+A number has one address from the plan of a run to its page. Columns of the files are a
+projection of it. Their text is written and parsed here and in `evaluation.plan.world`,
+nowhere else.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Final
+
+from evaluation.plan.constants import SHARED
+from evaluation.plan.world import OWN_WORLD, World, parse_world
+
+_CONTROL: Final = "control-"
+_JOINT: Final = "rank1_assigned"
+_LABEL: Final = re.compile(r"(.+?)(?: \((\w+)\))?(, joint)?(?:, (\S+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where a number of a study belongs; a part that is not needed is left out.
+
+    All numbers of a table or a mapping may share a part: then it is left out there.
+    """
+
+    # A mapping has numbers of one recording and world, so that a hash needs neither.
+    recording: str = field(default="", hash=False)  # Name of the data set.
+    world: World = field(default=OWN_WORLD, hash=False)
+    mechanism: str = ""  # SPEC without the level.
+    level: float | None = None  # None: the mechanism has none.
+    # Adding rule that the mechanism declares; it follows from the mechanism.
+    adding: str = field(default="", compare=False)
+    # Which queries are answered; empty: all is disclosed.
+    policy: str = field(default="", hash=False)
+    task: str = ""  # Linkage task; empty: in scenes.
+    # SPEC of the predictor, attack or linker; or `shared`, `bound`, `windows`, or a
+    # control's name with `control-` in front.
+    plugin: str = ""
+    reconstruction: str = ""  # SPEC of that which a linker runs behind.
+    adversary: str = ""  # In the column `knowledge`; empty: not an attack.
+    metric: str = ""
+
+    @property
+    def attack_spec(self) -> str:
+        """The column `consumer` without the task: `dtw@kalman_rts`."""
+        if not self.reconstruction:
+            return self.plugin
+        return f"{self.plugin}@{self.reconstruction}"
+
+    @property
+    def consumer(self) -> str:
+        """The column `consumer`: `rerelease/dtw@kalman_rts`."""
+        return f"{self.task}/{self.attack_spec}" if self.task else self.attack_spec
+
+    @property
+    def control(self) -> str:
+        """Name of a control of a linkage task; empty: it is none."""
+        is_control = bool(self.task) and self.plugin.startswith(_CONTROL)
+        return self.plugin.removeprefix(_CONTROL) if is_control else ""
+
+    @property
+    def dataset(self) -> str:
+        """The column `dataset`: the recording, and the world if not the run's own."""
+        return f"{self.recording}:{self.world.text}" if self.world else self.recording
+
+    @property
+    def label(self) -> str:
+        """Text for people: the consumer, the adversary, and whether mates are joint."""
+        name = self.consumer
+        if self.adversary:
+            name = f"{name} ({self.adversary})"
+        return f"{name}, joint" if self.metric == _JOINT else name
+
+    @property
+    def cell_label(self) -> str:
+        """Name of the consumer in the files of a run: its label, and the world."""
+        return f"{self.label}, {self.world.text}" if self.world else self.label
+
+    @property
+    def where(self) -> tuple[str, float | None]:
+        """Mechanism and level."""
+        return self.mechanism, self.level
+
+    @property
+    def measure(self) -> Address:
+        """The metric of a consumer, measured at every mechanism level."""
+        return Address(
+            task=self.task,
+            plugin=self.plugin,
+            reconstruction=self.reconstruction,
+            adversary=self.adversary,
+            metric=self.metric,
+        )
+
+    @property
+    def source(self) -> Address:
+        """The consumer and its adversary alone: the origin of positions, or a linker."""
+        return Address(
+            task=self.task,
+            plugin=self.plugin,
+            reconstruction=self.reconstruction,
+            adversary=self.adversary,
+        )
+
+    @property
+    def without_task(self) -> Address:
+        """The same without its task."""
+        return replace(self, task="")
+
+    def at(
+        self, mechanism: str, level: float | None, metric: str | None = None
+    ) -> Address:
+        """Return the same at a level of a mechanism, by its own metric or another."""
+        return Address(
+            recording=self.recording,
+            world=self.world,
+            mechanism=mechanism,
+            level=level,
+            policy=self.policy,
+            task=self.task,
+            plugin=self.plugin,
+            reconstruction=self.reconstruction,
+            adversary=self.adversary,
+            metric=self.metric if metric is None else metric,
+        )
+
+    def measured(self, metric: str) -> Address:
+        """Return the same by another metric."""
+        # Not `replace`, which takes three times as long: a report asks for thousands.
+        return Address(
+            recording=self.recording,
+            world=self.world,
+            mechanism=self.mechanism,
+            level=self.level,
+            adding=self.adding,
+            policy=self.policy,
+            task=self.task,
+            plugin=self.plugin,
+            reconstruction=self.reconstruction,
+            adversary=self.adversary,
+            metric=metric,
+        )
+
+    def within(self, recording: str = "", world: World = OWN_WORLD) -> Address:
+        """Return the same in a recording and world; by default without them."""
+        return Address(
+            recording=recording,
+            world=world,
+            mechanism=self.mechanism,
+            level=self.level,
+            adding=self.adding,
+            policy=self.policy,
+            task=self.task,
+            plugin=self.plugin,
+            reconstruction=self.reconstruction,
+            adversary=self.adversary,
+            metric=self.metric,
+        )
+
+    def to_columns(self) -> dict[str, Any]:
+        """Return the columns of a file, without those of parts of the mechanism."""
+        return {
+            "dataset": self.dataset,
+            "mechanism": self.mechanism,
+            "level": math.nan if self.level is None else self.level,
+            "consumer": self.consumer,
+            "knowledge": self.adversary,
+            "metric": self.metric,
+            "adding": self.adding,
+        }
+
+
+AS_SHARED: Final = Address(plugin=SHARED)
+
+
+def control_name(name: str) -> str:
+    """Return the plug-in of the address of a control."""
+    return f"{_CONTROL}{name}"
+
+
+def plugin_name(spec: str) -> str:
+    """Return the name in a SPEC, without parameters: `fid` of `fid:adding=linear`."""
+    return spec.partition(":")[0]
+
+
+# A run has a few hundred consumers, and tens of thousands of rows; for the process.
+@lru_cache(maxsize=4096)
+def parse_consumer(consumer: str, adversary: str = "") -> Address:
+    """Return the address of the columns `consumer` and `knowledge`."""
+    task, is_linked, attack = consumer.partition("/")
+    # A parameter may have a slash.
+    if not is_linked or ":" in task:
+        task, attack = "", consumer
+    plugin, _, reconstruction = attack.partition("@")
+    return Address(
+        task=task, plugin=plugin, reconstruction=reconstruction, adversary=adversary
+    )
+
+
+@lru_cache(maxsize=256)  # The names of a run's data sets; for the process.
+def parse_dataset(dataset: str) -> Address:
+    """Return the address of the column `dataset`: recording and world."""
+    recording, _, end = dataset.rpartition(":")
+    world = parse_world(end) if recording else None
+    if world is None:
+        return Address(recording=dataset)
+    return Address(recording=recording, world=world)
+
+
+def parse_label(label: str) -> Address:
+    """Return the address of a `cell_label`, or of a `label`."""
+    match = _LABEL.fullmatch(label)
+    world = match and parse_world(match[4] or "")
+    if match is None or world is None:
+        return parse_consumer(label)
+    consumer, adversary, joint, _ = match.groups()
+    address = parse_consumer(consumer, adversary or "")
+    return replace(address, world=world, metric=_JOINT if joint else "")
+
+
+def parse_row(row: Mapping[Any, Any]) -> Address:
+    """Return the address of a row of a file, or of an entry of a manifest.
+
+    Columns that the row does not have are parts that the address leaves out. The world
+    of an entry has a column of its own, that of a row stands in its data set.
+    """
+    level = row.get("level")
+    dataset = parse_dataset(_text(row, "dataset"))
+    source = parse_consumer(_text(row, "consumer"), _text(row, "knowledge"))
+    return Address(
+        recording=dataset.recording,
+        world=parse_world(_text(row, "world")) or dataset.world,
+        mechanism=_text(row, "mechanism"),
+        level=None if level is None or math.isnan(level) else float(level),
+        adding=_text(row, "adding"),
+        policy=_text(row, "policy"),
+        task=source.task,
+        plugin=source.plugin,
+        reconstruction=source.reconstruction,
+        adversary=source.adversary,
+        metric=_text(row, "metric"),
+    )
+
+
+def _text(row: Mapping[Any, Any], column: str) -> str:
+    """Return the text of a column; an empty text is NaN in a file that was read."""
+    text = row.get(column)
+    return text if isinstance(text, str) else ""
