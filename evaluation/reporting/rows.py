@@ -144,8 +144,7 @@ class Results:
         """
         names = self.summary["dataset"]
         is_elsewhere = [
-            name != self.dataset and parse_dataset(name).recording == self.dataset
-            for name in names
+            name != self.dataset and bool(parse_dataset(name).world) for name in names
         ]
         return self.summary[~np.array(is_elsewhere, dtype=bool)]
 
