@@ -172,9 +172,9 @@ def _follow_log(
     seed: int,
 ) -> tuple[Links, Followed]:
     """Return the candidate links of a log and the adversary's chains."""
-    half = _first_half(patrol.people.group)[pieces.person]
+    half = first_half(patrol.people.group)[pieces.person]
     links = candidate_links(pieces, begins=begins)
-    followed = follow(pieces, links, is_first_half=half)
+    followed = follow(pieces, links, isfirst_half=half)
     if policy is None:
         return links, followed
     links = links[followed.probability >= _LEAST_PROBABILITY]
@@ -182,11 +182,10 @@ def _follow_log(
         pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed
     )
     links = links.with_feature(absent)
-    return links, follow(pieces, links, is_first_half=half)
+    return links, follow(pieces, links, isfirst_half=half)
 
 
-# DEL
-def _first_half(group: tuple[str, ...]) -> Bools:
+def first_half(group: tuple[str, ...]) -> Bools:
     """Return whether each person is in the first half, (N,), by a hash of the group."""
     return np.array(
         [sha256(name.encode()).digest()[0] % 2 == 0 for name in group], dtype=bool
