@@ -2,11 +2,14 @@
 
     python examples/need_to_know.py --dataset plaza
     python examples/need_to_know.py --dataset students03 --policy ahead:1..2/3
+    python examples/need_to_know.py --dataset students03 --posterior 50
+    python examples/need_to_know.py --dataset students03 --probing 50
 
 The script prints how much a log discloses, how much an adversary knows from it, and how
 long the adversary can follow people by it; then the conflicts that each robot misses.
 Intervals are 95 % over people and routes. docs/explanation/need-to-know.md explains
-every column.
+every column. With `--posterior` or `--probing` the script prints the tables of these
+adversaries on so many people instead.
 """
 
 # ruff: noqa: T201 - a comparison is printed
@@ -14,14 +17,28 @@ every column.
 import argparse
 from dataclasses import dataclass
 
+import numpy as np
+
+from attacks.following.answer_evidence import flag_answers, sent_answers
+from attacks.following.experts import PosteriorOptions
 from attacks.following.followed import following_metrics
 from attacks.following.logs import follow_fleets
+from attacks.following.posterior import choose_targets, posterior_scores
+from attacks.following.posterior_metrics import posterior_metrics, reliability_table
+from attacks.following.probing import (
+    ProbingOptions,
+    Rules,
+    choose_probed,
+    probe_targets,
+    probing_metrics,
+)
 from isac_track import datasets
 from isac_track.config import StageSettings
-from isac_track.errors import IsacTrackError
+from isac_track.errors import IsacTrackError, SettingsError
 from isac_track.intervals import Estimate
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import Network, disclose, share_patrol
+from isac_track.patrols.intervals import cluster_numbers, sum_clusters, two_way_ratio
 from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
 from isac_track.patrols.metrics import (
     RobotTask,
@@ -30,6 +47,7 @@ from isac_track.patrols.metrics import (
     robot_task,
     utility_metrics,
 )
+from isac_track.patrols.refusals import refused_conflicts, refused_queries
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything
@@ -50,6 +68,10 @@ POLICIES = (
     "flag",
     "random:0.2",
 )
+POSTERIOR_POLICIES = ("everything", "near:3.5", "ahead:1.2", "flag")
+PROBED_POLICIES = ("ahead:1.2", "flag")
+PROBE_RATES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0)  # Per second.
+COMMITMENT_S, LIMIT_PER_S = 3.0, 1.0
 MECHANISMS, PREDICTORS = ("raw", "fid:1"), ("least_squares", "kalman_cv")
 KNOWLEDGE = (
     "disclosed_share",
@@ -263,6 +285,217 @@ def report(rows, *, settings):
         yield from table(robot_rows, UTILITY, note="note")
 
 
+def group_names(patrol, people):
+    return tuple(patrol.people.group[row] for row in people.tolist())
+
+
+def posterior_report(tracks, *, mechanisms, policies, n_people, settings, seed):
+    """Yield the lines of the tables of the posterior adversary."""
+    patrol = make_patrol(
+        placed(tracks, settings=settings), settings=settings, seed=seed
+    )
+    epsilon_m = settings.privacy.epsilon_m
+    targets = choose_targets(patrol.people.group, n_people=n_people, seed=seed)
+    scoring = {
+        "group": group_names(patrol, targets),
+        "n_fleets": patrol.n_fleets,
+        "seed": seed,
+    }
+    guesses = guesses_from_map(patrol, epsilon_m=epsilon_m)
+    reliability = []
+    yield (
+        f"Posterior adversary on {targets.size} people, true identities. Log score:"
+        " nats per person-instant above the map. Shares in %."
+    )
+    yield ""
+    yield (
+        "| mechanism | policy | adversary | log score | claimed | known |"
+        " known, best estimator | known, own chains |"
+    )
+    yield "|" + "---|" * 8
+    for mechanism in mechanisms:
+        network = share_patrol(
+            patrol,
+            mechanism=mechanism.instance,
+            forecaster=KalmanCV(),
+            settings=settings,
+            seed=seed,
+        )
+        for policy in policies:
+            disclosure = disclose(network, policy.instance, name=policy.spec)
+            rivals = rival_shares(
+                network, disclosure, guesses, targets, epsilon_m=epsilon_m, seed=seed
+            )
+            for kind, scores in posterior_rows(
+                network, disclosure, policy, targets, settings=settings, seed=seed
+            ):
+                metrics = posterior_metrics(scores, **scoring)
+                score = metrics["log_score"]
+                cells = [
+                    mechanism.spec,
+                    policy.spec,
+                    kind,
+                    f"{score.value:.2f} [{score.ci_low:.2f}, {score.ci_high:.2f}]",
+                    written("claimed_share", metrics["claimed_share"]),
+                    written("known_share", metrics["known_share"]),
+                    *(written("known_share", rival) for rival in rivals),
+                ]
+                yield "| " + " | ".join(cells) + " |"
+                table = reliability_table(scores, **scoring)
+                reliability.append((mechanism.spec, policy.spec, kind, table))
+    yield ""
+    yield "Stated probability of the best place, and how often it comes true, in %."
+    yield ""
+    yield (
+        "| mechanism | policy | adversary | stated | share of instants | mean stated |"
+        " known |"
+    )
+    yield "|" + "---|" * 7
+    for *names, table in reliability:
+        for row in table:
+            if row.share > 0.0:
+                stated = f"{100 * row.low:.0f} to {100 * row.high:.0f}"
+                numbers = f"{100 * row.share:.1f} | {100 * row.claimed:.1f}"
+                known = written("known_share", row.known)
+                yield f"| {' | '.join(names)} | {stated} | {numbers} | {known} |"
+
+
+def posterior_rows(network, disclosure, policy, targets, *, settings, seed):
+    """Yield the scores of each posterior adversary on a policy, by name."""
+    shared = {
+        "targets": targets,
+        "epsilon_m": settings.privacy.epsilon_m,
+        "options": PosteriorOptions(),
+        "seed": seed,
+    }
+    if disclosure.form == "flag":
+        for kind, is_named in (("informed", False), ("told whose flag", True)):
+            answers = flag_answers(
+                network,
+                disclosure,
+                predictor=KalmanCV(),
+                safety_radius_m=settings.conflict.safety_radius_m,
+                horizon=horizon_scans(settings)[-1],
+                is_named=is_named,
+            )
+            yield (
+                kind,
+                posterior_scores(network, disclosure, answers=answers, **shared)[1],
+            )
+        return
+    answers = sent_answers(network, disclosure, policy.instance)
+    scores = posterior_scores(network, disclosure, answers=answers, **shared)
+    yield from zip(("blind", "informed"), scores, strict=True)
+
+
+def rival_shares(network, disclosure, guesses, targets, *, epsilon_m, seed):
+    """Return what the other adversaries know of the same people: shares."""
+    patrol = network.patrol
+    known = known_places(network, disclosure, guesses=guesses, epsilon_m=epsilon_m)
+    following = follow_fleets(
+        network,
+        disclosure,
+        estimator=ESTIMATORS[known.best],
+        guesses=guesses,
+        epsilon_m=epsilon_m,
+        seed=seed,
+    )
+    cluster = cluster_numbers(group_names(patrol, targets))
+    instants = known.instants[targets, None] * np.ones((1, patrol.n_fleets))
+    return [
+        two_way_ratio(
+            numerator=sum_clusters(counts[targets], cluster),
+            denominator=sum_clusters(instants, cluster),
+            seed=seed,
+        )
+        for counts in (known.known[known.best], following.known)
+    ]
+
+
+def probing_report(tracks, *, policies, n_people, rates, settings, seed):
+    """Yield the lines of the tables of probing, and of its countermeasures."""
+    recorded = placed(tracks, settings=settings)
+    scans = {"patrol.query_s": settings.patrol.scan_s, "patrol.fleets": 1}
+    patrol = make_patrol(recorded, settings=settings.changed(scans), seed=seed)
+    network = share_patrol(
+        patrol, mechanism=Raw(), forecaster=KalmanCV(), settings=settings, seed=seed
+    )
+    targets = choose_probed(patrol, n_people=n_people, seed=seed)
+    yield (
+        f"Probing {targets.size} people for up to 30 s, raw samples. Known and claimed"
+        " in %."
+    )
+    yield ""
+    yield "| policy | rules | probes / s | answered / s | known | claimed |"
+    yield "|" + "---|" * 6
+    all_rules = {"none": Rules(), "commitment": Rules(commitment_s=COMMITMENT_S)}
+    all_rules["limit"] = Rules(limit_per_s=LIMIT_PER_S)
+    for policy in policies:
+        for name, rules in all_rules.items():
+            # With a limit all rates above it are the same.
+            tried = rates if rules.limit_per_s is None else [max(rates)]
+            for rate in tried:
+                probed = probe_targets(
+                    network,
+                    policy.instance,
+                    targets=targets,
+                    probes_per_s=rate,
+                    rules=rules,
+                    safety_radius_m=settings.conflict.safety_radius_m,
+                    epsilon_m=settings.privacy.epsilon_m,
+                    options=ProbingOptions(),
+                    seed=seed,
+                )
+                metrics = probing_metrics(
+                    probed, group=group_names(patrol, targets), seed=seed
+                )
+                answered = 10.0 * probed.answered.sum() / probed.instants.sum()
+                numbers = [written(key, value) for key, value in metrics.items()]
+                yield (
+                    f"| {policy.spec} | {name} | {rate:g} | {answered:.1f} |"
+                    f" {' | '.join(numbers)} |"
+                )
+    yield ""
+    yield from commitment_cost(recorded, settings=settings, seed=seed)
+
+
+def commitment_cost(recorded, *, settings, seed):
+    """Yield what a commitment costs robots that change their route at an alarm."""
+    patrol = make_patrol(recorded, settings=settings, seed=seed)
+    network = share_patrol(
+        patrol, mechanism=Raw(), forecaster=KalmanCV(), settings=settings, seed=seed
+    )
+    task = robot_task(
+        network,
+        disclose(network, Everything()),
+        predictor=KalmanCV(),
+        settings=settings,
+    )
+    horizon = horizon_scans(settings)[-1]
+    refused = refused_queries(
+        patrol, task.everything, horizon=horizon, commitment_s=COMMITMENT_S
+    )
+    lost = refused_conflicts(
+        patrol, task.actual, task.everything, refused, horizon=horizon
+    )
+    cluster = cluster_numbers(patrol.people.group)[patrol.presences.person]
+    share = two_way_ratio(
+        numerator=sum_clusters(lost.hits & lost.trials, cluster),
+        denominator=sum_clusters(lost.trials, cluster),
+        seed=seed,
+    )
+    yield (
+        f"Robots on patrol that change their route at every alarm: a commitment of"
+        f" {COMMITMENT_S:g} s refuses {100 * refused.mean():.1f} % of their queries, and"
+        f" withholds {written('share', share)} % of the conflicts that they foresee."
+    )
+    excess = max(0.0, 1.0 - LIMIT_PER_S * settings.patrol.query_s)
+    yield (
+        f"A limit of {LIMIT_PER_S:g} answer(s) per second refuses {100 * excess:.0f} %"
+        f" of the queries of robots that ask every {settings.patrol.query_s:g} s."
+    )
+
+
 def options(words):
     parser = argparse.ArgumentParser(
         description=(
@@ -287,6 +520,19 @@ def options(words):
     parser.add_argument(
         "--adversary", action="append", choices=[*ADVERSARIES, "none"], help=about
     )
+    parser.add_argument(
+        "--posterior", type=int, metavar="PEOPLE", help="posterior adversary, slow"
+    )
+    parser.add_argument(
+        "--probing", type=int, metavar="PEOPLE", help="an adversary who probes, slow"
+    )
+    parser.add_argument(
+        "--rate",
+        type=float,
+        action="append",
+        metavar="PER_S",
+        help="rate of probes; repeatable",
+    )
     parser.add_argument("--set", action="append", default=[], metavar="STAGE.KEY=VALUE")
     return parser.parse_args(words)
 
@@ -295,30 +541,65 @@ def plugins_named(kind, specs) -> list[Plugin]:
     return [plugin for spec in specs for plugin in parse(kind, spec)]
 
 
+def comparison(given, dataset, settings):
+    """Return the lines of the comparison of policies."""
+    rows = list(
+        compare(
+            dataset.tracks,
+            mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
+            policies=plugins_named("policies", given.policy or POLICIES),
+            predictors=plugins_named("predictors", given.predictor or PREDICTORS),
+            adversaries=[
+                name for name in given.adversary or ["blind"] if name != "none"
+            ],
+            settings=settings,
+            seed=given.seed,
+        )
+    )
+    patrol = settings.patrol
+    yield f"{dataset.name}: {patrol.fleets} fleets of {patrol.robots} robot(s)"
+    yield from report(rows, settings=settings)
+
+
+def chosen_report(given, dataset, settings):
+    """Return the lines that the options ask for."""
+    for name in ("posterior", "probing"):
+        n_people = getattr(given, name)
+        if n_people is not None and n_people < 1:
+            raise SettingsError(f"--{name} needs at least 1 person, got {n_people}")
+    if given.rate and min(given.rate) < 0.0:
+        raise SettingsError("--rate must not be negative")
+    if given.posterior:
+        return posterior_report(
+            dataset.tracks,
+            mechanisms=plugins_named("mechanisms", given.mechanism or ("raw",)),
+            policies=plugins_named("policies", given.policy or POSTERIOR_POLICIES),
+            n_people=given.posterior,
+            settings=settings,
+            seed=given.seed,
+        )
+    if given.probing:
+        return probing_report(
+            dataset.tracks,
+            policies=plugins_named("policies", given.policy or PROBED_POLICIES),
+            n_people=given.probing,
+            rates=given.rate or PROBE_RATES,
+            settings=settings,
+            seed=given.seed,
+        )
+    return comparison(given, dataset, settings)
+
+
 def main(words=None):
     given = options(words)
     try:
         changes = dict(change.partition("=")[::2] for change in given.set)
         settings = StageSettings().changed(changes)
         dataset = datasets.load(given.dataset)
-        rows = list(
-            compare(
-                dataset.tracks,
-                mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
-                policies=plugins_named("policies", given.policy or POLICIES),
-                predictors=plugins_named("predictors", given.predictor or PREDICTORS),
-                adversaries=[
-                    name for name in given.adversary or ["blind"] if name != "none"
-                ],
-                settings=settings,
-                seed=given.seed,
-            )
-        )
+        for line in chosen_report(given, dataset, settings):
+            print(line, flush=True)
     except IsacTrackError as error:
         raise SystemExit(f"error: {error}") from None
-    patrol = settings.patrol
-    print(f"{dataset.name}: {patrol.fleets} fleets of {patrol.robots} robot(s)")
-    print("\n".join(report(rows, settings=settings)))
 
 
 if __name__ == "__main__":

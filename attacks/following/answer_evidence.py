@@ -32,7 +32,9 @@ Levels: TypeAlias = NDArray[np.uint8]
 """Levels of agreement of a state's neighbourhood with being sent, 0 to 4."""
 _LEVEL_EDGES: Final = (1e-9, 1.0 / 3.0, 2.0 / 3.0, 1.0 - 1e-9)
 _N_LEVELS: Final = len(_LEVEL_EDGES) + 1
-_NEIGHBOURS: Final = 3  # Cells along an axis over which the policy's answer is averaged.
+_NEIGHBOURS: Final = (
+    3  # Cells along an axis over which the policy's answer is averaged.
+)
 _EVERY: Final = 4  # Of the scans of a forecast; the others add little.
 _AROUND: Final = 2  # Scans before and after a query that give a true velocity.
 

@@ -1,7 +1,9 @@
 """The belief of an adversary who probes: particles of a target, with equal weights.
 
 Particles keep their velocity, with white accelerations, and now and then take a
-velocity of other people.
+velocity of other people. A particle may also stand for a person whom the adversary has
+been sent: answers that repeat samples join themselves, so that this person is followed
+without doubt.
 """
 
 from dataclasses import dataclass
@@ -12,14 +14,14 @@ from numpy.random import Generator
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from isac_track.types import Floats, squared_lengths
+from isac_track.types import Bools, Floats, Ints, squared_lengths
 
+NOBODY: Final = -1  # Person of a particle that stands for nobody who was sent.
 _CELL_M: Final = 0.5  # Resolution of the tables of other people.
 _BORDER_M: Final = 1.0  # Around other people's places.
 _FASTEST_MPS: Final = 1.5  # Velocities of other people fill a disc of this radius.
-_BLUR: Final = (0.5, 0.5)  # m and m/s, of a particle when an answer is attributed.
-_SEEN: Final = (0.12, 0.15)  # m and m/s, errors of a place and velocity that were sent.
-_TRIED: Final = 60  # Particles that are tried as the best place.
+_BLUR: Final = (0.3, 0.3)  # m and m/s, of a particle when an answer is attributed.
+_TRIED: Final = 40  # Particles that are tried as the best place.
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +39,7 @@ class Belief:
     t: float  # s
     xy: Floats  # (K, 2) m
     velocity_mps: Floats  # (K, 2)
+    person: Ints  # (K,) number of a person who was sent, or `NOBODY`.
 
     def moved(
         self, t: float, velocities: Floats, motion: Motion, rng: Generator
@@ -47,11 +50,13 @@ class Belief:
         velocity = self.velocity_mps + kick
         xy = self.xy + step_s * (self.velocity_mps + 0.5 * kick)
         is_turn = rng.random(len(xy)) < 1.0 - np.exp(-motion.turns_per_s * step_s)
-        velocity[is_turn] = rng.choice(velocities, int(is_turn.sum()))
-        return Belief(t, xy, velocity)
+        velocity[is_turn] = velocities[rng.integers(len(velocities), size=len(xy))][
+            is_turn
+        ]
+        return Belief(t, xy, velocity, self.person)
 
     def resampled(self, weight: Floats, rng: Generator) -> "Belief":
-        """Return particles drawn by weights, (K,), systematically."""
+        """Return particles drawn by weights, (K,), systematically, in random order."""
         total = float(weight.sum())
         if total <= 0.0:
             return self
@@ -59,7 +64,7 @@ class Belief:
         place = (rng.random() + np.arange(n)) / n
         row = np.minimum(np.searchsorted(np.cumsum(weight) / total, place), n - 1)
         row = rng.permutation(row)
-        return Belief(self.t, self.xy[row], self.velocity_mps[row])
+        return Belief(self.t, self.xy[row], self.velocity_mps[row], self.person[row])
 
     def best_place(self, epsilon_m: float) -> tuple[Floats, float]:
         """Return the particle with most particles around it, (2,) m, and their share."""
@@ -68,6 +73,22 @@ class Belief:
         share = near.mean(axis=1)
         best = int(share.argmax())
         return tried[best], float(share[best])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SentStates:
+    """Kalman states of J people, from all samples of them that were sent in a row."""
+
+    person: Ints  # (J,)
+    is_new: Bools  # (J,) whether the adversary meets the person for the first time.
+    mean: Floats  # (J, 2, 2) m and m/s: per axis position and velocity.
+    cov: Floats  # (J, 2, 2) m^2, m^2/s, m^2/s^2
+
+    def draw(self, row: int, n: int, rng: Generator) -> tuple[Floats, Floats]:
+        """Draw places and velocities of a person, (n, 2) each."""
+        root = np.linalg.cholesky(self.cov[row] + 1e-12 * np.eye(2))
+        draws = rng.standard_normal((n, 2, 2)) @ root.T + self.mean[row]
+        return draws[..., 0], draws[..., 1]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -105,9 +126,12 @@ def make_crowd(
     cell = np.floor((xy - low) / _CELL_M).astype(np.int64)
     np.add.at(count, (cell[:, 0], cell[:, 1]), 1.0)
     smooth = gaussian_filter(count, 1.5, mode="nearest") + 0.05 * count.mean()
-    centres = np.stack(np.indices(tuple(shape)), axis=-1).reshape(-1, 2)
-    gap_m = standing_gaps(low + _CELL_M * (centres + 0.5), xy, velocity_mps, horizon_s)
-    near = ndtr((margin_m - gap_m) / soft_m).mean(axis=1)
+    corners = np.stack(np.indices(tuple(shape)), axis=-1).reshape(-1, 2)
+    centres = low + _CELL_M * (corners + 0.5)
+    near = np.zeros(len(centres))
+    for row, centre in enumerate(centres):
+        gap_m = standing_gaps(centre[None], xy, velocity_mps, horizon_s)[0]
+        near[row] = ndtr((margin_m - gap_m) / soft_m).mean()
     return Crowd(
         xy=xy,
         velocity_mps=velocity_mps,
@@ -125,11 +149,12 @@ def standing_gaps(
 
     `places`, (C, 2) m, are of the robots. People walk straight on.
     """
-    away = places[:, None] - xy
-    square = np.maximum(squared_lengths(velocity_mps), 1e-12)
-    towards = (away * velocity_mps).sum(axis=-1) / square
-    when_s = np.clip(towards, 0.0, horizon_s)
-    return np.sqrt(squared_lengths(away - when_s[..., None] * velocity_mps))
+    away_x = places[:, :1] - xy[:, 0]
+    away_y = places[:, 1:] - xy[:, 1]
+    vx, vy = velocity_mps[:, 0], velocity_mps[:, 1]
+    when_s = (away_x * vx + away_y * vy) / np.maximum(vx**2 + vy**2, 1e-12)
+    when_s = np.minimum(np.maximum(when_s, 0.0), horizon_s)
+    return np.sqrt((away_x - when_s * vx) ** 2 + (away_y - when_s * vy) ** 2)
 
 
 def route_gaps(
@@ -139,61 +164,78 @@ def route_gaps(
 
     `route`, (H, 2) m, are the robot's places after `ahead_s`, (H,).
     """
-    people = xy[:, None] + ahead_s[:, None] * velocity_mps[:, None]
-    return np.sqrt(squared_lengths(people - route).min(axis=1))
+    away_x = xy[:, :1] + velocity_mps[:, :1] * ahead_s - route[:, 0]
+    away_y = xy[:, 1:] + velocity_mps[:, 1:] * ahead_s - route[:, 1]
+    return np.sqrt((away_x**2 + away_y**2).min(axis=1))
 
 
 def updated_by_flag(
-    belief: Belief, inside: Floats, *, others: float, is_yes: bool, rng: Generator
+    belief: Belief,
+    inside: Floats,
+    *,
+    others: float,
+    is_yes: bool,
+    power: float,
+    rng: Generator,
 ) -> Belief:
     """Return the belief after a flag.
 
     `inside`, (K,), is the probability that a particle raises it, `others` the mean
-    number of other people who would.
+    number of other people who would. The likelihood is raised to `power`, below 1 for
+    answers that come so fast that they repeat each other.
     """
     by_others = 1.0 - np.exp(-others)
     no = (1.0 - inside) * (1.0 - by_others)
-    return belief.resampled(1.0 - no if is_yes else no, rng)
+    return belief.resampled((1.0 - no if is_yes else no) ** power, rng)
 
 
 def updated_by_states(
     belief: Belief,
     inside: Floats,
     *,
-    xy: Floats,
-    velocity_mps: Floats,
+    sent: SentStates,
     crowd: Crowd,
+    power: float,
     rng: Generator,
 ) -> Belief:
-    """Return the belief after an answer with J people, (J, 2) m and m/s.
+    """Return the belief after an answer with the states of J people.
 
-    Either the target is not among them, or is one, and all others are clutter
-    (probabilistic data association, Bar-Shalom and Tse, Automatica 11, 1975).
-    `inside`, (K,), is the probability that a particle would be sent.
+    A particle that stands for a person of the answer takes her state. Any other was not
+    sent, or is one of the new people, where all others are clutter (probabilistic data
+    association, Bar-Shalom and Tse, Automatica 11, 1975). `inside`, (K,), is the
+    probability that a particle would be sent. The likelihood of not being sent is
+    raised to `power`, as in `updated_by_flag`.
     """
-    n_particles = len(belief.xy)
-    variance = [blur**2 + seen**2 for blur, seen in zip(_BLUR, _SEEN, strict=True)]
-    square = (
-        squared_lengths(xy[:, None] - belief.xy) / variance[0]
-        + squared_lengths(velocity_mps[:, None] - belief.velocity_mps) / variance[1]
+    unsent = (1.0 - inside) ** power
+    stays = np.where(np.isin(belief.person, sent.person), 1.0, unsent)
+    new = np.flatnonzero(sent.is_new)
+    becomes = (
+        inside * (belief.person == NOBODY) * _association(belief, sent, new, crowd)
     )
-    fit = np.exp(-0.5 * square) / (4.0 * np.pi**2 * variance[0] * variance[1])
-    clutter = crowd.at(crowd.density, xy) / (np.pi * _FASTEST_MPS**2)
-    weight = np.append((fit * inside).mean(axis=1) / clutter, (1.0 - inside).mean())
+    weight = np.append(becomes.mean(axis=1), stays.mean())
     if weight.sum() <= 0.0:
         return belief
-    number = np.bincount(
-        rng.choice(weight.size, n_particles, p=weight / weight.sum()),
-        minlength=weight.size,
+    number = rng.multinomial(belief.person.size, weight / weight.sum())
+    rest = belief.resampled(stays, rng)
+    xy, velocity, person = rest.xy.copy(), rest.velocity_mps.copy(), rest.person.copy()
+    person[number[-1] :] = np.repeat(sent.person[new], number[:-1])
+    for row, label in enumerate(sent.person.tolist()):
+        own = np.flatnonzero(person == label)
+        if own.size:
+            xy[own], velocity[own] = sent.draw(row, own.size, rng)
+    order = rng.permutation(person.size)
+    return Belief(belief.t, xy[order], velocity[order], person[order])
+
+
+def _association(belief: Belief, sent: SentStates, new: Ints, crowd: Crowd) -> Floats:
+    """Return how much likelier each new person is the particle than clutter, (J, K)."""
+    place, speed = sent.mean[new, :, 0], sent.mean[new, :, 1]
+    variance = sent.cov[new, 0, 0] + _BLUR[0] ** 2
+    speed_variance = sent.cov[new, 1, 1] + _BLUR[1] ** 2
+    square = squared_lengths(place[:, None] - belief.xy) / variance[:, None]
+    square += (
+        squared_lengths(speed[:, None] - belief.velocity_mps) / speed_variance[:, None]
     )
-    unseen = belief.resampled(1.0 - inside, rng)
-    places, velocities = [unseen.xy[: number[-1]]], [unseen.velocity_mps[: number[-1]]]
-    for row, count in enumerate(number[:-1].tolist()):
-        places.append(xy[row] + _SEEN[0] * rng.standard_normal((count, 2)))
-        velocities.append(
-            velocity_mps[row] + _SEEN[1] * rng.standard_normal((count, 2))
-        )
-    order = rng.permutation(n_particles)
-    return Belief(
-        belief.t, np.concatenate(places)[order], np.concatenate(velocities)[order]
-    )
+    scale = 4.0 * np.pi**2 * variance * speed_variance
+    clutter = crowd.at(crowd.density, place) / (np.pi * _FASTEST_MPS**2)
+    return np.asarray(np.exp(-0.5 * square) / (scale * clutter)[:, None])

@@ -174,7 +174,7 @@ def _follow_log(
     """Return the candidate links of a log and the adversary's chains."""
     half = first_half(patrol.people.group)[pieces.person]
     links = candidate_links(pieces, begins=begins)
-    followed = follow(pieces, links, isfirst_half=half)
+    followed = follow(pieces, links, is_first_half=half)
     if policy is None:
         return links, followed
     links = links[followed.probability >= _LEAST_PROBABILITY]
@@ -182,7 +182,7 @@ def _follow_log(
         pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed
     )
     links = links.with_feature(absent)
-    return links, follow(pieces, links, isfirst_half=half)
+    return links, follow(pieces, links, is_first_half=half)
 
 
 def first_half(group: tuple[str, ...]) -> Bools:

@@ -20,17 +20,20 @@ def pool_weights(log_density: Floats, gap: Ints) -> Floats:
     """Return the weights of X experts in each bin of gaps, (N_GAPS, X).
 
     They maximise the likelihood of the truth at K instants, `log_density` (K, X), by
-    the EM algorithm. A bin without an instant weighs the experts equally.
+    the EM algorithm. A bin without an instant weighs the experts equally. An expert
+    without an opinion in a bin, -inf everywhere, weighs nothing there.
     """
     n_experts = log_density.shape[1]
     weights = np.full((N_GAPS, n_experts), 1.0 / n_experts)
     for number in np.unique(gap).tolist():
         rows = log_density[gap == number]
         density = np.exp(rows - rows.max(axis=1, keepdims=True))
+        speaks = np.isfinite(rows).any(axis=0)
+        weights[number] = speaks / speaks.sum()
         for _ in range(_EM_STEPS):
             share = density * weights[number]
             share /= share.sum(axis=1, keepdims=True)
-            count = share.sum(axis=0) + _PRIOR_COUNT
+            count = share.sum(axis=0) + _PRIOR_COUNT * speaks
             weights[number] = count / count.sum()
     return weights
 

@@ -168,7 +168,9 @@ def _opinions_on(
     by_log: dict[tuple[int, bytes], Opinions] = {}
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        log = fleet_log(network, disclosure, sent=disclosure.sent(patrol, robots=robots))
+        log = fleet_log(
+            network, disclosure, sent=disclosure.sent(patrol, robots=robots)
+        )
         for target in targets.tolist():
             entries = _entries_of(log, target)
             key = target, entries.t.tobytes()

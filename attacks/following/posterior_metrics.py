@@ -1,6 +1,7 @@
 """The metrics of the posterior adversary, each a number with its two-way interval."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -52,7 +53,7 @@ def reliability_table(
 ) -> list[Reliability]:
     """Return the realised share of known instants by stated probability."""
     rows = []
-    for low, high in zip(CLAIM_EDGES[:-1], CLAIM_EDGES[1:], strict=True):
+    for low, high in pairwise(CLAIM_EDGES):
         inside = (scores.claimed >= low) & (scores.claimed < high)
         if high >= CLAIM_EDGES[-1]:
             inside |= scores.claimed >= high

@@ -10,7 +10,7 @@ so that the adversary can only continue a route. A *limit* refuses queries above
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -18,9 +18,11 @@ from numpy.random import Generator
 from scipy.special import ndtr
 
 from attacks.following.belief import (
+    NOBODY,
     Belief,
     Crowd,
     Motion,
+    SentStates,
     make_crowd,
     route_gaps,
     standing_gaps,
@@ -28,12 +30,18 @@ from attacks.following.belief import (
     updated_by_states,
 )
 from attacks.following.logs import first_half
+from attacks.following.pieces import PRIOR_STD, Q
 from attacks.following.walk_chain import walk_states
 from isac_track.errors import DataError
+from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
+from isac_track.kalman import Batch, kalman_last
+from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Network
+from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
+from isac_track.patrols.knowledge import declared_variance
 from isac_track.policies.query import Query, View
-from isac_track.policies.samples import Ahead
+from isac_track.policies.samples import WINDOW_S, Ahead
 from isac_track.protocols import Policy
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, Prediction, squared_lengths
@@ -43,7 +51,7 @@ _STEP_S: Final = 0.5  # Around an instant, for the velocities of other people.
 _LATE_S: Final = 1.0  # Of the start after a person's first instant.
 _LEAST_S: Final = 10.0  # Time for which a target is present after its start.
 _BEGIN_M: Final = 5.0  # Distance at which a committed robot begins.
-_FIT_SCANS: Final = 15  # Scans before the last of the samples that are sent.
+_EVERY: Final = 4  # Of the scans of a committed route; the others add little.
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +59,11 @@ class ProbingOptions:
     """Parameters of an adversary who probes."""
 
     motion: Motion = field(default_factory=Motion)
-    n_particles: int = 300
-    n_routes: int = 32  # Routes among which each probe is chosen.
-    soft_m: float = 0.2  # Error of the assumed distance to a route.
+    n_particles: int = 200
+    n_routes: int = 16  # Routes among which each probe is chosen.
+    soft_m: float = 0.5  # Error of the assumed distance to a route.
+    # Time within which errors of the network's forecast repeat.
+    memory_s: float = 0.2
     longest_s: float = 30.0  # Time after the start that is scored.
     robot_speed_mps: float = 1.4  # Of a committed robot.
 
@@ -96,6 +106,13 @@ class _Task:
     options: ProbingOptions
     epsilon_m: float
     probes_per_s: float
+    query_s: Floats  # (Q,) s, instants at which the network can answer.
+    variance: Floats  # (M,) m^2, declared of each sample.
+
+    @property
+    def power(self) -> float:
+        """Weight of an answer: answers within the memory of an error share one."""
+        return min(1.0, 1.0 / max(self.probes_per_s * self.options.memory_s, 1e-9))
 
     @property
     def horizon_s(self) -> float:
@@ -142,7 +159,17 @@ def probe_targets(
         raise DataError("probing is defined for the policies ahead and flag")
     if rules.limit_per_s is not None:
         probes_per_s = min(probes_per_s, rules.limit_per_s)
-    task = _Task(network, rule, is_flag, rules, options, epsilon_m, probes_per_s)
+    task = _Task(
+        network=network,
+        policy=rule,
+        is_flag=is_flag,
+        rules=rules,
+        options=options,
+        epsilon_m=epsilon_m,
+        probes_per_s=probes_per_s,
+        query_s=patrol.scan_s[patrol.query_scan],
+        variance=np.maximum(declared_variance(network), MIN_VARIANCE_M2),
+    )
     is_first = first_half(patrol.people.group)
     crowds = {
         half: _learn_crowd(task, people=is_first != half, seed=seed)
@@ -164,6 +191,34 @@ def probe_targets(
         claimed,
         answered.astype(np.int64),
     )
+
+
+def probing_metrics(
+    probed: Probed, *, group: tuple[str, ...], seed: int
+) -> dict[str, Estimate]:
+    """Return `known_share` and `claimed_share` of P targets; `group` names clusters."""
+    cluster = cluster_numbers(group)
+    sums = {
+        "known_share": probed.known.astype(np.float64),
+        "claimed_share": probed.claimed,
+    }
+    weights = cluster_weights(
+        n_clusters=int(cluster.max()) + 1,
+        n_replicates=REPLICATES,
+        seed=seed,
+        stream_names=("people",),
+    )
+    instants = sum_clusters(probed.instants[:, None], cluster).T
+    top = np.concatenate(
+        [sum_clusters(part[:, None], cluster).T for part in sums.values()]
+    )
+    estimates = ratio_estimates(
+        numerator=top,
+        denominator=np.repeat(instants, len(sums), axis=0),
+        weights=weights,
+        is_share=[True] * len(sums),
+    )
+    return dict(zip(sums, estimates, strict=True))
 
 
 def _learn_crowd(task: _Task, *, people: Bools, seed: int) -> Crowd:
@@ -200,7 +255,9 @@ def _probe_target(
         float(t[start]),
         np.repeat(xy[start : start + 1], options.n_particles, axis=0),
         rng.choice(crowd.velocity_mps, options.n_particles),
+        np.full(options.n_particles, NOBODY),
     )
+    sent_runs: dict[int, SentRun] = {}
     routes = _invent_routes(task, float(t[start]), xy[start], rng)
     asked_s = _probe_times(float(t[start]), float(t[-1]), task.probes_per_s)
     due_s = next(asked_s, np.inf)
@@ -209,7 +266,9 @@ def _probe_target(
     for row in range(start + 1, last):
         while due_s <= t[row]:
             belief = belief.moved(due_s, crowd.velocity_mps, options.motion, rng)
-            belief = _ask(task, belief, routes, crowd=crowd, rng=rng)
+            belief = _ask(
+                task, belief, routes, sent_runs=sent_runs, crowd=crowd, rng=rng
+            )
             n_answered += 1
             due_s = next(asked_s, np.inf)
         belief = belief.moved(float(t[row]), crowd.velocity_mps, options.motion, rng)
@@ -227,6 +286,15 @@ def _probe_times(start_s: float, end_s: float, per_s: float) -> Iterator[float]:
     while per_s > 0.0 and start_s + number / per_s <= end_s:
         yield start_s + number / per_s
         number += 1
+
+
+@dataclass(frozen=True, slots=True)
+class SentRun:
+    """Samples of a person that were sent without a gap."""
+
+    first: int  # Sample of the patrol.
+    last: int
+    last_s: float
 
 
 @dataclass(slots=True)
@@ -276,12 +344,13 @@ def _ask(
     belief: Belief,
     committed: CommittedRoute | None,
     *,
+    sent_runs: dict[int, SentRun],
     crowd: Crowd,
     rng: Generator,
 ) -> Belief:
-    """Return the belief after a probe."""
+    """Return the belief after a probe; runs of sent samples grow in `sent_runs`."""
     patrol = task.network.patrol
-    scene = _scene_at(task.network, belief.t)
+    scene = _scene_at(task, belief.t)
     if committed is None:
         place = _choose_place(task, belief, crowd=crowd, rng=rng)
         route = np.repeat(place[None], patrol.ahead_s.size, axis=0)
@@ -291,8 +360,8 @@ def _ask(
         others = float(crowd.at(crowd.near_standing, place[None])[0])
     else:
         route = committed.places(belief.t + patrol.ahead_s)
-        ahead_s = patrol.ahead_s[patrol.ahead_s <= task.horizon_s]
-        used = route[: ahead_s.size]
+        ahead_s = patrol.ahead_s[patrol.ahead_s <= task.horizon_s][::_EVERY]
+        used = route[::_EVERY][: ahead_s.size]
         gap_m = route_gaps(used, ahead_s, belief.xy, belief.velocity_mps)
         crowd_gap_m = route_gaps(used, ahead_s, crowd.xy, crowd.velocity_mps)
         others = crowd.n_present * float(_inside(task, crowd_gap_m).mean())
@@ -300,11 +369,18 @@ def _ask(
     inside = _inside(task, gap_m)
     if task.is_flag:
         return updated_by_flag(
-            belief, inside, others=others, is_yes=bool(selected.any()), rng=rng
+            belief,
+            inside,
+            others=others,
+            is_yes=bool(selected.any()),
+            power=task.power,
+            rng=rng,
         )
-    xy, velocity = _sent_states(task.network, scene.samples[selected])
+    sent = _sent_states(task, scene.samples[selected], sent_runs)
+    lost = ~np.isin(belief.person, list(sent_runs))
+    belief = replace(belief, person=np.where(lost, NOBODY, belief.person))
     return updated_by_states(
-        belief, inside, xy=xy, velocity_mps=velocity, crowd=crowd, rng=rng
+        belief, inside, sent=sent, crowd=crowd, power=task.power, rng=rng
     )
 
 
@@ -345,16 +421,15 @@ def _bits(probability: Floats) -> Floats:
     return np.asarray(-p * np.log2(p) - (1.0 - p) * np.log2(1.0 - p))
 
 
-def _scene_at(network: Network, t: float) -> _Scene:
+def _scene_at(task: _Task, t: float) -> _Scene:
     """Return the people present at the last query instant up to a time."""
-    patrol = network.patrol
-    query_s = patrol.scan_s[patrol.query_scan]
-    number = max(int(np.searchsorted(query_s, t + 1e-9, side="right")) - 1, 0)
+    network, patrol = task.network, task.network.patrol
+    number = max(int(np.searchsorted(task.query_s, t + 1e-9, side="right")) - 1, 0)
     rows = slice(*np.searchsorted(patrol.presences.query, [number, number + 1]))
     samples = patrol.presences.sample[rows]
     forecast = Prediction(network.raw_forecast.mean[rows], None)
     return _Scene(
-        float(query_s[number]), samples, View(network.sensed.xy[samples], forecast)
+        float(task.query_s[number]), samples, View(network.sensed.xy[samples], forecast)
     )
 
 
@@ -375,21 +450,43 @@ def _selected_people(task: _Task, scene: _Scene, route: Floats) -> Bools:
     return task.policy.select(query)
 
 
-def _sent_states(network: Network, samples: Ints) -> tuple[Floats, Floats]:
-    """Return place and velocity from the samples that are sent, (J, 2) each.
+def _sent_states(
+    task: _Task, samples: Ints, sent_runs: dict[int, SentRun]
+) -> SentStates:
+    """Return the Kalman states of people whose last samples, (J,), are sent.
 
-    They are a line through the last samples of each person.
+    An answer that overlaps an earlier run continues it; older runs are forgotten.
     """
-    people, release = network.patrol.people, network.release
-    xy, velocity = np.zeros((samples.size, 2)), np.zeros((samples.size, 2))
-    for row, last in enumerate(samples.tolist()):
-        owner = int(np.searchsorted(people.offsets, last, side="right")) - 1
-        first = max(int(people.offsets[owner]), last - _FIT_SCANS)
-        late_s = release.t[first : last + 1] - release.t[last]
-        shared = release.xy[first : last + 1]
-        middle_s = late_s.mean()
-        spread = float(((late_s - middle_s) ** 2).sum())
-        if spread > 0.0:
-            velocity[row] = (late_s - middle_s) @ shared / spread
-        xy[row] = shared.mean(axis=0) - middle_s * velocity[row]
-    return xy, velocity
+    people, t = task.network.patrol.people, task.network.release.t
+    numbers = np.searchsorted(people.offsets, samples, side="right") - 1
+    now_s = float(t[samples].max(initial=-np.inf))
+    for number in list(sent_runs):
+        if now_s - sent_runs[number].last_s > WINDOW_S:
+            del sent_runs[number]
+    is_new = np.array([number not in sent_runs for number in numbers.tolist()], bool)
+    for number, last in zip(numbers.tolist(), samples.tolist(), strict=True):
+        begin = np.searchsorted(
+            t[people.offsets[number] : last + 1], float(t[last]) - WINDOW_S
+        )
+        first = int(people.offsets[number] + begin)
+        if number in sent_runs:
+            first = min(first, sent_runs[number].first)
+        sent_runs[number] = SentRun(first, last, float(t[last]))
+    states = [_run_state(task, sent_runs[number]) for number in numbers.tolist()]
+    mean = np.array([state[0] for state in states]).reshape(-1, 2, 2)
+    cov = np.array([state[1] for state in states]).reshape(-1, 2, 2)
+    return SentStates(numbers, is_new, mean, cov)
+
+
+def _run_state(task: _Task, run: SentRun) -> tuple[Floats, Floats]:
+    """Return the Kalman state after a run of samples, mean and covariance."""
+    release, rows = task.network.release, slice(run.first, run.last + 1)
+    batch = Batch(
+        release.t[rows],
+        release.xy[rows],
+        task.variance[rows],
+        np.array([0, run.last + 1 - run.first]),
+        PRIOR_STD,
+    )
+    state = kalman_last(batch, q=Q)
+    return state.mean[0], state.cov[0]

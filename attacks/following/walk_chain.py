@@ -23,6 +23,7 @@ from isac_track.types import Bools, Floats, Ints, Tracks, positive
 
 _SCALINGS: Final = 1000  # Most iterations of Sinkhorn's scaling.
 _CLOSE: Final = 1e-6  # Total probability out of place at which the scaling ends.
+_STAYS: Final = 0.01  # Share of moves that stay, so that every map can be stationary.
 _BORDER_M: Final = 1.0  # Around the area in which people walk.
 
 
@@ -58,7 +59,7 @@ class Chain:
     step_s: float
     velocity_mps: Floats  # (C, 2) mean velocity of each class.
     spread_mps: Floats  # (C,) standard deviation around it, per axis.
-    move: csr_array  # (S, S) counted moves within a class; rows sum to at most 1.
+    move: csr_array  # (S, S) counted moves within a class; rows sum to 1.
     arrive: csr_array  # (S, S) its transpose.
     switch: Floats  # (C, C) counted changes of class within a step.
     scale: Floats  # (S,) factor of arrivals that makes `stationary` stationary.
@@ -237,10 +238,12 @@ def _count_moves(
 ) -> csr_array:
     """Return the share of moves by each displacement in cells, within each class.
 
-    A class without a move stays where it is. Moves out of the grid are left out.
+    A class without a move, and a small share of each, stays where it is. A move out of
+    the grid ends at its border.
     """
     n_x, n_y = shape
-    cell_x, cell_y = np.divmod(np.arange(n_x * n_y), n_y)
+    cell = np.arange(n_x * n_y)
+    cell_x, cell_y = np.divmod(cell, n_y)
     rows, columns, shares = [], [], []
     for number in range(options.n_classes):
         own = shift[kind == number]
@@ -248,14 +251,15 @@ def _count_moves(
             own = np.zeros((1, 2), dtype=np.int64)
         moves, count = np.unique(own, axis=0, return_counts=True)
         for (dx, dy), share in zip(moves.tolist(), count / len(own), strict=True):
-            x, y = cell_x + dx, cell_y + dy
-            cell = np.flatnonzero((x >= 0) & (x < n_x) & (y >= 0) & (y < n_y))
+            x, y = np.clip(cell_x + dx, 0, n_x - 1), np.clip(cell_y + dy, 0, n_y - 1)
             rows.append(number * n_x * n_y + cell)
-            columns.append(number * n_x * n_y + (x * n_y + y)[cell])
-            shares.append(np.full(cell.size, share))
+            columns.append(number * n_x * n_y + x * n_y + y)
+            shares.append(np.full(cell.size, (1.0 - _STAYS) * share))
     size = options.n_classes * n_x * n_y
-    places = np.concatenate(rows), np.concatenate(columns)
-    return coo_array((np.concatenate(shares), places), shape=(size, size)).tocsr()
+    every = np.arange(size)
+    places = np.concatenate([*rows, every]), np.concatenate([*columns, every])
+    share = np.concatenate([*shares, np.full(size, _STAYS)])
+    return coo_array((share, places), shape=(size, size)).tocsr()
 
 
 def _count_switches(before: Ints, after: Ints, n_classes: int) -> Floats:
@@ -277,7 +281,9 @@ def _count_map(
     smooth /= smooth.sum()
     in_class = (count.sum(axis=(1, 2)) + 1.0) / (count.sum() + options.n_classes)
     uniform = in_class[:, None, None] / (shape[0] * shape[1])
-    return np.asarray(((1.0 - options.floor) * smooth + options.floor * uniform).ravel())
+    return np.asarray(
+        ((1.0 - options.floor) * smooth + options.floor * uniform).ravel()
+    )
 
 
 def _stationary_scale(
