@@ -126,7 +126,7 @@ def make_crowd(
     cell = np.floor((xy - low) / _CELL_M).astype(np.int64)
     np.add.at(count, (cell[:, 0], cell[:, 1]), 1.0)
     smooth = gaussian_filter(count, 1.5, mode="nearest") + 0.05 * count.mean()
-    corners = np.stack(np.indices(tuple(shape)), axis=-1).reshape(-1, 2)
+    corners = np.moveaxis(np.indices(tuple(shape)), 0, -1).reshape(-1, 2)
     centres = low + _CELL_M * (corners + 0.5)
     near = np.zeros(len(centres))
     for row, centre in enumerate(centres):
@@ -166,7 +166,7 @@ def route_gaps(
     """
     away_x = xy[:, :1] + velocity_mps[:, :1] * ahead_s - route[:, 0]
     away_y = xy[:, 1:] + velocity_mps[:, 1:] * ahead_s - route[:, 1]
-    return np.sqrt((away_x**2 + away_y**2).min(axis=1))
+    return np.asarray(np.sqrt((away_x**2 + away_y**2).min(axis=1)))
 
 
 def updated_by_flag(

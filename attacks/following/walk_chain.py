@@ -196,8 +196,8 @@ def walk_states(
         if len(xy) > n_step + 2 * half:
             velocity = (xy[2 * half :] - xy[: -2 * half]) / (2 * half * grid_s)
             place = xy[half:-half]
-            parts.append((place[:-n_step], velocity[:-n_step]))
-            parts[-1] += (place[n_step:], velocity[n_step:])
+            now, later = slice(None, -n_step), slice(n_step, None)
+            parts.append((place[now], velocity[now], place[later], velocity[later]))
     if not parts:
         return WalkStates(*(np.zeros((0, 2)) for _ in range(4)))
     return WalkStates(*(np.concatenate(part) for part in zip(*parts, strict=True)))

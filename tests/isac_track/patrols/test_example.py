@@ -83,6 +83,28 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(
     assert sum(line.startswith("Robot kalman_cv, horizon") for line in lines) == 2
 
 
+def test_prints_the_posterior_adversary(example, capsys, csv_recording):
+    words = ["--dataset", str(csv_recording), "--posterior", "2", "--policy", "near:3"]
+    words += ["--set", "patrol.fleets=2", "--set", "patrol.segment_s=8"]
+    example.main(words)
+    lines = capsys.readouterr().out.splitlines()
+    for kind in ("blind", "informed"):
+        rows = [line for line in lines if line.startswith(f"| raw | near:3 | {kind} |")]
+        # Its scores, and a row for every stated probability that occurs.
+        assert len(rows) >= 2
+
+
+def test_prints_the_adversary_who_probes(example, capsys, csv_recording):
+    words = ["--dataset", str(csv_recording), "--probing", "2", "--policy", "flag"]
+    words += ["--rate", "1", "--rate", "2", "--set", "patrol.segment_s=14"]
+    example.main([*words, "--set", "patrol.fleets=2"])
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("| flag | none |") for line in lines) == 2
+    assert sum(line.startswith("| flag | commitment |") for line in lines) == 2
+    assert sum(line.startswith("| flag | limit | 2 |") for line in lines) == 1
+    assert "a commitment of 3 s refuses" in lines[-2]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -90,6 +112,10 @@ def test_prints_a_row_for_every_policy_mechanism_robot_and_horizon(
         (["--policy", "near:-3"], "metres must be positive"),
         (["--mechanism", "window:1"], "a policy selects samples"),
         (["--set", "patrol.robots=0"], "patrol.robots must lie within 1 to 100"),
+        (["--posterior", "0"], "--posterior needs at least 1 person"),
+        (["--probing", "3", "--rate", "-1"], "--rate must not be negative"),
+        (["--probing", "3"], "nobody of 12 people stays the 11 s"),
+        (["--posterior", "3", "--policy", "window:0"], "seconds must be positive"),
     ],
 )
 def test_a_mistake_is_one_clear_line(example, csv_recording, words, message):
