@@ -369,7 +369,7 @@ def posterior_rows(network, disclosure, policy, targets, *, settings, seed):
         "seed": seed,
     }
     if disclosure.form == "flag":
-        for kind, is_named in (("informed", False), ("told whose flag", True)):
+        for kind, is_named in (("informed", False), ("learns whose flag", True)):
             answers = flag_answers(
                 network,
                 disclosure,

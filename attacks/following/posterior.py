@@ -172,7 +172,7 @@ def _opinions_on(
             network, disclosure, sent=disclosure.sent(patrol, robots=robots)
         )
         for target in targets.tolist():
-            entries = _entries_of(log, target)
+            entries = _person_entries(log, target)
             key = target, entries.t.tobytes()
             is_new = evidence is not None or key not in by_log
             if is_new:
@@ -200,7 +200,7 @@ def _opinions_on(
                 by_log.clear()
 
 
-def _entries_of(log: Log, person: int) -> Entries:
+def _person_entries(log: Log, person: int) -> Entries:
     rows = slice(log.offsets[person], log.offsets[person + 1])
     return Entries(log.t[rows], log.xy[rows], log.variance[rows])
 
