@@ -37,7 +37,7 @@ ERROR_SOURCES: Final = (
     ),
     ErrorSource(
         "error law",
-        "errors are radial, as in the paper; isotropic is an option",
+        "errors have the law that sensing.law names; the paper's are radial",
         "an adversary that knows a radial law gains from it",
     ),
     ErrorSource(
@@ -52,7 +52,7 @@ ERROR_SOURCES: Final = (
     ),
     ErrorSource(
         "selection",
-        "only long tracks are used, of at least 21.6 s unless set otherwise",
+        "only tracks of at least resample.min_duration_s are used",
         "those people are slower than the others",
     ),
     ErrorSource(
