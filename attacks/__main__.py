@@ -10,7 +10,7 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, LIMIT_NOT_MET, Parser, exit_code
 from isac_track.errors import IsacTrackError, SettingsError
@@ -47,9 +47,16 @@ KINDS: dict[str, dict[str, str]] = {
         "parameter": "window_s",
         "another": "0.5",
     },
+    "policy": {
+        "noun": "policy",
+        "one_check": "form_is_kept",
+        "idea": "whom",
+        "parameter": "metres",
+        "another": "3.0",
+    },
 }
 """The words that the templates fill in for each kind of plug-in."""
-_IMPORTED = {"ClassVar", "Knowledge", "Literal", "Prediction", "Reconstruction"}
+_IMPORTED = {"ClassVar", "Form", "Knowledge", "Literal", "Prediction", "Reconstruction"}
 """Classes that the generated file imports; its own class needs another name."""
 _STATUS = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
 _EPILOG = """\
@@ -62,6 +69,7 @@ examples:
   python -m attacks new my_attack
   python -m attacks new my_linker --kind linkage
   python -m attacks new my_noise --kind mechanism
+  python -m attacks new my_policy --kind policy
 """
 
 
@@ -85,8 +93,8 @@ def parser() -> Parser:
     command = Parser(
         prog="python -m attacks",
         description=(
-            "List the attacks; check an attack, mechanism or predictor against its kit,"
-            " or begin your own."
+            "List the attacks; check an attack, mechanism, predictor or policy against"
+            " its kit, or begin your own."
         ),
         epilog=_EPILOG,
     )
@@ -112,7 +120,7 @@ def parser() -> Parser:
         default="reconstruction",
         help=(
             "an attack that asks where people were (default) or whose release it is, or"
-            " how positions are shared or predicted"
+            " how positions are shared or predicted, or what an answer discloses"
         ),
     )
     new.add_argument(
@@ -185,6 +193,8 @@ def _outcome_line(outcome: "CheckResult", *, width: int) -> str:
 
 
 def _new(name: str, *, kind: str, into: Path) -> int:
+    from isac_track.plugins import KIND_BY_NOUN  # noqa: PLC0415 - `--help` stays quick
+
     class_name, folder = "".join(map(str.capitalize, name.split("_"))), into / name
     noun = KINDS[kind]["noun"]
     _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
@@ -196,6 +206,7 @@ def _new(name: str, *, kind: str, into: Path) -> int:
     }
     description = f"{kind} attack" if noun == "attack" else noun
     words = KINDS[kind] | commands
+    words["group"] = KIND_BY_NOUN[noun]
     words |= {"is": description, "name": name, "class_name": class_name}
     sources = {
         f"{name}.py": f"{kind}.py",
@@ -240,7 +251,7 @@ def _reject_taken(name: str, *, class_name: str, folder: Path, noun: str) -> Non
         raise SettingsError(
             f"{folder} is there already; take another name, or --into DIR"
         )
-    elif name in plugins.names(cast("plugins.Kind", f"{noun}s")):
+    elif name in plugins.names(plugins.KIND_BY_NOUN[noun]):
         wrong = f"is the name of {_with_article(noun)} already"
     # A folder without a module, such as an empty folder of that name, does no harm.
     elif (

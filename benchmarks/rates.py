@@ -60,6 +60,8 @@ def _measure(arguments: Sequence[str] | None) -> int:
         tasks=("rerelease", "rerelease-framed", "split", "handover-1s"),
         predictors=("+kalman_cv:aware=true",),
         attacks=ATTACKS,
+        policies=("everything", "near:3.5", "ahead:2"),
+        stages={"patrol.fleets": 4},
         jobs=1,
         out=Path("not-written"),
     )

@@ -34,6 +34,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.own_plugins import Estimates, plugin_records
+from evaluation.estimates.patrols import patrol_frame, patrol_numbers
 from evaluation.estimates.pooled import Answered, answered, run_answers, to_frame
 from evaluation.estimates.strongest import (
     HEADLINE,
@@ -69,6 +70,7 @@ from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_wh
 from evaluation.store.linkage_outcomes import ClusterSums
 from evaluation.store.manifest import FAILED_COLUMNS, file_names, read_manifest
 from evaluation.verdict import sections as verdict
+from evaluation.verdict.patrols import built_in, recommend_policy
 from evaluation.verdict.what_to_share import (
     default_question,
     leading_handover,
@@ -97,6 +99,7 @@ def run(
     predictors: Sequence[Any] | None = None,
     attacks: Sequence[Any] | None = None,
     tasks: Sequence[str] | None = None,
+    policies: Sequence[Any] | None = None,
     adversaries: Sequence[str] | None = None,
     scenes: int | None = None,
     utility_scenes: int | None = None,
@@ -146,6 +149,8 @@ def run(
         `"+"`: `attacks=["+", MyAttack()]`. An empty list is none.
     tasks : sequence of str, optional
         What is to be linked, as above.
+    policies : sequence of SPECs or plug-in objects, optional
+        What answers to robots on patrol disclose, as above.
     adversaries : sequence of str, optional
         Adversaries beside blind, informed and oracle.
     scenes : int, optional
@@ -262,6 +267,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         scenes=BLOCK_SCENES,
         attacks=(),
         tasks=(),
+        policies=(),
         stages=settings.stages.changed({"conflict.horizons_s": ()}),
         out=out,
     )
@@ -506,14 +512,26 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
             families=families,
             dataset=dataset,
         )
+        on_patrol = patrol_numbers(out, manifest)
+        patrols = patrol_frame(
+            on_patrol,
+            families=families,
+            dataset=dataset,
+            columns=summary.COLUMNS,
+        )
         far = weak_attacks.far_from_optimum(gaps(tidy))
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
     answered_verdict = _verdict(manifest, scenes, compared, validity)
+    if on_patrol:
+        answered_verdict["patrols"] = {
+            "recommended": recommend_policy(on_patrol),
+            "by_construction": built_in(on_patrol),
+        }
     results = Results(
         out=out,
         manifest=manifest,
-        summary=tidy,
+        summary=pd.concat([tidy, patrols], ignore_index=True) if len(patrols) else tidy,
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(
             sweeps, matches, dataset=dataset, history=manifest["history"]

@@ -10,11 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.plan.presets import DEFAULT, PRESETS
-from evaluation.plan.settings import Settings
+from evaluation.plan.settings import OPTIONS, Settings
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
-from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, quoted
 from isac_track.protocols import ADVERSARIES, USUAL
 
@@ -51,6 +50,10 @@ _ADVERSARY = (
 )
 _MECHANISM = (
     "sharing mechanism: name[:VALUE][,key=value...], a sweep as LOW..HIGH/COUNT"
+)
+_POLICY = (
+    "what an answer to a robot on patrol discloses: name[:VALUE][,key=value...];"
+    f" `none` for no patrols; {_REPLACES.format('near:3.5')}"
 )
 _TIMEOUT = (
     "kill and leave out a cell that takes longer than this many seconds (default:"
@@ -107,6 +110,7 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
     "predictor": (list, "SPEC", _PREDICTOR),
     "attack": (list, "SPEC", _ATTACK),
     "task": (list, "NAME", _TASK),
+    "policy": (list, "SPEC", _POLICY),
     "adversary": (list, "NAME", _ADVERSARY),
     "jobs": (
         int,
@@ -120,8 +124,6 @@ _OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
 }
 # Flags that a file may set, too.
 _RUN_FLAGS: Final = ("persistent_ids", "keep_scores", "keep_ids", "fresh")
-# Axes that an empty list empties.
-_MAY_BE_NONE: Final = ("mechanism", "predictor", "attack", "task")
 _MOST_CONFIG: Final = 2**20  # Bytes of a config file; a longer file is none.
 
 
@@ -181,7 +183,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
             raise SettingsError(
                 f"--{key} describes your own file: name it with --dataset PATH"
             )
-    for key in _MAY_BE_NONE:
+    for axis, key in OPTIONS.items():
         specs = values.pop(key, None)
         if specs and "none" in specs and len(specs) > 1:
             raise SettingsError(
@@ -189,11 +191,11 @@ def settings_from(options: argparse.Namespace) -> Settings:
             )
         if specs is not None:
             specs = [spec for spec in specs if spec != "none"]
-        values[f"{key}s"] = specs
+        values[axis] = specs
     return Settings(
         adversaries=values.pop("adversary", ()),
         cell_timeout_s=values.pop("cell_timeout", None),
-        stages=StageSettings().changed(stage_values),
+        stages=stage_values,
         sessions=values.pop("session", ()),
         **values,
     )
@@ -372,7 +374,7 @@ def _option_words(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of TOML
         raise SettingsError(f"{key} takes one value, not a list: got {quoted(value)}")
     if any(isinstance(single, list | dict) for single in several):
         raise SettingsError(f"{key} takes numbers or text, got {quoted(value)}")
-    if not several and key in _MAY_BE_NONE:
+    if not several and key in OPTIONS.values():
         several = ["none"]
     return [f"{option}={single}" for single in several]
 

@@ -111,10 +111,12 @@ def _study(options: argparse.Namespace) -> int:
     # Each combination once; all are checked before the first run begins.
     for dataset, seed, law in product(*map(dict.fromkeys, axes)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
+        # No question of a study is about patrols.
         stages = StageSettings().changed(changed | {_LAW: law})
-        asked.append(
-            (law, Settings(dataset=dataset, seed=seed, stages=stages, out=out, **same))
+        settings = Settings(
+            dataset=dataset, seed=seed, policies=(), stages=stages, out=out, **same
         )
+        asked.append((law, settings))
     from evaluation.api import study  # noqa: PLC0415 - --help answers at once
     from evaluation.estimates.pooled import QUESTIONS  # noqa: PLC0415 - as said
     from evaluation.pool.execute import FailedCellsWarning  # noqa: PLC0415 - as said

@@ -255,8 +255,8 @@ class PatrolSettings(_Stage):
 
     # robots of a fleet, which pools its answers in one log
     robots: int = _number(1, 1, 100)
-    # fleets with routes of their own; an interval needs 20
-    fleets: int = _number(20, 1, 1000)
+    # fleets with routes of their own; an interval needs 20; 0: as the preset of a run says
+    fleets: int = _number(20, 0, 1000)
     query_s: float = _number(1.0, 1e-3, 3600.0)  # time between two queries of a robot
     # reading: interval of the clock of all people
     scan_s: float = _number(0.0836, 1e-3, 60.0)

@@ -42,6 +42,8 @@ _SINGULAR: dict[Kind, str] = {
     "policies": "policy",
 }
 
+KIND_BY_NOUN: dict[str, Kind] = {noun: kind for kind, noun in _SINGULAR.items()}
+"""Kinds of plug-in by their nouns: `policy`, `attack`."""
 _BUILT_IN: dict[Kind, dict[str, str]] = {
     "predictors": {
         "least_squares": "predictors.least_squares:LeastSquares",

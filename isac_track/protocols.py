@@ -69,7 +69,8 @@ class Mechanism(Protocol):
     attribute ``sweep = "log"`` or ``"linear"`` says how ``name:LOW..HIGH/COUNT`` spaces
     the first field. ``protects = False`` says that the mechanism claims no protection:
     no level of it is ever proposed to a site. Without the attribute a mechanism claims
-    protection.
+    protection. ``withholds = True`` says that it leaves samples out: it is not shared on
+    patrols, where a policy selects samples.
     """
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

@@ -1,4 +1,4 @@
-"""The kits: named checks that every attack, mechanism or predictor must pass.
+"""The kits: named checks that every attack, mechanism, predictor or policy passes.
 
 With pytest, every check of every plug-in becomes a test of its own::
 
@@ -16,11 +16,11 @@ Every check of an attack runs once for each adversary that grants it another kno
 import dataclasses
 from collections.abc import Hashable, Iterable, Mapping, Sequence
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 from unittest import SkipTest
 
 from attacks.tasks.task_list import TASKS
-from attacks.testing import _checks, _plugin_checks
+from attacks.testing import _checks, _plugin_checks, _policy_checks
 from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
 from attacks.testing._checks import Row
 from attacks.testing._releases import copied
@@ -37,6 +37,7 @@ __all__ = [
     "CHECKS",
     "LINKAGE_CHECKS",
     "MECHANISM_CHECKS",
+    "POLICY_CHECKS",
     "PREDICTOR_CHECKS",
     "CheckResult",
     "checks_for",
@@ -44,12 +45,15 @@ __all__ = [
     "list_adversaries",
     "parametrize_attack_checks",
     "parametrize_mechanism_checks",
+    "parametrize_policy_checks",
     "parametrize_predictor_checks",
     "run_checks",
 ]
 
 Attack: TypeAlias = protocols.ReconstructionAttack | protocols.LinkageAttack
-Subject: TypeAlias = Attack | protocols.Mechanism | protocols.Predictor
+Subject: TypeAlias = (
+    Attack | protocols.Mechanism | protocols.Predictor | protocols.Policy
+)
 
 
 def _in_every_row(body: engine.Body, subject: Hashable) -> None:
@@ -95,8 +99,8 @@ def _granted(
 ) -> dict[frozenset[Knowledge], str]:
     """Return the adversary of every row of a plug-in, by the granted knowledge.
 
-    For linkage these are the rows of all tasks, each once. Mechanisms and predictors
-    have no adversary.
+    For linkage these are the rows of all tasks, each once. Mechanisms, predictors and
+    policies have no adversary.
     """
     nothing = frozenset[Knowledge]()
     if plugin_noun(subject) != "attack":
@@ -132,25 +136,33 @@ CHECKS = _make_kit(_checks.RECONSTRUCTION)
 LINKAGE_CHECKS = _make_kit(_checks.LINKAGE)
 MECHANISM_CHECKS = _make_kit(_plugin_checks.MECHANISM)
 PREDICTOR_CHECKS = _make_kit(_plugin_checks.PREDICTOR)
+POLICY_CHECKS = _make_kit(_policy_checks.POLICY)
 _KITS = {
     "reconstruction": CHECKS,
     "linkage": LINKAGE_CHECKS,
     "mechanism": MECHANISM_CHECKS,
     "predictor": PREDICTOR_CHECKS,
+    "policy": POLICY_CHECKS,
 }
 _CASE_TYPES: dict[str, Any] = {
     "reconstruction": ReconstructionCase,
     "linkage": LinkageCase,
     "mechanism": _plugin_checks.MechanismCase,
     "predictor": _plugin_checks.PredictorCase,
+    "policy": _policy_checks.PolicyCase,
 }
-_NOUNS = {"fit": "attack", "share": "mechanism", "predict": "predictor"}
+_NOUNS = {
+    "fit": "attack",
+    "share": "mechanism",
+    "predict": "predictor",
+    "select": "policy",
+}
 
 
 def plugin_noun(subject: object) -> str:
     """Return the kind of a plug-in by its method; by default it is an attack."""
     for method, noun in _NOUNS.items():
-        if hasattr(subject, method):
+        if callable(getattr(subject, method, None)):
             return noun
     return "attack"
 
@@ -170,7 +182,7 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
         raise PluginError(
             f"expected an object, got its class: write {subject.__name__}()"
         )
-    kind, name = cast("plugins.Kind", f"{noun}s"), f"{noun} {type(subject).__name__}"
+    kind, name = plugins.KIND_BY_NOUN[noun], f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
     _granted(subject)
@@ -194,9 +206,9 @@ def run_checks(
 
     Parameters
     ----------
-    subject : attack, mechanism or predictor
+    subject : attack, mechanism, predictor or policy
         An object, not its class. Its method decides which kit checks it: ``fit``,
-        ``share`` or ``predict``.
+        ``share``, ``predict`` or ``select``.
     names : sequence of str, optional
         Checks to run, by default all of the kit.
 
@@ -278,11 +290,12 @@ parametrize_attack_checks = partial(_parametrized, "attack")
 """Return a pytest decorator that runs a test once per attack and check.
 
 The test takes `attack` and `check`, and calls ``check(attack)``: for a test of your own
-body or with marks. Else `kit_test` is shorter. The two below do the same for mechanisms
-and predictors.
+body or with marks. Else `kit_test` is shorter. The three below do the same for
+mechanisms, predictors and policies.
 """
 parametrize_mechanism_checks = partial(_parametrized, "mechanism")
 parametrize_predictor_checks = partial(_parametrized, "predictor")
+parametrize_policy_checks = partial(_parametrized, "policy")
 
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass

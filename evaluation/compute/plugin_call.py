@@ -17,7 +17,7 @@ import numpy as np
 from evaluation.compute import sharing
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.linkage import score_releases
-from evaluation.compute.work import Block, compute_cells
+from evaluation.compute.work import Block, PatrolWork, compute_cells
 from isac_track import plugins
 from isac_track.errors import PluginError, code_at, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
@@ -169,7 +169,8 @@ def defined_at(instance: Any) -> str:  # noqa: ANN401 - a user's object
 def plugin_code(instance: Any) -> CodeType | None:  # noqa: ANN401 - a user's object
     """Return the code of the method that a plug-in is called by, if it is Python's."""
     methods = (
-        getattr(type(instance), name, None) for name in ("share", "predict", "fit")
+        getattr(type(instance), name, None)
+        for name in ("share", "predict", "fit", "select")
     )
     codes = (getattr(method, "__code__", None) for method in methods)
     return next((code for code in codes if isinstance(code, CodeType)), None)
@@ -189,9 +190,12 @@ def _call(
             plugin, consumer, mechanism, tracks=tracks, order=order, stages=stages
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
-    block = Block(0, 0, order, (level,))
+    work: Block | PatrolWork = Block(0, 0, order, (level,))
+    if consumer is not None and consumer.policy is not None:
+        work = PatrolWork(people, (level,))
+        stages = stages.changed({"patrol.fleets": 1, "patrol.robots": 1})
     started_s = process_time()
-    for _ in compute_cells(block, tracks=tracks, stages=stages, seed=_SEED):
+    for _ in compute_cells(work, tracks=tracks, stages=stages, seed=_SEED):
         pass
     spent_s = process_time() - started_s
     return _CallTime(spent_s, order.size * float(np.diff(tracks.offsets).mean()) / 1e6)

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from evaluation.compute import linkage, reconstruction, sharing
+from evaluation.compute import linkage, patrols, reconstruction, sharing
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
@@ -22,7 +22,7 @@ from evaluation.plan.fingerprint import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
 from isac_track.scenes import Cut, make_scenes
-from isac_track.types import Ints, Knowledge, Scenes, Sensed
+from isac_track.types import Ints, Knowledge, Scenes, Sensed, Tracks
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
@@ -66,8 +66,22 @@ class LinkWork:
     world: World = OWN_WORLD
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PatrolWork:
+    """Work of patrols through the whole recording."""
+
+    recorded: Tracks  # Placed where they are sensed.
+    levels: Levels
+    # That of the run: readers of further horizons name theirs.
+    world: World = OWN_WORLD
+
+
 def attempt_cells(
-    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+    work: Block | LinkWork | PatrolWork,
+    *,
+    tracks: Cut,
+    stages: StageSettings,
+    seed: int,
 ) -> Iterator[FinishedCell | Failure]:
     """Yield finished cells until one fails, and then its failure.
 
@@ -92,21 +106,47 @@ def attempt_cells(
 
 
 def compute_cells(
-    work: Block | LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
+    work: Block | LinkWork | PatrolWork,
+    *,
+    tracks: Cut,
+    stages: StageSettings,
+    seed: int,
 ) -> Iterator[FinishedCell]:
     """Yield every cell of a piece of work.
 
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a
-    predictor per scene, those of a linkage task per window or probe. Raises PluginError
-    if a plug-in raises or breaks its contract, which names it, and DataError if an
-    attack has nobody to learn from.
+    predictor per scene, those of a linkage task per window or probe, those of a patrol
+    per person and route. Raises PluginError if a plug-in raises or breaks its contract,
+    which names it, and DataError if an attack has nobody to learn from.
     """
     if work.world.law:
         stages = stages.changed({"sensing.law": work.world.law})
-    if isinstance(work, LinkWork):
+    if isinstance(work, PatrolWork):
+        yield from _patrol_cells(work, stages=stages, seed=seed)
+    elif isinstance(work, LinkWork):
         yield from _linkage_cells(work, tracks=tracks, stages=stages, seed=seed)
     else:
         yield from _scene_cells(work, tracks=tracks, stages=stages, seed=seed)
+
+
+def _patrol_cells(
+    work: PatrolWork, *, stages: StageSettings, seed: int
+) -> Iterator[FinishedCell]:
+    setup = patrols.patrol_setup(work.recorded, stages=stages, seed=seed)
+    people = setup.patrol.people
+    for mechanism, consumers in work.levels:
+        note_cell(mechanism.spec, "")
+        readers: dict[str, list[Consumer]] = {}
+        policies: dict[str, Plugin] = {}
+        for consumer in consumers:
+            assert consumer.policy is not None
+            policies[consumer.policy.spec] = consumer.policy
+            readers.setdefault(consumer.policy.spec, []).append(consumer)
+        shared = patrols.share_level(mechanism, setup, policies.values())
+        for own in readers.values():
+            for consumer, rows in patrols.policy_rows(own, shared, mechanism=mechanism):
+                tables = {ROWS: rows_table(rows, tracks=people)}
+                yield FinishedCell(0, mechanism, consumer, tables)
 
 
 def _linkage_cells(

@@ -7,12 +7,18 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 Measured = Literal[
-    "predictor", "descriptor", "reconstruction", "distance", "linkage", "bound"
+    "predictor",
+    "descriptor",
+    "reconstruction",
+    "distance",
+    "linkage",
+    "bound",
+    "patrol",
 ]
 """Kinds of metric, in this order: a predictor's utility; a privacy descriptor of
 positions, as shared and after a reconstruction; a further measure of a reconstruction;
 the distance of positions beyond epsilon; a linker's success; a bound on all attacks in
-a world of the fitted motion."""
+a world of the fitted motion; what a disclosure policy costs and reveals on patrols."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +146,21 @@ _ROWS: Final = (
     Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", digits=3),
     Metric("residual_risk", "residual risk", "linkage"),
     Metric("chance", "chance", "linkage"),
+    Metric("missed_encounter_rate", "missed encounters", "patrol"),
+    Metric("withheld_share", "withheld", "patrol"),
+    Metric(
+        "false_alarms_per_min", "false alarms a minute", "patrol", "1/min", digits=2
+    ),
+    Metric("disclosed_share", "disclosed", "patrol"),
+    Metric("known_share", "known", "patrol", noun="known share of person-time"),
+    Metric("known_worst_tenth", "known, worst tenth", "patrol"),
+    Metric("known_undisclosed", "known, not sent", "patrol"),
+    Metric("people_seen", "people seen", "patrol"),
+    Metric("plr_walk", "PLR of walks", "patrol"),
+    Metric("followed_s", "followed", "patrol", "s"),
+    Metric("followed_10s", "followed 10 s", "patrol"),
+    Metric("followed_30s", "followed 30 s", "patrol"),
+    Metric("time_to_confusion_s", "time to confusion", "patrol", "s"),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}
@@ -168,6 +189,8 @@ EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """Missed conflicts at the predictor's false alarms under raw; not in the summary."""
 FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
 """Missed conflicts that are still to come, at that same rate; not in the summary."""
+KNOWN_SHARE: Final = "known_share"  # Person-time that an adversary with a log knows.
+FOLLOWED: Final = "followed_10s"  # People followed for ten seconds by a log.
 # Costs of noise.
 COSTS: Final = (
     MISSED_RATE,

@@ -236,7 +236,9 @@ def settings_text(stages: Mapping[str, Any]) -> str:
         name: value for name, value in stages.items() if usual.get(name) != value
     }
     return " ".join(
-        f"{name}={value}" for name, value in changed.items() if name != _LAW
+        f"{name}={value}"
+        for name, value in changed.items()
+        if name != _LAW and not name.startswith("patrol.")
     )
 
 

@@ -58,6 +58,7 @@ COLUMNS = [
     "unit",
     "family",
     "adding",
+    "policy",
 ]
 _POSITIONS = [
     METRICS[name] for name in (*RECONSTRUCTION, *DISTANCE) if METRICS[name].column
@@ -243,6 +244,8 @@ def to_frame(
 ) -> pd.DataFrame:
     """Return the tidy summary, `COLUMNS`; the first six of them are unique together.
 
+    No row has a policy: those of patrols are of `evaluation.estimates.patrols`.
+
     `worlds` are the estimates in other worlds, which the data set's name shows;
     `families` are the run's mechanisms.
     """
@@ -254,6 +257,7 @@ def to_frame(
             "unit": METRICS[address.metric].summary_unit,
             "family": families[address.mechanism].family,
             "adding": families[address.mechanism].adding,
+            "policy": address.policy,
         }
         for world, in_world in estimates_by_world.items()
         for address, estimate in in_world.items()

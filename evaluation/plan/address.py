@@ -19,7 +19,10 @@ from evaluation.plan.world import OWN_WORLD, World, parse_world
 
 _CONTROL: Final = "control-"
 _JOINT: Final = "rank1_assigned"
-_LABEL: Final = re.compile(r"(.+?)(?: \((\w+)\))?(, joint)?(?:, (\S+))?")
+_UNDER: Final = " under "  # Between consumer and policy.
+_LABEL: Final = re.compile(
+    rf"(.+?)(?: \((\w+)\))?(, joint)?(?:{_UNDER}(\S+?))?(?:, (\S+))?"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,8 +82,9 @@ class Address:
 
     @property
     def cell_label(self) -> str:
-        """Name of the consumer in the files of a run: its label, and the world."""
-        return f"{self.label}, {self.world.text}" if self.world else self.label
+        """Name of the consumer in the files of a run: label, policy and world."""
+        label = f"{self.label}{_UNDER}{self.policy}" if self.policy else self.label
+        return f"{label}, {self.world.text}" if self.world else label
 
     @property
     def where(self) -> tuple[str, float | None]:
@@ -216,12 +220,13 @@ def parse_dataset(dataset: str) -> Address:
 def parse_label(label: str) -> Address:
     """Return the address of a `cell_label`, or of a `label`."""
     match = _LABEL.fullmatch(label)
-    world = match and parse_world(match[4] or "")
+    world = match and parse_world(match[5] or "")
     if match is None or world is None:
         return parse_consumer(label)
-    consumer, adversary, joint, _ = match.groups()
+    consumer, adversary, joint, policy, _ = match.groups()
     address = parse_consumer(consumer, adversary or "")
-    return replace(address, world=world, metric=_JOINT if joint else "")
+    metric = _JOINT if joint else ""
+    return replace(address, world=world, policy=policy or "", metric=metric)
 
 
 def parse_row(row: Mapping[Any, Any]) -> Address:

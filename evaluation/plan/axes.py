@@ -30,6 +30,11 @@ MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hund
 # Scenes times levels: fewer take less time than workers to start.
 WORTH_WORKERS: Final = 5000
 WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
+LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
+_FEWER_LOGS: Final = ("blind", ORACLE)
+LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
+"""Adversaries with a log: the informed one knows routes and policy, the oracle knows
+which answers are about the same person."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +42,15 @@ class Consumer:
     """A reader of a release: a predictor, an adversary, or the plain descriptors."""
 
     kind: Literal[
-        "shared", "predictor", "attack", "bound", "linkage", "control", "windows"
+        "shared",
+        "predictor",
+        "attack",
+        "bound",
+        "linkage",
+        "control",
+        "windows",
+        "patrol",
+        "log",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -48,13 +61,20 @@ class Consumer:
     behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
     control: str = ""
     world: World = OWN_WORLD
+    # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
+    policy: Plugin | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, and the reconstruction in front of that."""
-        return tuple(
-            plugin for plugin in (self.plugin, self.behind) if plugin is not None
-        )
+        """Its plug-in, the reconstruction in front of that, and its policy."""
+        own = (*self._readers, self.policy)
+        return tuple(plugin for plugin in own if plugin is not None)
+
+    @property
+    def _readers(self) -> tuple[Plugin, ...]:
+        """Its plug-ins that read a release."""
+        own = (self.plugin, self.behind)
+        return tuple(plugin for plugin in own if plugin is not None)
 
     @property
     def spec(self) -> str:
@@ -64,7 +84,7 @@ class Consumer:
     @property
     def address(self) -> Address:
         """Where its numbers belong, at every level."""
-        names = {"shared": SHARED, "windows": WINDOWS, "bound": BOUND}
+        names = {"shared": SHARED, "windows": WINDOWS, "bound": BOUND, "log": LOG}
         name, behind = names.get(self.kind, BOUND), ""
         if self.kind == "control":
             name = control_name(self.control)
@@ -72,6 +92,7 @@ class Consumer:
             name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
         return Address(
             world=self.world,
+            policy=self.policy.spec if self.policy else "",
             task=self.task,
             plugin=name,
             reconstruction=behind,
@@ -81,12 +102,13 @@ class Consumer:
     @property
     def requires(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins cannot run without."""
-        return frozenset().union(*(plugin.instance.requires for plugin in self.plugins))
+        needs = (plugin.instance.requires for plugin in self._readers)
+        return frozenset().union(*needs)
 
     @property
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins takes if granted."""
-        return frozenset().union(*(plugin.instance.uses for plugin in self.plugins))
+        return frozenset().union(*(plugin.instance.uses for plugin in self._readers))
 
     @property
     def is_slow(self) -> bool:
@@ -135,6 +157,10 @@ class Axes:
     """SPECs of attacks that run only against mechanisms whose error changes slowly."""
     skips_oracle: bool = False
     """Whether the oracle attacks only where no lesser adversary can."""
+    policies: tuple[Plugin, ...] = ()  # Disclosure policies on patrols.
+    patrolled: tuple[Plugin, ...] = ()  # Mechanisms that patrols are shared with.
+    follows_informed: bool = True
+    """Whether an informed adversary reads the logs of patrols, too."""
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -198,6 +224,25 @@ class Axes:
             replace(consumer, world=World(horizon_s=horizon_s))
             for consumer in self.consumers
             if consumer.kind == "predictor" and consumer.spec in self.utility
+        )
+
+    def patrol_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the readers of patrols in a world: robots, and adversaries with a log.
+
+        The robots are the predictors that are read in all scenes. Logs belong to no
+        further horizon.
+        """
+        robots = [
+            Consumer("patrol", plugin, world=world)
+            for plugin in self.predictors
+            if plugin.spec in self.utility
+        ]
+        adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
+        logs = [Consumer("log", knowledge=name) for name in adversaries]
+        return tuple(
+            replace(reader, policy=policy)
+            for policy in self.policies
+            for reader in (robots if world else [*robots, *logs])
         )
 
     def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
@@ -288,6 +333,7 @@ def axes(settings: Settings) -> Axes:
     utility |= {plugin.spec for plugin in named_predictors}
     worlds: dict[World, tuple[Plugin, ...]] = {}
     # A user who names mechanisms has asked for these alone.
+    policies = plugins.parse_all("policies", names["policies"])
     if not chosen["mechanisms"].replaces:
         worlds = _worlds(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
@@ -308,9 +354,31 @@ def axes(settings: Settings) -> Axes:
             plugin.spec for plugin in plugins.parse_all("attacks", against_slow)
         ),
         linked_in=_linked_in(worlds, preset, law=law),
+        policies=policies,
+        patrolled=_patrolled(settings, preset, mechanisms) if policies else (),
+        follows_informed=preset.follows_informed,
     )
     _check_adversaries_used(crossed, settings)
     return crossed
+
+
+def _patrolled(
+    settings: Settings, preset: Preset, mechanisms: Iterable[Plugin]
+) -> tuple[Plugin, ...]:
+    """Return the mechanisms of a run that patrols are shared with.
+
+    They are those of the preset's, and those that a user names together with a policy.
+    A mechanism that withholds samples is left out: on patrols that is a policy's part.
+    """
+    specs = {*preset.patrolled}
+    if settings.choice("policies").named:
+        named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
+        specs |= {plugin.spec for plugin in named}
+    return tuple(
+        plugin
+        for plugin in mechanisms
+        if plugin.spec in specs and not getattr(plugin.instance, "withholds", False)
+    )
 
 
 def _further_attacks(
@@ -412,7 +480,8 @@ def most_workers(crossed: Axes, settings: Settings) -> int:
     n_linked = len(crossed.linked_mechanisms) + sum(
         len(levels) for levels in crossed.linked_in.values()
     )
-    return max(n_blocks * n_levels + len(crossed.tasks) * n_linked, 1)
+    n_patrols = len(crossed.patrolled)
+    return max(n_blocks * n_levels + len(crossed.tasks) * n_linked + n_patrols, 1)
 
 
 def choose_jobs(crossed: Axes, settings: Settings) -> int:

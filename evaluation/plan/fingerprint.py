@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 # Stages of scenes; all others are linkage tasks.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
+PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 # The packages of the project.
 OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _COMMON: Final = (
@@ -35,6 +36,7 @@ _COMMON: Final = (
 _STAGES: Final = {
     SHARING: ("evaluation.compute.forecasts", *_COMMON),
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
+    PATROL: ("evaluation.compute.patrols", *_COMMON),
 }
 _LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
 _COMPUTES_NOTHING: Final = re.compile(
@@ -73,7 +75,11 @@ def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
 
 def has_user_plugins(crossed: Axes) -> bool:
     """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
-    consumers = (*crossed.consumers, *(link for _, link in crossed.links))
+    consumers = (
+        *crossed.consumers,
+        *crossed.patrol_readers(),
+        *(link for _, link in crossed.links),
+    )
     used = (plugin for consumer in consumers for plugin in consumer.plugins)
     return any(map(is_user_plugin, (*crossed.mechanisms, *used)))
 
@@ -91,6 +97,9 @@ def list_user_plugins(crossed: Axes) -> dict[str, list[str]]:
         ],
         "predictors": [
             robot.spec for robot in filter(is_user_plugin, crossed.predictors)
+        ],
+        "policies": [
+            policy.spec for policy in filter(is_user_plugin, crossed.policies)
         ],
         "attacks": [attack.spec for attack in filter(is_user_plugin, crossed.attacks)],
     }

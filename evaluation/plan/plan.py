@@ -14,12 +14,11 @@ from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.presets import BREAKER, PRESETS
-from evaluation.plan.settings import Settings, check_threads
-from evaluation.plan.world import World
+from evaluation.plan.settings import Settings, check_threads, patrol_values
+from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
-from isac_track.config import PatrolSettings
 from isac_track.datasets import Dataset, crowd
-from isac_track.errors import DataError, PluginError, SettingsError, error_text
+from isac_track.errors import DataError, PluginError, error_text
 from isac_track.place import placed
 from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
@@ -95,7 +94,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     Raises IsacTrackError for anything that a user can mend.
     """
     check_threads()
-    _check_patrols(settings)
+    settings = _with_fleets(settings)
     crossed = axes(settings)
     reading = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **reading)
@@ -199,8 +198,10 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
-    # An axis: another horizon adds cells to a folder and changes no others.
-    del identity["conflict.horizons_s"]
+    # Axes: another horizon adds cells to a folder and changes no others, and other
+    # patrols change those of patrols alone.
+    for name in patrol_values(settings.stages.flat()):
+        del identity[name]
     if settings.unit is not None:
         identity["unit"] = settings.unit
     if settings.keep_ids:
@@ -243,13 +244,12 @@ def asked_of_file(settings: Settings) -> dict[str, Any]:
     }
 
 
-def _check_patrols(settings: Settings) -> None:
-    """Raise SettingsError for settings of patrols: a run does not read them."""
-    if settings.stages.patrol != PatrolSettings():
-        raise SettingsError(
-            "patrol.* settings change nothing in a run: examples/need_to_know.py reads"
-            " them"
-        )
+def _with_fleets(settings: Settings) -> Settings:
+    """Return settings with the preset's number of fleets, unless they name another."""
+    if settings.stages.patrol.fleets:
+        return settings
+    fleets = PRESETS[settings.preset].fleets
+    return settings.changed(stages=settings.stages.changed({"patrol.fleets": fleets}))
 
 
 class _Crossing(NamedTuple):
@@ -281,6 +281,12 @@ def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
     for horizon_s in crossed.horizons_s:
         robots = crossed.robots_at(horizon_s)
         crossings.append(_Crossing(crossed.mechanisms, robots, every))
+    worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in crossed.horizons_s)]
+    crossings += [
+        _Crossing(crossed.patrolled, crossed.patrol_readers(world), (0,))
+        for world in worlds
+        if crossed.patrolled
+    ]
     for world, mechanisms in crossed.linked_in.items():
         for task in filter(_is_linked_in_models, crossed.tasks):
             readers = crossed.readers_in(world, task)
@@ -302,6 +308,7 @@ def _units(
         return {module: digests[module] for module in modules}
 
     units = []
+    patrols = patrol_values(settings.stages.flat())
     for mechanisms, consumers, blocks in _crossings(crossed, settings):
         by_stage: dict[str, dict[str, Consumer]] = {}
         for consumer in consumers:
@@ -321,9 +328,10 @@ def _units(
                     if crossed.meets(consumer, mechanism)
                 }
                 unit_code = code(stage, mechanism)
+                further = [patrols] if stage == fingerprint.PATROL else []
                 for block in blocks if readers else ():
                     key = fingerprint.digest(
-                        [identity, stage, block, *about, *unit_code.values()]
+                        [identity, stage, block, *about, *unit_code.values(), *further]
                     )
                     units.append(Unit(stage, block, mechanism, key, unit_code, readers))
     return tuple(units), digests
@@ -333,6 +341,8 @@ def _stage(consumer: Consumer) -> str:
     """Return the stage of a consumer: its task, or a stage of scenes."""
     if consumer.task:
         return consumer.task
+    if consumer.policy:
+        return fingerprint.PATROL
     if consumer.kind in {"attack", "bound"}:
         return fingerprint.RECONSTRUCTION
     return fingerprint.SHARING

@@ -44,6 +44,12 @@ class Preset:
     # Adversaries with more knowledge, tried on the levels that would be proposed.
     breakers: tuple[str, ...] = ()
     adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
+    policies: tuple[str, ...] = ()  # Disclosure policies on patrols; none: no patrols.
+    # Mechanisms with which patrols are shared, of those of the run.
+    patrolled: tuple[str, ...] = ("raw", "fid:1")
+    fleets: int = 20  # Fleets of patrols, with routes of their own.
+    follows_informed: bool = True
+    """Whether an adversary who knows routes and policy follows people, too."""
     skips_oracle: bool = False
     """Whether the oracle, a reference, attacks only where no lesser adversary can."""
     # At most so many people in a task of a model: the optimum takes all pairs and lags.
@@ -144,6 +150,8 @@ _SMOKE = Preset(
     tasks=(*TASKS,),
     summary="40 scenes, the 5 levels that the paper gives numbers for",
 )
+_POLICIES = ("everything", "window:4", "near:3.5", "ahead:2", "state:2", "flag")
+"""Everything, as the paper shares, and five ways to share less."""
 _PAPER = replace(
     _SMOKE,
     scenes=500,
@@ -155,6 +163,7 @@ _PAPER = replace(
     model=(*SMOKE_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),
     breakers=BREAKERS,
+    policies=_POLICIES,
     summary=(
         "2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6"
         " controls, 4 levels of slow, Laplace and white noise"
@@ -182,6 +191,9 @@ _QUICK = Preset(
     adversaries=BREAKERS,
     skips_oracle=True,
     tasks=("rerelease", "handover-1s", "handover-5s"),
+    policies=("everything", "near:3.5", "ahead:2", "state:2"),
+    fleets=4,
+    follows_informed=False,
     summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
 )
 DEFAULT = "quick"

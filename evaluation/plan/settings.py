@@ -17,7 +17,15 @@ from isac_track.config import StageSettings
 from isac_track.errors import SettingsError, did_you_mean, quoted
 from isac_track.protocols import ADVERSARIES
 
-AXES: Final = ("mechanisms", "predictors", "attacks", "tasks")
+OPTIONS: Final = {
+    "mechanisms": "mechanism",
+    "predictors": "predictor",
+    "attacks": "attack",
+    "tasks": "task",
+    "policies": "policy",
+}
+"""By axis: the option of the command line that names its values."""
+AXES: Final = (*OPTIONS,)
 _KINDS: dict[str, tuple[Any, type, str]] = {
     **dict.fromkeys(
         ("scenes", "utility_scenes", "seed", "jobs"),
@@ -40,6 +48,8 @@ _PRECISION_WRONG = (
     " 0.5 (0.01: +- 1 %), got {0:g}"
 )
 _ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:(?P<port>[0-9]{1,5})/?)")
+_USUAL_STAGES: Final = StageSettings().changed({"patrol.fleets": 0})
+"""Without a number of fleets a run has those of its preset (`plan`)."""
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
@@ -104,6 +114,8 @@ class Settings:
         Attacks, as above; LINKER@RECONSTRUCTION among them.
     tasks : tuple of str, optional
         What is to be linked, as above.
+    policies : tuple, optional
+        Disclosure policies of patrols, as the plug-ins above.
     adversaries : tuple of str
         Adversaries beside blind, informed and oracle.
     stages : StageSettings
@@ -151,8 +163,9 @@ class Settings:
     predictors: tuple[str, ...] | None = None
     attacks: tuple[str, ...] | None = None
     tasks: tuple[str, ...] | None = None
+    policies: tuple[str, ...] | None = None
     adversaries: tuple[str, ...] = ()
-    stages: StageSettings = field(default_factory=StageSettings)
+    stages: StageSettings = field(default_factory=lambda: _USUAL_STAGES)
     jobs: int | None = None
     cell_timeout_s: float | None = None
     executor: str = "local"
@@ -210,7 +223,7 @@ class Settings:
             option.name: getattr(self, option.name) for option in fields(self)
         }
         if isinstance(given["stages"], Mapping):
-            given["stages"] = StageSettings().changed(given["stages"])
+            given["stages"] = _USUAL_STAGES.changed(given["stages"])
         if isinstance(given["columns"], Mapping):
             given["columns"] = ",".join(
                 f"{key}={name}" for key, name in given["columns"].items()
@@ -243,7 +256,7 @@ class Settings:
         return replace(self, **options)
 
     def choice(self, axis: str) -> Choice:
-        """Return the choice on an axis: mechanisms, predictors, attacks or tasks.
+        """Return the choice on an axis, one of `AXES`.
 
         Raises SettingsError if values that add to the preset's are mixed with values
         that replace them.
@@ -285,6 +298,19 @@ def _check_known(kind: str, names: Iterable[str], known: Collection[str]) -> Non
                 did_you_mean(name, known, quote="'") or f"; known: {', '.join(known)}"
             )
             raise SettingsError(f"unknown {kind} {name!r}{hint}")
+
+
+def patrol_values(stages: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that patrols alone depend on, ``{"stage.key": value}``.
+
+    `stages` are all settings, as `StageSettings.flat` returns them. The network
+    forecasts as far as the farthest horizon.
+    """
+    return {
+        name: value
+        for name, value in stages.items()
+        if name.startswith("patrol.") or name == "conflict.horizons_s"
+    }
 
 
 def check_drawing() -> None:

@@ -210,6 +210,7 @@ def variant_settings(
         predictors=(variant.predictor,) if variant.predictor else predictors,
         attacks=tuple(spec for spec, own in sorted(attacks.items()) if own & tasks),
         tasks=tuple(task for task in ran["tasks"] if task in tasks),
+        policies=(),
         stages=stages,
         keep_ids=identity.get("ids") == "kept",
         jobs=jobs,

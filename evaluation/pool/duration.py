@@ -12,7 +12,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.compute.work import Block, LinkWork
+from evaluation.compute.work import Block, LinkWork, PatrolWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
 from evaluation.pool.pieces import cut_work, planned_cells, unfinished
@@ -56,7 +56,7 @@ def cells_cpu_s(ready: Plan, own: PluginTimes = NO_TIMES) -> float:
     return cpu_s
 
 
-def _own_s(work: Block | LinkWork, ready: Plan, own: PluginTimes) -> float:
+def _own_s(work: Block | LinkWork | PatrolWork, ready: Plan, own: PluginTimes) -> float:
     """Return the CPU time of a user's plug-ins in a piece of work, s."""
     n_samples = _millions_of_samples(work, ready)
     sizes = {"linkage": work_size(work, ready)}
@@ -73,9 +73,9 @@ def _own_s(work: Block | LinkWork, ready: Plan, own: PluginTimes) -> float:
     )
 
 
-def _millions_of_samples(work: Block | LinkWork, ready: Plan) -> float:
+def _millions_of_samples(work: Block | LinkWork | PatrolWork, ready: Plan) -> float:
     """Return the millions of samples that are shared at a level of a work."""
-    if isinstance(work, Block):
+    if isinstance(work, Block | PatrolWork):
         return work_size(work, ready)
     sides = work.sessions.probe, work.sessions.gallery
     return sum(float(side.offsets[-1]) for side in sides) / 1e6
@@ -96,8 +96,17 @@ def _rounded(seconds: float) -> float:
     return 5.0 * max(round(seconds / 5.0), 1)
 
 
-def work_size(work: Block | LinkWork, ready: Plan) -> float:
-    """Return the millions of samples, or of pairs, that a consumer reads of a work."""
+def work_size(work: Block | LinkWork | PatrolWork, ready: Plan) -> float:
+    """Return the millions of samples, or of pairs, that a consumer reads of a work.
+
+    On a patrol each robot reads the last samples of people at each query: the
+    person-seconds of the recording, once for each robot.
+    """
+    if isinstance(work, PatrolWork):
+        rules, tracks = ready.settings.stages.patrol, work.recorded
+        ends = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+        n_queries = float(ends.sum()) / rules.query_s
+        return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, Block):
         return work.order.size * float(np.diff(ready.tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
@@ -107,8 +116,10 @@ def work_size(work: Block | LinkWork, ready: Plan) -> float:
     return float(probes @ gallery) / 1e6
 
 
-def setup_name(work: Block | LinkWork) -> str:
+def setup_name(work: Block | LinkWork | PatrolWork) -> str:
     """Return the name of the rate of all that the levels of a work share."""
+    if isinstance(work, PatrolWork):
+        return "setup/patrol"
     return "setup/scenes" if isinstance(work, Block) else "setup/linkage"
 
 

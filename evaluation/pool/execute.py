@@ -38,6 +38,7 @@ from evaluation.store.manifest import (
     merged_plugins,
     other_entries,
     with_ceiling,
+    without_other_patrols,
     write_manifest,
 )
 from evaluation.store.people import prepare_names, share_key
@@ -75,6 +76,7 @@ def execute(
     places = cell_places(index_by_file)
     units = pieces.missing_units(ready, places)
     earlier_plugins = manifest.get("own_plugins", {})
+    manifest["cells"] = without_other_patrols(manifest, ready)
     manifest |= describe(ready) | {
         "damaged_cells": damaged,
         "untried_plugins": untried,

@@ -150,7 +150,8 @@ def _prepare_loops(
 def _describe_cell(name: CellName) -> str:
     """Return a cell in words: of linkage if its consumer's label begins with a task."""
     _, spec, label = name
-    stage = "linkage" if parse_label(label).task else "scenes"
+    address = parse_label(label)
+    stage = "linkage" if address.task else "patrols" if address.policy else "scenes"
     return f"{stage}: {spec} > {label}"
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from evaluation.compute.linkage import view_key
-from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork
+from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork, PatrolWork
 from evaluation.plan.constants import BLOCK_SCENES
+from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_files import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
 
-Work: TypeAlias = "Block | LinkWork"
+Work: TypeAlias = "Block | LinkWork | PatrolWork"
 CellName: TypeAlias = "tuple[int, str, str]"
 """Block (0 for linkage), SPEC of the mechanism, label of the consumer."""
 _TASKS_PER_WORKER = 2
@@ -89,7 +90,10 @@ def cut_work(missing: Sequence[Unit], ready: Plan) -> list[Work]:
     n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
     due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
     due += [(n + 1) / len(links) for n in range(len(links))]
-    works: list[Work] = [*blocks, *links]
+    patrols = _cut_patrols(missing, ready)
+    # A patrol takes as long as several blocks: it begins early.
+    due += [(n + 1) / (len(patrols) + 1) for n in range(len(patrols))]
+    works: list[Work] = [*blocks, *links, *patrols]
     return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 
 
@@ -111,7 +115,7 @@ def _cut_scenes(missing: Sequence[Unit], ready: Plan) -> list[Block]:
                 unit
                 for unit in missing
                 if unit.block == number
-                and unit.stage not in tasks
+                and unit.stage not in {*tasks, PATROL}
                 and unit.world == world
             )
             is_attacked = number < n_attacked and not world
@@ -162,6 +166,17 @@ def _cut_linkage(missing: Sequence[Unit], ready: Plan) -> list[LinkWork]:
             keep_scores = ready.settings.keep_scores
             links.append(LinkWork(sessions, groups, piece, keep_scores, world))
     return links
+
+
+def _cut_patrols(missing: Sequence[Unit], ready: Plan) -> list[PatrolWork]:
+    """Return the missing levels of patrols, a piece for each worker.
+
+    Each piece makes the patrol and senses everybody again.
+    """
+    levels = _levels(unit for unit in missing if unit.stage == PATROL)
+    return [
+        PatrolWork(ready.recorded, piece) for piece in _share_out(levels, ready.jobs)
+    ]
 
 
 def _levels(units: Iterable[Unit]) -> Levels:

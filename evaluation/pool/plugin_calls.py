@@ -147,6 +147,8 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
         for consumer in unit.consumers.values():
             for plugin in filter(is_user_plugin, consumer.plugins):
                 caller = consumer
+                if consumer.policy and plugin is not consumer.policy:
+                    continue  # a robot is called in scenes, too
                 if plugin is consumer.behind:
                     caller = replace(
                         consumer,

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.plan.presets import DEFAULT, PRESETS, Preset
-from evaluation.plan.settings import AXES
+from evaluation.plan.settings import AXES, OPTIONS
 from evaluation.reporting.notices import plan_notices
 from isac_track.config import StageSettings
 
@@ -112,8 +112,10 @@ def plan_lines(ready: Plan) -> Iterator[str]:
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
     """Return the stage settings that are not the usual ones, as they are typed."""
-    usual = StageSettings().flat()
-    stages = manifest["settings"].get("stages", {}).items()
+    settings = manifest["settings"]
+    preset = PRESETS.get(settings["preset"], PRESETS[DEFAULT])
+    usual = StageSettings().flat() | {"patrol.fleets": preset.fleets}
+    stages = settings.get("stages", {}).items()
     return [
         f"{name}={value}" for name, value in stages if usual.get(name, value) != value
     ]
@@ -149,6 +151,8 @@ def _named(settings: Mapping[str, Any], usual: Preset) -> Mapping[str, Sequence[
         return named
     outcome: dict[str, Sequence[str]] = {}
     for axis in AXES:
+        if axis == "policies" and axis not in settings:
+            continue  # a version without patrols
         values, usual_values = settings.get(axis, []), set(getattr(usual, axis))
         # A run of one session leaves out the task `cross_session` by itself.
         if set(values) not in (usual_values, usual_values - {"cross_session"}):
@@ -188,7 +192,7 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
         ("seed", identity["seed"] or None),
     ]
     for axis, values in _named(settings, usual).items():
-        options += [(axis.removesuffix("s"), value) for value in values or ["none"]]
+        options += [(OPTIONS[axis], value) for value in values or ["none"]]
     options += [("set", setting) for setting in changed_settings(manifest)]
     words = ["--persistent-ids"] if identity.get("persistent_ids") else []
     for name, value in options:

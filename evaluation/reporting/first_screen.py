@@ -47,6 +47,7 @@ from evaluation.reporting.notices import (
     used_are_slower,
 )
 from evaluation.reporting.paper_hint import paper_hint
+from evaluation.reporting.patrol_tables import patrol_sentence
 from evaluation.reporting.recommendation import named_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results
@@ -86,6 +87,8 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
         f"{answer.topic}: {answer.sentence}"
         for answer in answers(run, table, names_level=False)
     ]
+    if sentence := patrol_sentence(run):
+        texts.append(f"On patrol: {sentence}")
     own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
     smallest_grid = _table_lines(run, table, room=0)
     most = LINES - len([*top, *smallest_grid, *last])

@@ -75,6 +75,10 @@ _WORDS: Final = {
     "front": (
         "Levels that no other level of the run beats in cost and privacy together."
     ),
+    "patrol": "Robots that walk through a recording and ask where people are.",
+    "policy": "A rule that chooses whom, and which samples, an answer discloses.",
+    "log": "All answers that a fleet of robots was given.",
+    "map": "An adversary without a log, that knows where people stand most.",
     "model world": (
         "Simulated walks that follow the fitted motion, where the optimum is known."
     ),
@@ -176,6 +180,15 @@ _ADVERSARIES: Final = {
     "oracle": "Knows all of that and every standard deviation: a reference only.",
 }
 
+_POLICIES: Final = {
+    "everything": "Policy that sends all history of everybody: the paper's sharing.",
+    "near": "Policy that sends the last seconds of people near the robot.",
+    "ahead": "Policy that sends people whom the network forecasts near the route.",
+    "state": "Policy that sends a filtered position and velocity, no history.",
+    "flag": "Policy that sends yes or no: is there a conflict ahead.",
+    "random": "Policy that sends a random share of people: a control.",
+}
+
 _METRICS: Final = {
     "missed": "Share of conflicts that a robot misses.",
     "missed future": "Share of future conflicts that a robot misses.",
@@ -223,6 +236,25 @@ _METRICS: Final = {
     "residual risk": (
         "Rank 1 above chance, as a share of all that is possible above chance."
     ),
+    "missed encounters": "Share of first entries of which a robot was not warned.",
+    "withheld": (
+        "Share of conflicts that a robot would foresee if all were sent, and does not."
+    ),
+    "false alarms a minute": "Runs of alarms of a robot without a conflict, 1/min.",
+    "disclosed": "Share of person-time of which the nearest sample was sent.",
+    "known": (
+        "Share of person-time that an adversary with the log states within epsilon."
+    ),
+    "known, worst tenth": "The same of the tenth of people that is known best.",
+    "known, not sent": "Share of person-time that is known without a sample of it.",
+    "people seen": "Share of people with at least one answer in the log.",
+    "PLR of walks": "PLR of whole walks, where samples that are not sent are safe.",
+    "followed": "Time within one chain of answers that are all of one person, s.",
+    "followed 10 s": "Share followed so long, of the people present so long.",
+    "followed 30 s": "Share followed so long, of people present for 30 s.",
+    "time to confusion": (
+        "Time until an adversary is unsure who goes on (Hoh et al.), s; at most 30."
+    ),
 }
 
 GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
@@ -234,6 +266,7 @@ GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "Linkage tasks": _TASKS,
         "Robots": _PREDICTORS,
         "Adversaries": _ADVERSARIES,
+        "Disclosure policies": _POLICIES,
         "Metrics": _METRICS,
     }
 )
@@ -265,6 +298,7 @@ DEFINITIONS: Final[Mapping[str, str]] = MappingProxyType(_definitions())
 
 _COMMON: Final = frozenset(
     {"true", "shared", "level", "law", "linear", "split", "shape", "profile", "control"}
+    | {*_POLICIES, "known", "followed", "withheld", "disclosed", "log", "map"}
 )
 """Names that are everyday words: they get no hover text inside a sentence."""
 

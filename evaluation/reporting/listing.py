@@ -19,13 +19,22 @@ if TYPE_CHECKING:
     from isac_track.plugins import Kind
 
 WIDTH: Final = 100  # Columns.
-_KINDS: Final[tuple["Kind", ...]] = ("mechanisms", "predictors", "attacks")
+_KINDS: Final[tuple["Kind", ...]] = (
+    "mechanisms",
+    "predictors",
+    "attacks",
+    "policies",
+)
+_NO_LEVELS: Final = ("", "adding", "law", "select_on")
+"""First parameters that are no level."""
 _LEVEL_UNITS: Final = {
     "eta": "1/(m^2 s)",
     "d_sigma": "m",
     "distance": "m",
     "every": "samples",
     "seconds": "s",
+    "metres": "m",
+    "share": "0..1",
 }
 """Units of levels whose names do not end in their unit."""
 _UNITS: Final = {
@@ -97,12 +106,12 @@ SETTINGS: Final = {
     "linkage.most_people": "people who are linked, at most",
     "linkage.candidates": "candidates scored for each probe; 0 scores all",
     "linkage.trait_strength": "spread of the simulated people's traits",
-    "patrol.robots": "robots of a fleet (examples/need_to_know.py alone)",
-    "patrol.fleets": "fleets with routes of their own (the same)",
-    "patrol.query_s": "time between two queries of a robot (the same)",
-    "patrol.scan_s": "interval of the clock of all people (the same)",
-    "patrol.segment_s": "length of the recording that is walked (the same)",
-    "patrol.grid_s": "step of the instants that are judged (the same)",
+    "patrol.robots": "robots of a fleet, whose answers are one log",
+    "patrol.fleets": "fleets with routes of their own; preset quick: 4",
+    "patrol.query_s": "time between two queries of a robot",
+    "patrol.scan_s": "interval of the clock of all people",
+    "patrol.segment_s": "length of the recording that is walked",
+    "patrol.grid_s": "step of the instants that are judged",
 }
 """The meaning of each stage setting; others are listed with name, value and unit."""
 
@@ -176,7 +185,7 @@ def _first_parameter(node: ast.ClassDef) -> str:
 def _plugins(kind: "Kind") -> dict[str, str]:
     """Return the descriptions of a kind's plug-ins by name.
 
-    The name of a mechanism includes its level and the unit of that.
+    The name of a mechanism or policy includes its level and the unit of that.
     """
     from isac_track import plugins  # noqa: PLC0415 - needed for a list alone
 
@@ -185,7 +194,7 @@ def _plugins(kind: "Kind") -> dict[str, str]:
         summary = read_class_summary(origin)
         shown = name
         level = summary.parameter
-        if kind == "mechanisms" and level not in ("", "adding", "law"):
+        if kind in ("mechanisms", "policies") and level not in _NO_LEVELS:
             unit = _LEVEL_UNITS.get(level) or _unit(level)
             shown = f"{name}:{level.upper()}"
             if unit:

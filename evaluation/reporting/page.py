@@ -90,7 +90,8 @@ def title(run: Results) -> str:
     """Return recording, levels and attacks of a run, in a line."""
     shared = run.ours[run.ours["consumer"] == SHARED]
     levels = len(shared[["mechanism", "level"]].drop_duplicates())
-    consumers = run.summary.loc[is_attack(run.summary), "consumer"].unique()
+    rows = run.without_policy
+    consumers = rows.loc[is_attack(rows), "consumer"].unique()
     attacks = {parse_consumer(name).plugin for name in consumers}
     attacks.discard(IDENTITY)
     parts = [

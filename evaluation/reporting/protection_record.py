@@ -98,7 +98,7 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
 
 def _recipients(run: Results) -> tuple[str, ...]:
     """Return the recipients of a release, and the adversaries that were tried."""
-    known = [name for name in run.summary["knowledge"].dropna().unique() if name]
+    known = [name for name in run.without_policy["knowledge"].dropna().unique() if name]
     if not known:
         return (
             "Every recipient of a release, robots among them.",

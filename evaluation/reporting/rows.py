@@ -142,11 +142,29 @@ class Results:
 
         The data sets of worlds are named `DATASET:WORLD`.
         """
-        names = self.summary["dataset"]
+        rows = self.without_policy
         is_elsewhere = [
-            name != self.dataset and bool(parse_dataset(name).world) for name in names
+            name != self.dataset and bool(parse_dataset(name).world)
+            for name in rows["dataset"]
         ]
-        return self.summary[~np.array(is_elsewhere, dtype=bool)]
+        return rows[~np.array(is_elsewhere, dtype=bool)]
+
+    @property
+    def without_policy(self) -> pd.DataFrame:
+        """The summary without patrols, whose rows have a disclosure policy."""
+        return self.summary[~self._is_patrol]
+
+    @property
+    def patrols(self) -> pd.DataFrame:
+        """The rows of the summary that are about patrols."""
+        return self.summary[self._is_patrol]
+
+    @property
+    def _is_patrol(self) -> pd.Series[bool]:
+        """Which rows of the summary have a policy; none if it has no such column."""
+        if "policy" not in self.summary:
+            return pd.Series(data=False, index=self.summary.index)
+        return self.summary["policy"].notna() & (self.summary["policy"] != "")
 
     def __repr__(self) -> str:
         """Return the title of the run, and the table of the first screen in lines."""
@@ -371,12 +389,13 @@ class Results:
     @cached_property
     def ours(self) -> pd.DataFrame:
         """The summary without the tasks that have a data set of their own."""
-        return self.summary[self.summary["dataset"] == self.dataset]
+        rows = self.without_policy
+        return rows[rows["dataset"] == self.dataset]
 
     @cached_property
     def families(self) -> dict[str, Family]:
         """The mechanisms of the run by name; the manifest knows which protect."""
-        families = families_in(self.summary)
+        families = families_in(self.without_policy)
         for name, declared in families_in(self.manifest.get("cells", ())).items():
             if name in families:
                 families[name] = replace(families[name], protects=declared.protects)
@@ -388,7 +407,7 @@ class Results:
         from evaluation.reporting.headline import headline  # noqa: PLC0415 - see `load`
 
         return headline(
-            self.summary,
+            self.without_policy,
             attacks=self.strongest,
             linkability=self.linkability,
             attacked=self.attacked,

@@ -53,6 +53,7 @@ from evaluation.reporting.notices import (
     notices,
     used_are_slower,
 )
+from evaluation.reporting.patrol_tables import patrol_sentence, patrol_tables
 from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
 from evaluation.reporting.table import (
     Table,
@@ -110,7 +111,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from _answer_lines(run)
     yield from plugin_lines(run)
     yield from result_tables.sweep_tables(run.ours, n_reports=run.n_reports)
-    yield from result_tables.horizon_tables(run.summary)
+    yield from result_tables.horizon_tables(run.without_policy)
     yield result_tables.standing_table(run.verdict.get("robots", ()))
     yield result_tables.exposure_table(
         run.ours, slow=weak_attacks.slow_attacks(run.manifest)
@@ -120,6 +121,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield linked_bound_table(run)
     yield from (result_tables.rank_table(run, task) for task in run.tasks)
     yield result_tables.strength_table(run)
+    yield from patrol_tables(run)
     yield answer_tables.paper_table(run)
     yield answer_tables.claims_table(run)
     for name, reason in run.manifest.get("linkage", {}).get("skipped", {}).items():
@@ -144,6 +146,8 @@ def _answer_lines(run: Results) -> Iterator[Part]:
     yield ""
     for answer in answers(run, table):
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
+    if sentence := patrol_sentence(run):
+        yield f"On patrol: {sentence}"
     yield from (f"Doubt: {text}." for text in doubts(run, table))
 
 
@@ -155,7 +159,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         answer_tables.paper_table(run),
         answer_tables.claims_table(run),
         *result_tables.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
-        *result_tables.horizon_tables(run.summary),
+        *result_tables.horizon_tables(run.without_policy),
         result_tables.standing_table(run.verdict.get("robots", ())),
         answer_tables.frontier_table(run),
         result_tables.exposure_table(
@@ -165,6 +169,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         linked_bound_table(run),
         *(result_tables.rank_table(run, task) for task in run.tasks),
         result_tables.strength_table(run),
+        *patrol_tables(run),
         answer_tables.flag_table(run),
         result_tables.doubt_table(run),
         *answer_tables.item_tables(run.verdict.get("items", ())).values(),
@@ -243,7 +248,7 @@ DOCS: Final[dict[str, Callable[[pd.DataFrame], Table]]] = {
 
 def published(run: Results) -> pd.DataFrame:
     """Return the rows of a run's summary that go into `docs/results`."""
-    summary = run.summary
+    summary = run.without_policy
     if run.manifest["settings"]["preset"] == _REFERENCE:
         return summary
     by_level = estimates_by_level(summary)

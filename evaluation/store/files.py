@@ -110,6 +110,7 @@ _TEXTS: Final = {
     "adversary",
     "first_choice",
     "second_choice",
+    "policy",
 }
 _FORMULA_STARTS: Final = ("=", "+", "-", "@", "\t", "\r")
 _TEMPORARY = re.compile(r"\..+\.[0-9a-f]{16}\.tmp")

@@ -31,7 +31,7 @@ import isac_track
 from evaluation.plan.address import parse_row
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
-from evaluation.plan.settings import AXES
+from evaluation.plan.settings import AXES, patrol_values
 from evaluation.store.files import (
     FOLDER,
     MANIFEST,
@@ -69,7 +69,7 @@ _LEVEL_FIELDS: Final = (
     "spec",
     "files",
 )
-_CONSUMER_FIELDS: Final = ("kind", "consumer", "knowledge", "slow", "world")
+_CONSUMER_FIELDS: Final = ("kind", "consumer", "knowledge", "slow", "world", "policy")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -350,6 +350,7 @@ def _describe_settings(ready: Plan) -> dict[str, Any]:
         "predictors": [plugin.spec for plugin in axes.predictors],
         "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
         "tasks": [task.name for task in axes.tasks],
+        "policies": [plugin.spec for plugin in axes.policies],
         "named": {axis: values for axis, values in named.items() if values is not None},
     }
     if axes.adversaries:
@@ -440,6 +441,7 @@ def consumer_fields(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
         "kind": consumer.kind,
         "knowledge": address.adversary,
         "world": address.world.text,
+        "policy": address.policy,
     }
 
 
@@ -469,6 +471,19 @@ def cell_entries(
         }
         for mechanism, consumer in ready.pairs
     ]
+
+
+def without_other_patrols(
+    manifest: Mapping[str, Any], ready: Plan
+) -> list[dict[str, Any]]:
+    """Return the entries of a manifest, without patrols of other settings than a plan's.
+
+    Their files stay: with the earlier settings a run finds them again.
+    """
+    earlier = manifest.get("settings", {}).get("stages", {})
+    ours = patrol_values(ready.settings.stages.flat())
+    is_same = patrol_values(earlier) == ours
+    return [entry for entry in manifest["cells"] if is_same or not entry.get("policy")]
 
 
 def merged_plugins(

@@ -148,6 +148,7 @@ class Thin:
     d_sigma: float = 0.0  # m
 
     protects: ClassVar[bool] = False
+    withholds: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         check_at_least("every", self.every, 1)

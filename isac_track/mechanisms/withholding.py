@@ -29,6 +29,7 @@ class Window:
     d_sigma: float = 0.0  # m, standard deviation that is added.
 
     protects: ClassVar[bool] = True
+    withholds: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         positive("seconds", self.seconds)

@@ -1,6 +1,6 @@
 """Answers of the network on a patrol: a release of everybody, and the disclosures."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,6 +20,7 @@ from isac_track.types import (
     Prediction,
     Release,
     Sensed,
+    read_only,
     stretches,
 )
 
@@ -65,6 +66,28 @@ class Disclosure:
         return np.asarray(np.cumsum(change[:-1]) > 0)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class SensedPatrol:
+    """A patrol as its network senses it: the same for all mechanisms."""
+
+    patrol: Patrol
+    forecaster: Predictor  # The network's own predictor.
+    sensed: Sensed
+    raw_forecast: Prediction  # Of the E presences, from all history as sensed.
+    seed: int
+
+
+def sense_patrol(
+    patrol: Patrol, *, forecaster: Predictor, settings: StageSettings, seed: int
+) -> SensedPatrol:
+    """Sense everybody once, and forecast from what was sensed."""
+    sensed = sense_people(patrol, settings=settings, seed=seed)
+    names = tuple(map(str, range(len(patrol.people))))
+    raw = Release(sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, names)
+    forecast = _forecast_presences(patrol, raw, forecaster)
+    return SensedPatrol(patrol, forecaster, sensed, forecast, seed)
+
+
 def share_patrol(
     patrol: Patrol,
     *,
@@ -75,29 +98,55 @@ def share_patrol(
 ) -> Network:
     """Return a network that senses everybody once and shares by a mechanism.
 
+    Raises as `share_sensed`.
+    """
+    sensed = sense_patrol(patrol, forecaster=forecaster, settings=settings, seed=seed)
+    return share_sensed(sensed, mechanism=mechanism)
+
+
+def share_sensed(sensed_patrol: SensedPatrol, *, mechanism: Mechanism) -> Network:
+    """Return a network that shares by a mechanism.
+
     The random stream starts equal for all mechanisms. SettingsError for a mechanism
     that leaves samples out or moves them in time, since a policy selects samples.
     """
-    sensed = sense_people(patrol, settings=settings, seed=seed)
-    release = mechanism.share(sensed, stream(seed, "patrols", "sharing"))
+    rng = stream(sensed_patrol.seed, "patrols", "sharing")
+    release = mechanism.share(sensed_patrol.sensed, rng)
+    return make_network(sensed_patrol, mechanism=mechanism, release=release)
+
+
+def make_network(
+    sensed_patrol: SensedPatrol, *, mechanism: Mechanism, release: Release
+) -> Network:
+    """Return the network that shared a release; SettingsError as `share_sensed`."""
+    sensed, patrol = sensed_patrol.sensed, sensed_patrol.patrol
     if not np.array_equal(release.t, sensed.t):
         name = type(mechanism).__name__
         raise SettingsError(
             f"{name} does not share every sample at its time; on patrols a policy"
             " selects samples, such as window:SECONDS"
         )
-    raw = Release(
-        sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, release.pseudonym
-    )
+    shared_forecast = sensed_patrol.raw_forecast
+    if not _is_raw(release, sensed):
+        shared_forecast = _forecast_presences(patrol, release, sensed_patrol.forecaster)
     return Network(
         patrol=patrol,
         mechanism=mechanism,
-        forecaster=forecaster,
+        forecaster=sensed_patrol.forecaster,
         sensed=sensed,
         release=release,
-        raw_forecast=_forecast_presences(patrol, raw, forecaster),
-        shared_forecast=_forecast_presences(patrol, release, forecaster),
-        seed=seed,
+        raw_forecast=sensed_patrol.raw_forecast,
+        shared_forecast=shared_forecast,
+        seed=sensed_patrol.seed,
+    )
+
+
+def _is_raw(release: Release, sensed: Sensed) -> bool:
+    """Whether a release has the positions and standard deviations that were sensed."""
+    return (
+        release.sigma is not None
+        and np.array_equal(release.xy, sensed.xy)
+        and np.array_equal(release.sigma, sensed.sigma_raw)
     )
 
 
@@ -132,6 +181,8 @@ def forecast_runs(
     a gap. A predictor sees the declared standard deviations if it requires them. The
     result has a covariance if the predictor returns one.
     """
+    if not track.size:  # A robot that was sent nobody.
+        return Prediction(np.zeros((*t_future.shape, 2)), None)
     parts = []
     for tracks in _chunks(np.bincount(track, weights=end - first).astype(np.int64)):
         runs = slice(*np.searchsorted(track, [tracks.start, tracks.stop]))
@@ -174,19 +225,38 @@ def disclose(network: Network, policy: Policy, *, name: str = "") -> Disclosure:
     its name in messages.
     """
     name = name or type(policy).__name__
-    select_on: SelectOn = getattr(policy, "select_on", "raw")
-    runs = []
+    return disclose_each(network, {name: policy})[name]
+
+
+def disclose_each(
+    network: Network, policies: Mapping[str, Policy]
+) -> dict[str, Disclosure]:
+    """Return the answers of several policies, by their names; otherwise as `disclose`.
+
+    A query's people are gathered once for all of them. A policy's answers depend on no
+    other policy.
+    """
+    runs: dict[str, list[Ints]] = {name: [] for name in policies}
     for number in range(network.patrol.query_scan.size):
         scene = _present_people(network, number)
-        for robot in range(network.patrol.n_robots):
-            query = _make_query(network, scene, robot)
-            selected = _select_samples(policy, query, name=name)
-            runs.append(_answer_runs(selected, scene, robot))
-    robot_numbers, presence, first, end = np.concatenate(runs, axis=1)
+        for name, policy in policies.items():
+            for robot in range(network.patrol.n_robots):
+                query = _make_query(network, scene, robot)
+                selected = _select_samples(policy, query, name=name)
+                runs[name].append(_answer_runs(selected, scene, robot))
+    return {
+        name: _joined_answers(policy, runs[name]) for name, policy in policies.items()
+    }
+
+
+def _joined_answers(policy: Policy, runs: Sequence[Ints]) -> Disclosure:
+    """Return the disclosure of runs as `_answer_runs` returns them."""
+    robot, presence, first, end = np.concatenate(runs, axis=1)
+    select_on: SelectOn = getattr(policy, "select_on", "raw")
     return Disclosure(
         form=policy.form,
         select_on=select_on,
-        robot=robot_numbers,
+        robot=robot,
         presence=presence,
         first=first,
         end=end,
@@ -219,10 +289,11 @@ def _present_people(network: Network, number: int) -> _Scene:
         number=number,
         presence=presence,
         shift=first - offsets[:-1],
-        t=network.sensed.t[sample],
-        offsets=offsets,
-        raw=View(network.sensed.xy[sample], raw_forecast),
-        shared=View(network.release.xy[sample], shared_forecast),
+        # Read-only: no policy changes what another one gets.
+        t=read_only(network.sensed.t[sample]),
+        offsets=read_only(offsets),
+        raw=View(read_only(network.sensed.xy[sample]), raw_forecast),
+        shared=View(read_only(network.release.xy[sample]), shared_forecast),
     )
 
 

@@ -42,8 +42,11 @@ def two_way_weights(
 ) -> tuple[Floats, Floats]:
     """Return how often each cluster and each route is drawn, (1 + B, C) and (1 + B, F).
 
-    The first row draws each once: it gives the estimate.
+    The first row draws each once: it gives the estimate. Below `FEWEST_ROUTES` routes,
+    where there is no interval, it is the only row.
     """
+    if n_routes < FEWEST_ROUTES:
+        return np.ones((1, n_clusters)), np.ones((1, n_routes))
     people = cluster_weights(
         n_clusters=n_clusters,
         n_replicates=n_replicates,

@@ -4,7 +4,9 @@
 1.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -22,12 +24,12 @@ from isac_track.patrols.intervals import (
 from isac_track.patrols.knowledge import Known
 from isac_track.patrols.patrol import horizon_scans, query_scans
 from isac_track.patrols.utility import (
-    Counts,
     answer_forecasts,
     conflicts_in,
     false_alarm_queries,
     false_alarms,
     first_entries,
+    foreseen_conflicts,
     least_gaps,
     missed_conflicts,
     missed_encounters,
@@ -39,7 +41,7 @@ from isac_track.patrols.worst_off import worst_tenth
 from isac_track.policies.samples import Everything
 from isac_track.policies.summaries import State
 from isac_track.protocols import Policy, Predictor
-from isac_track.types import Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,24 +109,52 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
     return is_on_shared or np.array_equal(network.release.xy, network.sensed.xy)
 
 
-def utility_metrics(
-    task: RobotTask, disclosure: Disclosure, *, horizon: int, seed: int
-) -> dict[str, Estimate]:
-    """Return the metrics of utility of a policy at a horizon, in scans, by name.
+@dataclass(frozen=True, eq=False, slots=True)
+class UtilityCounts:
+    """Hits and trials of the metrics of a robot, by person and route, (N, R).
 
-    `missed_conflict_rate`, `missed_future_rate`, `missed_future_at_equal_alarms`,
-    `withheld_share`, `missed_encounter_rate` and `false_alarms_per_min`. The horizon is
-    one of the settings. Without an encounter a rate has no value and `n` is 0.
+    The metrics are `SHARES`; `false_alarms`, (R,), counts those of each route.
+    """
+
+    hits: Mapping[str, Ints]
+    trials: Mapping[str, Ints]
+    false_alarms: Ints
+    walked_s: float  # Time that each robot walks.
+
+
+SHARES: Final = (
+    "missed_conflict_rate",
+    "missed_future_rate",
+    "withheld_share",
+    "missed_encounter_rate",
+)
+"""Metrics of utility that are shares of trials."""
+
+
+def foresee(task: RobotTask, disclosure: Disclosure) -> Ints:
+    """Return the scans until a robot foresees a conflict from its answers, (E, R)."""
+    return foreseen_conflicts(
+        task.network,
+        disclosure,
+        predictor=task.predictor,
+        safety_radius_m=task.settings.conflict.safety_radius_m,
+    )
+
+
+def count_utility(task: RobotTask, foreseen: Ints, *, horizon: int) -> UtilityCounts:
+    """Count what a robot foresees and misses within a horizon, in scans.
+
+    `foreseen`, (E, R), are the scans until it foresees a conflict (`foresee`).
     """
     patrol, actual = task.network.patrol, task.actual
-    answers = answer_forecasts(task.network, disclosure, task.predictor)
-    radius_m = task.settings.conflict.safety_radius_m
-    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
     person = patrol.presences.person
-    everybody = np.arange(len(patrol.people))
-    missed = missed_conflicts(actual, foreseen, horizon=horizon)
-    futures = missed_futures(actual, foreseen, horizon=horizon)
-    withheld = withheld_conflicts(actual, foreseen, task.everything, horizon=horizon)
+    by_presence = {
+        "missed_conflict_rate": missed_conflicts(actual, foreseen, horizon=horizon),
+        "missed_future_rate": missed_futures(actual, foreseen, horizon=horizon),
+        "withheld_share": withheld_conflicts(
+            actual, foreseen, task.everything, horizon=horizon
+        ),
+    }
     encounters = missed_encounters(
         patrol,
         task.entries,
@@ -132,27 +162,82 @@ def utility_metrics(
         lead=horizon,
         query_scans=query_scans(task.settings.patrol),
     )
-    alarms = false_alarms(patrol, actual, foreseen, horizon=horizon)
+    counts = {
+        name: (
+            _sum_people(presences.hits & presences.trials, person, len(patrol.people)),
+            _sum_people(presences.trials, person, len(patrol.people)),
+        )
+        for name, presences in by_presence.items()
+    }
+    counts["missed_encounter_rate"] = (
+        (encounters.hits & encounters.trials).astype(np.int64),
+        encounters.trials.astype(np.int64),
+    )
+    return UtilityCounts(
+        hits={name: hits for name, (hits, _) in counts.items()},
+        trials={name: trials for name, (_, trials) in counts.items()},
+        false_alarms=false_alarms(patrol, actual, foreseen, horizon=horizon),
+        walked_s=patrol.duration_s,
+    )
+
+
+def _sum_people(flags: Bools, person: Ints, n_people: int) -> Ints:
+    """Return the sums of the presences of each person, (E, R) -> (N, R)."""
+    sums = np.zeros((n_people, flags.shape[1]), dtype=np.int64)
+    for robot in range(flags.shape[1]):
+        sums[:, robot] = np.bincount(person[flags[:, robot]], minlength=n_people)
+    return sums
+
+
+def estimate_utility(
+    counts: UtilityCounts, *, group: tuple[str, ...], seed: int
+) -> dict[str, Estimate]:
+    """Return the metrics of utility by name: `SHARES` and `false_alarms_per_min`.
+
+    `group` names the cluster of each person. Without an encounter a rate has no value
+    and `n` is 0.
+    """
+    cluster = cluster_numbers(group)
+    metrics = {
+        name: two_way_ratio(
+            numerator=sum_clusters(counts.hits[name], cluster),
+            denominator=sum_clusters(counts.trials[name], cluster),
+            seed=seed,
+        )
+        for name in SHARES
+    }
+    metrics["false_alarms_per_min"] = _rate_per_minute(
+        counts.false_alarms, counts.walked_s, seed=seed
+    )
+    return metrics
+
+
+def utility_metrics(
+    task: RobotTask, disclosure: Disclosure, *, horizon: int, seed: int
+) -> dict[str, Estimate]:
+    """Return the metrics of utility of a policy at a horizon, in scans, by name.
+
+    They are those of `estimate_utility`, and `missed_future_at_equal_alarms`. The
+    horizon is one of the settings.
+    """
+    patrol, radius_m = task.network.patrol, task.settings.conflict.safety_radius_m
+    answers = answer_forecasts(task.network, disclosure, task.predictor)
+    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
     cluster = cluster_numbers(patrol.people.group)
     curve = alarm_curve(
         patrol,
-        actual=actual,
+        actual=task.actual,
         gaps_m=least_gaps(patrol, answers, horizon=horizon),
         horizon=horizon,
-        cluster=cluster[person],
+        cluster=cluster[patrol.presences.person],
     )
     allowed = task.allowed[horizon].astype(np.float64)
+    counts = count_utility(task, foreseen, horizon=horizon)
     return {
         "missed_future_at_equal_alarms": missed_at_equal_alarms(
             curve, reference=allowed, seed=seed
         ),
-        "missed_conflict_rate": _share_estimate(missed, cluster[person], seed=seed),
-        "missed_future_rate": _share_estimate(futures, cluster[person], seed=seed),
-        "withheld_share": _share_estimate(withheld, cluster[person], seed=seed),
-        "missed_encounter_rate": _share_estimate(
-            encounters, cluster[everybody], seed=seed
-        ),
-        "false_alarms_per_min": _rate_per_minute(alarms, patrol.duration_s, seed=seed),
+        **estimate_utility(counts, group=patrol.people.group, seed=seed),
     }
 
 
@@ -195,14 +280,6 @@ def knowledge_metrics(
         seed=seed,
     )
     return metrics
-
-
-def _share_estimate(counts: Counts, cluster: Ints, *, seed: int) -> Estimate:
-    return two_way_ratio(
-        numerator=sum_clusters(counts.hits & counts.trials, cluster),
-        denominator=sum_clusters(counts.trials, cluster),
-        seed=seed,
-    )
 
 
 def _rate_per_minute(alarms: Ints, duration_s: float, *, seed: int) -> Estimate:

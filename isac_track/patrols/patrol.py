@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from isac_track.config import PatrolSettings, StageSettings
-from isac_track.errors import DataError
+from isac_track.errors import DataError, SettingsError
 from isac_track.patrols.routes import draw_waypoints, places_along, walked_cells
 from isac_track.resample import Walk, walk
 from isac_track.rng import stream
@@ -99,9 +99,11 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
 
     `recorded` are placed tracks (`isac_track.place.placed`). Each robot draws its route
     from a random stream of its own. DataError if nobody is present at a scan, or at a
-    query.
+    query, and SettingsError without a fleet.
     """
     rules = settings.patrol
+    if not rules.fleets:
+        raise SettingsError("patrol.fleets is 0: name the number of fleets")
     start_s = float(recorded.t.min())
     end_s = min(float(recorded.t.max()), start_s + rules.segment_s)
     walks = _present_walks(recorded, settings=settings, start_s=start_s, end_s=end_s)

@@ -14,6 +14,7 @@ from isac_track.patrols.intervals import cluster_numbers
 from isac_track.types import Floats, Ints
 
 _CELLS_PER_RADIUS: Final = 4  # Cells of the map within epsilon.
+_MOST_CELLS: Final = 5e7  # Of a map that is held whole: 400 MB.
 
 
 def map_guesses(
@@ -32,6 +33,9 @@ def map_guesses(
     shape = tuple((cell.max(axis=0) + 1).tolist())
     sizes, cluster = np.diff(offsets), cluster_numbers(tuple(group))
     weight, owner = np.repeat(1.0 / sizes, sizes), np.repeat(cluster, sizes)
+    if np.prod(shape, dtype=np.float64) > _MOST_CELLS:
+        sparse = _guesses_on_large_map(cell, weight, owner, n_columns=shape[1])
+        return np.asarray(low + side_m * (sparse[cluster] + 0.5))
     everybody = _time_around(cell, weight, shape)
     guesses = np.empty((int(cluster.max()) + 1, 2))
     for number in range(len(guesses)):
@@ -42,6 +46,41 @@ def map_guesses(
         others = everybody - _time_around(cell[is_own], weight[is_own], shape)
         guesses[number] = np.unravel_index(others.argmax(), shape)
     return np.asarray(low + side_m * (guesses[cluster] + 0.5))
+
+
+def _guesses_on_large_map(
+    cell: Ints, weight: Floats, owner: Ints, *, n_columns: int
+) -> Floats:
+    """Return the cell of each cluster's guess, (C, 2), from walked cells alone.
+
+    The time around each cell that anybody came near is summed; a map of all cells of a
+    town would not fit into memory.
+    """
+    reach = np.arange(-_CELLS_PER_RADIUS, _CELLS_PER_RADIUS + 1)
+    near = np.argwhere(reach[:, None] ** 2 + reach**2 <= _CELLS_PER_RADIUS**2)
+    width = n_columns + 2 * _CELLS_PER_RADIUS  # So that no row runs into the next.
+    key = (cell[:, 0] + _CELLS_PER_RADIUS) * width + cell[:, 1] + _CELLS_PER_RADIUS
+    pairs, place = np.unique(np.stack([owner, key]), axis=1, return_inverse=True)
+    time = np.bincount(place.ravel(), weights=weight)
+    shift = (near - _CELLS_PER_RADIUS) @ np.array([width, 1])
+    around = pairs[1][:, None] + shift
+    keys, place = np.unique(around, return_inverse=True)
+    place = place.reshape(around.shape)
+    everybody = np.bincount(place.ravel(), weights=np.repeat(time, shift.size))
+    n_clusters = int(owner.max()) + 1
+    if n_clusters == 1:
+        return 0.5 * (cell.max(axis=0) + 1.0)[None]
+    guesses = np.empty((n_clusters, 2))
+    for number in range(n_clusters):
+        is_own = pairs[0] == number
+        others = everybody - np.bincount(
+            place[is_own].ravel(),
+            weights=np.repeat(time[is_own], shift.size),
+            minlength=keys.size,
+        )
+        best = keys[others.argmax()]
+        guesses[number] = best // width, best % width
+    return guesses - _CELLS_PER_RADIUS
 
 
 def _time_around(cell: Ints, weight: Floats, shape: tuple[int, ...]) -> Floats:

@@ -10,8 +10,15 @@ from helpers.commands import run
 from helpers.processes import ROOT
 
 from attacks.__main__ import KINDS, main
-from attacks.testing import CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS
+from attacks.testing import (
+    CHECKS,
+    LINKAGE_CHECKS,
+    MECHANISM_CHECKS,
+    POLICY_CHECKS,
+    PREDICTOR_CHECKS,
+)
 from isac_track import plugins
+from isac_track.plugins import KIND_BY_NOUN
 
 GUIDE = (ROOT / "docs" / "how-to" / "your-attack.md").read_text(encoding="utf-8")
 BROKEN, LINKERS = "helpers.broken_attacks", "helpers.broken_linkers"
@@ -106,6 +113,7 @@ class TestCheck:
         [
             ("fid:100,adding=independent", "as a mechanism:", MECHANISM_CHECKS),
             ("predictors.kalman:KalmanCV", "as a predictor:", PREDICTOR_CHECKS),
+            ("near:3.5", "as a policy:", POLICY_CHECKS),
         ],
     )
     def test_the_kind_follows_from_name_or_method(self, spec, head, checks, capsys):
@@ -142,13 +150,15 @@ class TestNew:
             ("my_linker", "linkage", LINKAGE_CHECKS, "bin_s"),
             ("my_noise", "mechanism", MECHANISM_CHECKS, "d_sigma"),
             ("my_tracker", "predictor", PREDICTOR_CHECKS, "window_s"),
+            ("my_policy", "policy", POLICY_CHECKS, "metres"),
         ],
     )
     def test_it_works_as_it_is(
         self, name, kind, checks, parameter, capsys, installed, monkeypatch, pytester
     ):
         folder, class_name = pytester.path / name, name.title().replace("_", "")
-        noun = kind if kind in ("mechanism", "predictor") else "attack"
+        noun = kind if kind in ("mechanism", "predictor", "policy") else "attack"
+        group = KIND_BY_NOUN[noun]
         folder.mkdir()  # an empty folder is taken
         assert main(["new", name, "--kind", kind]) == 0
         texts = {path.name: path.read_text("utf-8") for path in folder.iterdir()}
@@ -172,7 +182,7 @@ class TestNew:
         for line in ("python -m attacks new my_attack", *lines) * (noun == "attack"):
             assert f"\n{line.replace(name, 'my_attack')}\n" in GUIDE
         project = tomllib.loads(texts["pyproject.toml"])["project"]
-        entry_points = project["entry-points"][f"isac_track.{noun}s"]
+        entry_points = project["entry-points"][f"isac_track.{group}"]
         assert (project["name"], entry_points) == (name, {name: f"{name}:{class_name}"})
         # Its own tests, from where it was made.
         done = pytester.runpytest_inprocess(
@@ -183,7 +193,7 @@ class TestNew:
         capsys.readouterr()
         # By name, once installed.
         monkeypatch.syspath_prepend(folder)
-        installed(f"{noun}s", **entry_points)
+        installed(group, **entry_points)
         try:
             assert main(["list"]) == 0
             listed = capsys.readouterr().out
@@ -196,7 +206,7 @@ class TestNew:
 
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
         for kind in KINDS:
-            for name in (kind[0], f"{kind[:3]}_with_quite_a_long_name"):
+            for name in (kind[-1], f"{kind[:3]}_with_quite_a_long_name"):
                 assert main(["new", name, "--kind", kind]) == 0
         for words in (["check"], ["format", "--check"]):
             done = run(here, "-m", "ruff", *words, "--no-cache", ".")

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -18,6 +18,7 @@ from attacks.testing import (
     CHECKS,
     LINKAGE_CHECKS,
     MECHANISM_CHECKS,
+    POLICY_CHECKS,
     PREDICTOR_CHECKS,
     CheckResult,
     _rows,
@@ -26,6 +27,7 @@ from attacks.testing import (
     list_adversaries,
     parametrize_attack_checks,
     parametrize_mechanism_checks,
+    parametrize_policy_checks,
     parametrize_predictor_checks,
     run_checks,
 )
@@ -35,7 +37,7 @@ from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
 from isac_track.types import Knowledge
 
-KITS = (CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS)
+KITS = (CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS, POLICY_CHECKS)
 BROKEN = [*broken_attacks.BROKEN, *broken_linkers.BROKEN, *broken_plugins.BROKEN]
 
 
@@ -99,6 +101,70 @@ def test_a_fair_mechanism_passes(mechanism, check):
 @parametrize_predictor_checks([*built_in("predictors"), Stand()])
 def test_a_fair_predictor_passes(predictor, check):
     check(predictor)
+
+
+POLICIES = [
+    plugins.parse("policies", spec)[0]
+    for spec in (
+        "everything",
+        "window:1.3",
+        "near:3.5",
+        "near:3.5,select_on=shared",
+        "ahead:2",
+        "ahead:2,window_s=none,stds=1",
+        "random:0.4",
+        "state",
+        "state:2",
+        "flag",
+    )
+]
+
+
+@parametrize_policy_checks([plugin.instance for plugin in POLICIES])
+def test_a_fair_policy_passes(policy, check):
+    check(policy)
+
+
+def test_every_policy_is_among_them():
+    assert {spec.family for spec in POLICIES} == set(plugins.names("policies"))
+
+
+@dataclass(frozen=True)
+class Faulty:
+    """A policy with a fault of one's choice."""
+
+    fault: str
+    form: str = "samples"
+
+    def select(self, query):
+        everybody = np.ones(query.n_people, dtype=bool)
+        sent = query.recent_samples(everybody)
+        if self.fault == "numbers":
+            return sent.astype(int)
+        if self.fault == "short":
+            return sent[1:]
+        if self.fault == "draws":
+            return np.random.default_rng().random(query.t.size) < 0.5
+        if self.fault == "alone":
+            return sent & (query.offsets[1] > 2)
+        return sent
+
+
+@pytest.mark.parametrize(
+    ("policy", "name", "message"),
+    [
+        (Faulty("numbers"), "result_is_a_mask", "must return a mask"),
+        (Faulty("short"), "result_is_a_mask", "must return a mask"),
+        (Faulty("draws"), "same_query_same_answer", "differ in"),
+        (Faulty("alone"), "odd_queries_are_answered", "IndexError"),
+        (Faulty("", form="flag"), "form_is_kept", "a flag, which sends no sample"),
+        (Faulty("", form="state"), "form_is_kept", "a state, which is of now"),
+    ],
+)
+def test_a_faulty_policy_fails_where_it_should(policy, name, message):
+    results = {result.name: result for result in run_checks(policy)}
+    assert results[name].status == "failed"
+    assert message in results[name].message
 
 
 def test_every_mechanism_is_among_them():

@@ -15,14 +15,14 @@ from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
 from evaluation.store.files import to_csv
 from isac_track import plugins
-from isac_track.config import StageSettings
 
 pytestmark = pytest.mark.usefixtures("undrawn")
 
 
 @pytest.fixture
 def small(csv_recording, tmp_path):
-    words = "--scenes 8 --mechanism raw --predictor none --attack none --out"
+    words = "--scenes 8 --mechanism raw --predictor none --attack none"
+    words += " --policy none --out"
     return ["--dataset", csv_recording, *words.split(), tmp_path / "run"]
 
 
@@ -158,7 +158,7 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ("least_squares",)
     stages = {"privacy.epsilon_m": 0.2, "sensing.law": "isotropic"}
-    assert settings.stages == StageSettings().changed(stages)
+    assert settings.stages == Settings().stages.changed(stages)
 
 
 @pytest.mark.parametrize(

@@ -57,7 +57,7 @@ class _Linked(NamedTuple):
 def figures(run: Results) -> Iterator[Figure]:
     """Yield the figure of linkage, by the strongest attack on each task."""
     tasks = {task.name: _strongest(run, task) for task in run.tasks}
-    swept = schemes(run.summary)
+    swept = schemes(run.without_policy)
     names = list(dict.fromkeys(scheme.name for scheme in swept))
     shown = names[:_MOST_SWEPT]
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()

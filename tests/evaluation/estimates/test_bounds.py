@@ -28,7 +28,7 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
         "other_law": (),
     }
     axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
-    axes |= {"predictors": (), "protections": ()}
+    axes |= {"predictors": (), "protections": (), "policies": ()}
     model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, model)
     usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model")
@@ -80,6 +80,7 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
         "mechanisms": ("raw", "fixed:0.5"),
         "tasks": ("rerelease",),
         "predictors": (),
+        "policies": (),
     }
     axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
     model = {

@@ -1,16 +1,78 @@
-"""What is refused before anything is computed."""
+"""What a plan makes of settings, and what it refuses before anything is computed."""
 
 import pytest
+from helpers.small_runs import smoke
 
+from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.plan import plan
+from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
-from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 
-def test_settings_of_patrols_are_refused_since_a_run_would_ignore_them():
-    settings = Settings(stages=StageSettings().changed({"patrol.robots": "3"}))
-    with pytest.raises(
-        SettingsError, match=r"patrol\.\* settings change nothing in a run"
-    ):
-        plan(settings)
+def patrolled(csv_recording, **changes):
+    """Every mechanism, policy and reader of the patrols of a run."""
+    ready = plan(smoke(csv_recording, **changes))
+    return {
+        (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.knowledge)
+        for unit in ready.units
+        if unit.stage == PATROL
+        for consumer in unit.consumers.values()
+    }
+
+
+def keys(ready):
+    """Keys of the units of a plan: those of patrols, and all others."""
+    patrols = {unit.key for unit in ready.units if unit.stage == PATROL}
+    return patrols, {unit.key for unit in ready.units} - patrols
+
+
+def test_settings_of_patrols_are_in_the_keys_of_patrols_alone(csv_recording):
+    axes = {"policies": ("near:3",), "mechanisms": ("raw",)}
+    usual, other = (
+        keys(plan(smoke(csv_recording, stages={"patrol.robots": n}, **axes)))
+        for n in (1, 2)
+    )
+    assert usual[1] == other[1]
+    assert not usual[0] & other[0]
+
+
+def test_a_preset_has_its_number_of_fleets_and_a_user_another(csv_recording):
+    settings = Settings(dataset=str(csv_recording), scenes=8, attacks=(), tasks=())
+    for preset in ("quick", "paper"):
+        ready = plan(settings.changed(preset=preset))
+        assert ready.settings.stages.patrol.fleets == PRESETS[preset].fleets
+    stages = settings.stages.changed({"patrol.fleets": 20})
+    assert plan(settings.changed(stages=stages)).settings.stages.patrol.fleets == 20
+
+
+def test_every_policy_meets_robots_and_adversaries_of_the_patrolled(csv_recording):
+    found = patrolled(csv_recording, policies=("near:3", "flag"), mechanisms=("raw",))
+    readers = {("least_squares", "")}
+    readers |= {("log", name) for name in ("blind", "informed", "oracle")}
+    assert found == {
+        ("raw", policy, *reader) for policy in ("near:3", "flag") for reader in readers
+    }
+
+
+def test_named_mechanisms_are_patrolled_unless_they_withhold_samples(csv_recording):
+    named = ("raw", "fixed:0.3", "window:2", "thin:3")
+    found = patrolled(csv_recording, policies=("flag",), mechanisms=named)
+    assert {spec for spec, *_ in found} == {"raw", "fixed:0.3"}
+
+
+def test_without_policies_there_are_no_patrols(csv_recording):
+    assert not patrolled(csv_recording, policies=())
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        ("neer:3", "unknown policy 'neer'; did you mean 'near'"),
+        ("near:-3", "metres must be positive"),
+        ("window:0", "seconds must be positive"),
+    ],
+)
+def test_a_wrong_policy_is_refused(csv_recording, policy, message):
+    with pytest.raises(SettingsError, match=message):
+        plan(smoke(csv_recording, policies=(policy,)))

@@ -151,6 +151,7 @@ class TestWhatARunLeaves:
             "unit",
             "family",
             "adding",
+            "policy",
         ]
         assert list(drawn.paper_table.columns) == [
             "mechanism",
@@ -212,7 +213,8 @@ class TestWhatARunLeaves:
         assert manifest["dataset"]["tracks"] == 12
         known = manifest["settings"]
         assert known["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
-        assert known["stages"] == finished.stages.flat()
+        fleets = {"patrol.fleets": PRESETS[finished.preset].fleets}
+        assert known["stages"] == finished.stages.flat() | fleets
         assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
             manifest["environment"].keys()
         )
@@ -250,6 +252,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         "tasks": (),
     }
     axes |= {"other_law": (), "model": (), "protections": (), "breakers": ()}
+    axes |= {"policies": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, few)
     for name in ("plan.plan", "pool.pieces"):
@@ -477,7 +480,7 @@ def test_some_levels_are_computed_under_the_other_law_too(
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes |= {"protections": (), "model": (), "breakers": ()}
+    axes |= {"protections": (), "model": (), "breakers": (), "policies": ()}
     few = replace(
         PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes
     )

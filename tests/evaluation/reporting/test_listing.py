@@ -31,7 +31,7 @@ def test_no_line_is_too_wide(sections):
     assert all(sections.values())
 
 
-@pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks"])
+@pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks", "policies"])
 def test_every_plugin_is_a_line_that_says_what_it_is(kind, sections):
     names = plugins.names(kind)
     lines = sections[kind]

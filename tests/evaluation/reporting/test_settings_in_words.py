@@ -56,7 +56,7 @@ def other(key):
     return float(f"{1.25 * usual:.4g}") if isinstance(usual, float) else usual
 
 
-# The settings of a run; it refuses those of patrols.
+# The settings of a run without patrols.
 READ = [key for key in DEFAULTS if not key.startswith("patrol.")]
 CHANGED = {key: value for key in READ if (value := other(key)) != DEFAULTS[key]}
 

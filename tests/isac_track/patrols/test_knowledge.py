@@ -12,7 +12,7 @@ from helpers.patrols import (
     straight_walks,
 )
 
-from isac_track.patrols import make_patrol
+from isac_track.patrols import make_patrol, walked_map
 from isac_track.patrols.answers import disclose
 from isac_track.patrols.knowledge import (
     ESTIMATORS,
@@ -342,3 +342,24 @@ def test_an_empty_log_is_no_error():
             nothing, patrol, estimator=name, otherwise=otherwise
         )
         np.testing.assert_array_equal(estimate, otherwise)
+
+
+def test_a_map_of_walked_cells_alone_gives_the_same_guesses(monkeypatch):
+    rng = np.random.default_rng(5)
+    places = rng.uniform(0.0, 3.0, (9, 2))
+    xy = np.repeat(places, 20, axis=0) + rng.normal(0.0, 0.2, (180, 2))
+    offsets, group = np.arange(0, 181, 20), ["a", "a", *"bcdefgh"]
+    whole = map_guesses(xy, offsets, group=group, epsilon_m=0.3)
+    monkeypatch.setattr(walked_map, "_MOST_CELLS", 0.0)
+    sparse = map_guesses(xy, offsets, group=group, epsilon_m=0.3)
+    # Other sums of the same times: equal times may be told apart by rounding.
+    near_m = np.hypot(*(whole - sparse).T)
+    assert (near_m < 0.05).mean() > 0.8
+
+
+def test_a_map_of_a_town_fits_into_memory():
+    rng = np.random.default_rng(6)
+    xy = np.repeat(rng.uniform(0.0, 2e4, (5, 2)), 10, axis=0)
+    xy[40:] = xy[30:40]  # The last two stand at one place.
+    guesses = map_guesses(xy, np.arange(0, 51, 10), group=list("abcde"), epsilon_m=0.3)
+    assert np.hypot(*(guesses[0] - xy[30])) < 0.4

@@ -189,7 +189,7 @@ class TestSensing:
     ("name", "value", "message"),
     [
         ("robots", 0, "patrol.robots must lie within 1 to 100"),
-        ("fleets", 0, "patrol.fleets must lie within 1 to 1000"),
+        ("fleets", -1, "patrol.fleets must lie within 0 to 1000"),
         ("query_s", 0.0, "patrol.query_s must lie within"),
         ("query_s", 0.05, r"patrol.query_s \(0.05\) is below patrol.scan_s"),
         ("scan_s", -1.0, "patrol.scan_s must lie within"),

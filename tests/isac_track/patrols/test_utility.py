@@ -332,3 +332,15 @@ class TestPolicies:
             metrics = utility_metrics(task, everything, horizon=horizon, seed=0)
             assert metrics["withheld_share"].value == 0.0
             assert metrics["withheld_share"].n > 0
+
+
+def test_a_robot_that_meets_nobody_foresees_nothing():
+    patrol = patrol_past(straight_walks((0.0, 5.0, (0.0, 0.0), (1.0, 0.0))), (900.0, 0))
+    network = clean_network(patrol)
+    foreseen = foreseen_conflicts(
+        network,
+        disclose(network, Near(1.0)),
+        predictor=LeastSquares(),
+        safety_radius_m=0.9,
+    )
+    assert (foreseen == NEVER).all()

@@ -1,0 +1,348 @@
+"""Patrols of a mechanism: what robots miss, and what the log of a fleet reveals.
+
+A level is shared once, and each policy answers once; all readers of a policy share its
+answers. Rows are per person and route, or fleet, so that intervals draw both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from attacks.following.logs import Following, follow_fleets
+from evaluation.compute.current_cell import note_cell
+from evaluation.compute.sharing import copy_for_user_plugin, guarded
+from evaluation.plan.constants import ORACLE
+from evaluation.plan.fingerprint import is_user_plugin
+from isac_track.errors import PluginError, SettingsError
+from isac_track.patrols import horizon_scans, make_patrol
+from isac_track.patrols.answers import (
+    Disclosure,
+    Network,
+    SensedPatrol,
+    disclose,
+    disclose_each,
+    make_network,
+    sense_patrol,
+)
+from isac_track.patrols.knowledge import (
+    ESTIMATORS,
+    Known,
+    guesses_from_map,
+    known_places,
+)
+from isac_track.patrols.metrics import (
+    SHARES,
+    RobotTask,
+    UtilityCounts,
+    count_utility,
+    foresee,
+    is_by_construction,
+    robot_task,
+)
+from isac_track.policies.samples import Everything
+from isac_track.rng import stream
+from isac_track.types import Floats, Ints, Release, Tracks
+from predictors.kalman import KalmanCV
+
+if TYPE_CHECKING:
+    from evaluation.compute.tables import Rows
+    from evaluation.plan.axes import Consumer
+    from isac_track.config import StageSettings
+    from isac_track.patrols import Patrol
+    from isac_track.plugins import Plugin
+
+_ALL: Final = "everything"  # Answers that hold all samples, for `withheld_share`.
+
+
+@dataclass(frozen=True, eq=False)
+class PatrolSetup:
+    """A patrol as its network senses it, and what its readers share."""
+
+    sensed: SensedPatrol
+    stages: StageSettings
+    seed: int
+
+    @property
+    def patrol(self) -> Patrol:
+        """The patrol."""
+        return self.sensed.patrol
+
+    @cached_property
+    def guesses(self) -> Floats:
+        """Guesses from the map of where people stand, (N, 2) m; made at first use."""
+        epsilon_m = self.stages.privacy.epsilon_m
+        return guesses_from_map(self.patrol, epsilon_m=epsilon_m)
+
+
+def patrol_setup(recorded: Tracks, *, stages: StageSettings, seed: int) -> PatrolSetup:
+    """Make the patrol through a recording, and sense everybody once.
+
+    The network forecasts by `kalman_cv`, whatever robots a run has. DataError if nobody
+    is present when a robot asks.
+    """
+    patrol = make_patrol(recorded, settings=stages, seed=seed)
+    sensed = sense_patrol(patrol, forecaster=KalmanCV(), settings=stages, seed=seed)
+    return PatrolSetup(sensed, stages, seed)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SharedPatrol:
+    """A patrol shared with a mechanism, the answers of policies, and robots' tasks.
+
+    Both are held as long as this object. A task is made when its robot first reads, and
+    so are the answers of a user's policy: it fails alone.
+    """
+
+    setup: PatrolSetup
+    network: Network
+    disclosures: dict[str, Disclosure]  # By SPEC of the policy, and `_ALL`.
+    tasks: dict[str, RobotTask] = field(default_factory=dict)
+
+    def disclosure(self, policy: Plugin) -> Disclosure:
+        """Return the answers of a policy."""
+        if policy.spec not in self.disclosures:
+            self.disclosures[policy.spec] = disclose(
+                self.network, policy.instance, name=policy.spec
+            )
+        return self.disclosures[policy.spec]
+
+    def task(self, robot: Plugin) -> RobotTask:
+        """Return the task of a robot."""
+        if robot.spec not in self.tasks:
+            self.tasks[robot.spec] = guarded(
+                f"predictor {robot.spec!r}",
+                lambda: robot_task(
+                    self.network,
+                    self.disclosures[_ALL],
+                    predictor=robot.instance,
+                    settings=self.setup.stages,
+                ),
+            )
+        return self.tasks[robot.spec]
+
+
+def share_level(
+    mechanism: Plugin, setup: PatrolSetup, policies: Iterable[Plugin]
+) -> SharedPatrol:
+    """Share a patrol with a mechanism, and let the built-in policies answer.
+
+    PluginError if the mechanism raises or breaks its contract; the message names it.
+    """
+    name, sensed = f"mechanism {mechanism.spec!r}", setup.sensed.sensed
+    rng = stream(setup.seed, "patrols", "sharing")
+    release = guarded(
+        name,
+        lambda: mechanism.instance.share(copy_for_user_plugin(sensed, mechanism), rng),
+    )
+    if not isinstance(release, Release):
+        raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
+    try:
+        network = make_network(
+            setup.sensed, mechanism=mechanism.instance, release=release
+        )
+    except SettingsError as error:
+        raise PluginError(
+            f"{name} leaves samples out, which on patrols a policy does; declare"
+            " `withholds = True` in its class"
+        ) from error
+    answered = {_ALL: Everything()} | {
+        policy.spec: policy.instance
+        for policy in policies
+        if not is_user_plugin(policy)
+    }
+    return SharedPatrol(setup, network, disclose_each(network, answered))
+
+
+def policy_rows(
+    consumers: Iterable[Consumer], shared: SharedPatrol, *, mechanism: Plugin
+) -> Iterator[tuple[Consumer, Rows]]:
+    """Yield the readers of one policy, each with its rows.
+
+    What several of them need is computed once, and held as long as this runs.
+    """
+    foreseen: dict[str, Ints] = {}
+    known: Known | None = None
+    for consumer in consumers:
+        note_cell(mechanism.spec, consumer.label)
+        assert consumer.policy is not None
+        disclosure = shared.disclosure(consumer.policy)
+        if (robot := consumer.plugin) is not None:
+            task = shared.task(robot)
+            if robot.spec not in foreseen and disclosure is shared.disclosures[_ALL]:
+                foreseen[robot.spec] = task.everything
+            if robot.spec not in foreseen:
+                foreseen[robot.spec] = _foresee(robot, task, disclosure)
+            yield consumer, _robot_rows(consumer, task, foreseen[robot.spec])
+            continue
+        known = known or known_places(
+            shared.network,
+            disclosure,
+            guesses=shared.setup.guesses,
+            epsilon_m=shared.setup.stages.privacy.epsilon_m,
+        )
+        if consumer.knowledge == ORACLE:
+            yield consumer, known_rows(known)
+        else:
+            following = _follow(consumer, shared, known=known)
+            yield consumer, followed_rows(following)
+
+
+def _foresee(robot: Plugin, task: RobotTask, disclosure: Disclosure) -> Ints:
+    """Return what a robot foresees, (E, R); PluginError names a predictor that fails."""
+    foreseen: Ints = guarded(
+        f"predictor {robot.spec!r}", lambda: foresee(task, disclosure)
+    )
+    return foreseen
+
+
+def _robot_rows(consumer: Consumer, task: RobotTask, foreseen: Ints) -> Rows:
+    """Return the rows of a robot at the horizon of its world."""
+    stages = task.settings
+    horizon_s = consumer.world.horizon_s
+    horizon, *further = horizon_scans(stages)
+    if horizon_s is not None:
+        horizon = further[stages.conflict.horizons_s.index(horizon_s)]
+    counts = count_utility(task, foreseen, horizon=horizon)
+    assert consumer.policy is not None
+    assert consumer.plugin is not None
+    is_built_in = is_by_construction(
+        task.network, consumer.policy.instance, consumer.plugin.instance
+    )
+    rows = utility_rows(counts)
+    return rows | {"by_construction": np.full(rows["route"].size, is_built_in)}
+
+
+def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Following:
+    """Follow people through the logs, with the estimator that knows most."""
+    setup, policy = shared.setup, consumer.policy
+    assert policy is not None
+    return follow_fleets(
+        shared.network,
+        shared.disclosure(policy),
+        estimator=ESTIMATORS[known.best],
+        guesses=setup.guesses,
+        epsilon_m=setup.stages.privacy.epsilon_m,
+        seed=setup.seed,
+        knows_policy=policy.instance if consumer.knowledge == "informed" else None,
+    )
+
+
+def utility_rows(counts: UtilityCounts) -> Rows:
+    """Return rows of a robot by person and route, (N R,); see `utility_counts`."""
+    n_people, n_routes = counts.trials[SHARES[0]].shape
+    rows = _place_rows(n_people, n_routes)
+    for name in SHARES:
+        rows[f"{name}_hits"] = counts.hits[name].astype(np.int32).ravel()
+        rows[f"{name}_trials"] = counts.trials[name].astype(np.int32).ravel()
+    # Those of a route, in the rows of all people.
+    rows["false_alarms"] = np.tile(counts.false_alarms.astype(np.int32), n_people)
+    rows["walked_s"] = np.full(n_people * n_routes, counts.walked_s)
+    return rows
+
+
+def utility_counts(rows: Rows) -> UtilityCounts:
+    """Return the counts of the rows of `utility_rows`."""
+    n_routes = int(rows["route"].max()) + 1
+    return UtilityCounts(
+        hits={name: rows[f"{name}_hits"].reshape(-1, n_routes) for name in SHARES},
+        trials={name: rows[f"{name}_trials"].reshape(-1, n_routes) for name in SHARES},
+        false_alarms=rows["false_alarms"][:n_routes].astype(np.int64),
+        walked_s=float(rows["walked_s"][0]),
+    )
+
+
+_KNOWN_ROWS: Final = ("disclosed", "leaked", "seen")  # (N, F) of `Known`.
+_KNOWN_PEOPLE: Final = ("instants", "known_by_map")  # (N,)
+_KNOWN_ESTIMATORS: Final = ("known", "known_undisclosed")  # (K, N, F)
+
+
+def known_rows(known: Known) -> Rows:
+    """Return rows of knowledge by person and fleet, (N F,); see `known_from_rows`."""
+    n_people, n_fleets = known.disclosed.shape
+    rows = _place_rows(n_people, n_fleets)
+    for name in _KNOWN_PEOPLE:
+        rows[name] = np.repeat(getattr(known, name).astype(np.int32), n_fleets)
+    for name in _KNOWN_ROWS:
+        rows[name] = _small(getattr(known, name)).ravel()
+    for name in _KNOWN_ESTIMATORS:
+        for estimator, counts in zip(ESTIMATORS, getattr(known, name), strict=True):
+            rows[f"{name}_{estimator}"] = _small(counts).ravel()
+    return rows
+
+
+def known_from_rows(rows: Rows) -> Known:
+    """Return the knowledge of the rows of `known_rows`."""
+    n_fleets = int(rows["route"].max()) + 1
+    by_estimator = {
+        name: np.stack(
+            [
+                rows[f"{name}_{estimator}"].reshape(-1, n_fleets)
+                for estimator in ESTIMATORS
+            ]
+        )
+        for name in _KNOWN_ESTIMATORS
+    }
+    return Known(
+        **{name: rows[name].reshape(-1, n_fleets) for name in _KNOWN_ROWS},
+        **{name: rows[name][::n_fleets] for name in _KNOWN_PEOPLE},
+        **by_estimator,
+    )
+
+
+_FOLLOWED_ROWS: Final = ("ceiling_s", "followed_s", "until_s", "ending", "known")
+_FOLLOWED_PEOPLE: Final = ("present_s", "instants")
+
+
+def followed_rows(following: Following) -> Rows:
+    """Return rows of being followed by person and fleet; see `followed_from_rows`."""
+    n_people, n_fleets = following.followed_s.shape
+    rows = _place_rows(n_people, n_fleets)
+    for name in _FOLLOWED_PEOPLE:
+        rows[name] = np.repeat(_small(getattr(following, name)), n_fleets)
+    for name in _FOLLOWED_ROWS:
+        rows[name] = _small(getattr(following, name)).ravel()
+    return rows
+
+
+def followed_from_rows(rows: Rows) -> Following:
+    """Return what the rows of `followed_rows` say."""
+    n_fleets = int(rows["route"].max()) + 1
+    return Following(
+        **{name: rows[name].reshape(-1, n_fleets) for name in _FOLLOWED_ROWS},
+        **{name: rows[name][::n_fleets] for name in _FOLLOWED_PEOPLE},
+    )
+
+
+ROBOT_COLUMNS: Final = (
+    "route",
+    *(f"{name}_{part}" for name in SHARES for part in ("hits", "trials")),
+    "false_alarms",
+    "walked_s",
+    "by_construction",
+)
+KNOWN_COLUMNS: Final = (
+    "route",
+    *_KNOWN_PEOPLE,
+    *_KNOWN_ROWS,
+    *(f"{name}_{estimator}" for name in _KNOWN_ESTIMATORS for estimator in ESTIMATORS),
+)
+FOLLOWED_COLUMNS: Final = ("route", *_FOLLOWED_PEOPLE, *_FOLLOWED_ROWS)
+"""Columns of the cells of robots and logs, beside source and group."""
+
+
+def _place_rows(n_people: int, n_routes: int) -> Rows:
+    """Return the columns that identify a person and a route, or a fleet."""
+    return {
+        "track": np.repeat(np.arange(n_people), n_routes),
+        "route": np.tile(np.arange(n_routes, dtype=np.int32), n_people),
+    }
+
+
+def _small(values: Floats | Ints) -> Floats | Ints:
+    """Return whole numbers in four bytes, and all others as they are."""
+    return values.astype(np.int32) if values.dtype.kind == "i" else values

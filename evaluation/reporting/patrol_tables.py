@@ -1,0 +1,188 @@
+"""Tables and sentences about patrols: what robots miss, what the log of a fleet tells."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+import pandas as pd
+
+from evaluation.estimates.keys import row_dicts
+from evaluation.estimates.metrics import METRICS
+from evaluation.estimates.patrols import MAP
+from evaluation.plan.address import parse_dataset
+from evaluation.reporting import table as make
+from evaluation.reporting.lookups import find_family
+from evaluation.reporting.names import (
+    mechanism_name,
+    robot_name,
+    robot_subject,
+)
+from evaluation.reporting.rows import Results
+from evaluation.reporting.table import Cell, Table
+
+_LOG: Final = {
+    "disclosed": ("shared", "", "disclosed_share"),
+    "known, true identities": ("log", "oracle", "known_share"),
+    "... worst tenth": ("log", "oracle", "known_worst_tenth"),
+    "known, own chains": ("log", "blind", "known_share"),
+    "followed": ("log", "blind", "followed_s"),
+    "followed 10 s": ("log", "blind", "followed_10s"),
+    "time to confusion": ("log", "blind", "time_to_confusion_s"),
+    "PLR of walks": ("shared", "", "plr_walk"),
+}
+"""Columns about a log: consumer, adversary and metric."""
+_ROBOT: Final = (
+    "missed_conflict_rate",
+    "missed_future_rate",
+    "missed_encounter_rate",
+    "withheld_share",
+    "false_alarms_per_min",
+)
+_BUILT_IN: Final = "*"
+_FEW: Final = (
+    "No intervals: they draw people and routes, and take 20 routes"
+    " (--set patrol.fleets=20) and 15 effective clusters of people."
+)
+
+
+def patrol_tables(run: Results) -> list[Table]:
+    """Return the tables of patrols: of logs, and of each robot; empty without any."""
+    rows = run.patrols
+    if rows.empty:
+        return []
+    notes = [] if rows["ci_low"].notna().any() else [_FEW]
+    return [_log_table(run, rows, notes), _robot_table(run, rows, notes)]
+
+
+def _log_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
+    """Return what logs disclose and reveal, a row for each policy and mechanism."""
+    cells: dict[tuple[str, str], dict[str, Cell]] = {}
+    for row in row_dicts(rows):
+        place = row["consumer"], row["knowledge"] or "", row["metric"]
+        for title, column in _LOG.items():
+            if place == column:
+                own = cells.setdefault((row["policy"], _shared(run, row)), {})
+                own[title] = _cell(row)
+    stages = run.manifest["settings"]["stages"]
+    about = (
+        f"{stages['patrol.fleets']} fleets of {stages['patrol.robots']}; known: stated"
+        f" within {stages['privacy.epsilon_m']:g} m, % of person-time."
+    )
+    for share in rows.loc[rows["consumer"] == MAP, "value"].unique()[:1]:
+        about += f" A map without a log knows {100 * share:.1f} %."
+    return make.build_table(
+        "patrol-logs",
+        "Patrols: what the log of a fleet tells, by disclosure policy",
+        _records(cells),
+        [
+            make.text_column("policy"),
+            make.text_column("mechanism"),
+            *(
+                make.cell_column(title, unit=METRICS[metric].unit)
+                for title, (_, _, metric) in _LOG.items()
+            ),
+        ],
+        notes=[
+            about,
+            "Own chains: an adversary that joins answers without identities.",
+            *notes,
+        ],
+        n_keys=2,
+    )
+
+
+def _robot_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
+    """Return what robots miss, a row for each robot, horizon, policy and mechanism."""
+    places = run.verdict.get("patrols", {}).get("by_construction", ())
+    known = {_place(place) for place in places}
+    cells: dict[tuple[str, ...], dict[str, Cell]] = {}
+    for row in row_dicts(rows):
+        if row["metric"] not in _ROBOT or row["knowledge"]:
+            continue
+        world = parse_dataset(row["dataset"]).world
+        place = _place(row | {"world": world.text})
+        is_built_in = row["metric"] == "withheld_share" and place in known
+        seconds = world.horizon_s
+        key = (
+            robot_name(row["consumer"]),
+            "paper's" if seconds is None else f"{seconds:g} s",
+            row["policy"],
+            _shared(run, row),
+        )
+        own = cells.setdefault(key, {})
+        own[METRICS[row["metric"]].head] = _cell(
+            row, mark=_BUILT_IN if is_built_in else ""
+        )
+    heads = ("robot", "horizon", "policy", "mechanism")
+    records = [dict(zip(heads, key, strict=True)) | own for key, own in cells.items()]
+    return make.build_table(
+        "patrol-robots",
+        "Patrols: what robots miss, by disclosure policy",
+        records,
+        [
+            *map(make.text_column, heads),
+            *(
+                make.cell_column(METRICS[name].head, unit=METRICS[name].unit)
+                for name in _ROBOT
+            ),
+        ],
+        marks={
+            _BUILT_IN: "by construction: policy and robot forecast alike, no result"
+        },
+        notes=notes,
+        n_keys=4,
+    )
+
+
+def patrol_sentence(run: Results) -> str:
+    """Return the policy and mechanism that a run proposes for patrols; or empty."""
+    found = run.verdict.get("patrols", {}).get("recommended", {})
+    if not found:
+        return ""
+    everything, best = found["everything"], found["best"]
+    seconds = found["horizon_s"]
+    ahead = f" within {seconds:g} s" if seconds else ""
+    all_sent = _percent(everything["known"])
+    text = (
+        f"If {robot_subject(found['robot'])} may miss {100 * found['limit']:g} points"
+        f" more conflicts{ahead}"
+    )
+    if best is None or best == everything:
+        return (
+            f"{text}, no policy tried lets a log know less: {all_sent} of person-time."
+        )
+    shared = mechanism_name(find_family(run.families, best["mechanism"]), best["level"])
+    certainty = "" if found["has_interval"] else " (no intervals: few routes)"
+    return (
+        f"{text}, policy {best['policy']} with {shared} tells a log least:"
+        f" {_percent(best['known'])} of person-time instead of {all_sent}{certainty}."
+    )
+
+
+def _records(
+    cells: Mapping[tuple[str, str], Mapping[str, Cell]],
+) -> Iterable[dict[str, Any]]:
+    return (
+        {"policy": policy, "mechanism": mechanism} | dict(own)
+        for (policy, mechanism), own in cells.items()
+    )
+
+
+def _shared(run: Results, row: Mapping[str, Any]) -> str:
+    """Return the name of the mechanism of a row."""
+    level = None if pd.isna(row["level"]) else row["level"]
+    return mechanism_name(find_family(run.families, row["mechanism"]), level)
+
+
+def _cell(row: Mapping[str, Any], *, mark: str = "") -> Cell:
+    return make.metric_cell(
+        row["metric"], row["value"], row["ci_low"], row["ci_high"], mark=mark
+    )
+
+
+def _place(row: Mapping[str, Any]) -> tuple[Any, ...]:
+    level = None if pd.isna(row["level"]) else float(row["level"])
+    return row["mechanism"], level, row["policy"], row["consumer"], row["world"]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"

@@ -1,0 +1,199 @@
+"""Patrols of a run: the numbers of the library, whatever else is in the run."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.small_runs import smoke, write_walks
+
+import evaluation
+from attacks.following.followed import following_metrics
+from attacks.following.logs import follow_fleets
+from evaluation.compute.patrols import (
+    followed_from_rows,
+    followed_rows,
+    known_from_rows,
+    known_rows,
+    utility_counts,
+    utility_rows,
+)
+from isac_track import datasets
+from isac_track.patrols import horizon_scans, make_patrol
+from isac_track.patrols.answers import disclose, share_patrol
+from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrols.metrics import (
+    count_utility,
+    foresee,
+    knowledge_metrics,
+    robot_task,
+    utility_metrics,
+)
+from isac_track.place import placed
+from isac_track.plugins import parse
+from isac_track.policies.samples import Everything
+from predictors.kalman import KalmanCV
+from predictors.least_squares import LeastSquares
+
+POLICIES = ("near:3", "random:0.5", "flag")
+FEW = {"patrol.fleets": 2, "patrol.segment_s": 20.0, "conflict.horizons_s": (2.0,)}
+KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric", "policy"]
+
+
+def run(csv_recording, out, **changes):
+    """A small run with patrols, as a frame."""
+    usual = {"mechanisms": ("raw", "fixed:0.5"), "policies": POLICIES, "stages": FEW}
+    settings = smoke(csv_recording, out, **(usual | changes))
+    return evaluation.run(settings, progress=False, pictures=False)
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("patrols") / "walks.csv"
+    write_walks(path, n_people=12)
+    return path
+
+
+@pytest.fixture(scope="module")
+def made(recording):
+    return run(recording, recording.parent / "run")
+
+
+@pytest.fixture(scope="module")
+def world(recording):
+    """The same patrol, from the library alone."""
+    stages = smoke(recording, stages=FEW).stages
+    tracks = placed(datasets.load(str(recording)).tracks, settings=stages)
+    patrol = make_patrol(tracks, settings=stages, seed=0)
+    (mechanism,) = parse("mechanisms", "fixed:0.5")
+    network = share_patrol(
+        patrol,
+        mechanism=mechanism.instance,
+        forecaster=KalmanCV(),
+        settings=stages,
+        seed=0,
+    )
+    task = robot_task(
+        network,
+        disclose(network, Everything()),
+        predictor=LeastSquares(),
+        settings=stages,
+    )
+    guesses = guesses_from_map(patrol, epsilon_m=stages.privacy.epsilon_m)
+    return {"stages": stages, "network": network, "task": task, "guesses": guesses}
+
+
+def value(made, policy, consumer, metric, *, knowledge="", world=""):
+    rows = made.summary[made.summary["policy"] == policy]
+    rows = rows[(rows["mechanism"] == "fixed") & (rows["consumer"] == consumer)]
+    rows = rows[(rows["metric"] == metric) & (rows["knowledge"] == knowledge)]
+    name = f"{made.dataset}:{world}" if world else made.dataset
+    (number,) = rows.loc[rows["dataset"] == name, "value"]
+    return number
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_numbers_are_those_of_the_library(made, world, policy):
+    network, task, stages = world["network"], world["task"], world["stages"]
+    (plugin,) = parse("policies", policy)
+    disclosure = disclose(network, plugin.instance)
+    for horizon, name in zip(horizon_scans(stages), ("", "horizon=2s"), strict=True):
+        expected = utility_metrics(task, disclosure, horizon=horizon, seed=0)
+        for metric, estimate in expected.items():
+            if metric != "missed_future_at_equal_alarms":
+                ours = value(made, policy, "least_squares", metric, world=name)
+                np.testing.assert_equal(ours, estimate.value)
+    epsilon_m = stages.privacy.epsilon_m
+    known = known_places(
+        network, disclosure, guesses=world["guesses"], epsilon_m=epsilon_m
+    )
+    group = network.patrol.people.group
+    expected = knowledge_metrics(known, group=group, seed=0)
+    for metric in ("known_share", "known_undisclosed", "known_worst_tenth"):
+        ours = value(made, policy, "log", metric, knowledge="oracle")
+        np.testing.assert_equal(ours, expected[metric].value)
+    for metric in ("disclosed_share", "people_seen", "plr_walk"):
+        ours = value(made, policy, "shared", metric)
+        np.testing.assert_equal(ours, expected[metric].value)
+    by_map = expected["known_by_map"].value
+    np.testing.assert_equal(value(made, policy, "map", "known_share"), by_map)
+    for knowledge, knows in (("blind", None), ("informed", plugin.instance)):
+        following = follow_fleets(
+            network,
+            disclosure,
+            estimator=ESTIMATORS[known.best],
+            guesses=world["guesses"],
+            epsilon_m=epsilon_m,
+            seed=0,
+            knows_policy=knows,
+        )
+        expected_followed = following_metrics(following, group=group, seed=0)
+        for metric in ("known_share", "followed_s", "followed_10s"):
+            ours = value(made, policy, "log", metric, knowledge=knowledge)
+            np.testing.assert_equal(ours, expected_followed[metric].value)
+
+
+def test_rows_are_unique_and_all_others_have_no_policy(made, recording):
+    assert not made.summary.duplicated(KEY).any()
+    assert set(made.patrols["policy"]) == set(POLICIES)
+    alone = run(recording, recording.parent / "alone", policies=())
+    others = made.without_policy.reset_index(drop=True)
+    pd.testing.assert_frame_equal(others, alone.summary, check_exact=True)
+
+
+def test_two_workers_and_another_order_give_the_same_rows(made, recording):
+    other = run(
+        recording,
+        recording.parent / "other",
+        policies=(*POLICIES[::-1], "state"),
+        mechanisms=("fid:3", "fixed:0.5", "raw"),
+        jobs=2,
+    )
+    ours, theirs = (
+        result.patrols.fillna({"level": -1.0}).set_index(KEY).sort_index()
+        for result in (made, other)
+    )
+    assert set(ours.index) < set(theirs.index)
+    pd.testing.assert_frame_equal(theirs.loc[ours.index], ours, check_exact=True)
+
+
+def test_a_policy_is_added_to_a_folder_and_other_patrols_replace_its_own(
+    recording, tmp_path
+):
+    out = tmp_path / "run"
+    first = run(recording, out, policies=("near:3",))
+    more = run(recording, out, policies=("flag",))
+    assert set(more.patrols["policy"]) == {"near:3", "flag"}
+    kept = more.patrols[more.patrols["policy"] == "near:3"].reset_index(drop=True)
+    before = first.patrols.reset_index(drop=True)
+    pd.testing.assert_frame_equal(kept, before, check_exact=True)
+    again = run(recording, out, policies=("flag",), stages=FEW | {"patrol.robots": 2})
+    assert set(again.patrols["policy"]) == {"flag"}
+
+
+def test_rows_hold_all_that_estimates_need(world):
+    network, task, stages = world["network"], world["task"], world["stages"]
+    (plugin,) = parse("policies", "near:3")
+    disclosure = disclose(network, plugin.instance)
+    counts = count_utility(task, foresee(task, disclosure), horizon=5)
+    back = utility_counts(utility_rows(counts))
+    for part in ("hits", "trials"):
+        np.testing.assert_equal(getattr(back, part), getattr(counts, part))
+    known = known_places(
+        network,
+        disclosure,
+        guesses=world["guesses"],
+        epsilon_m=stages.privacy.epsilon_m,
+    )
+    following = follow_fleets(
+        network,
+        disclosure,
+        estimator="smooth",
+        guesses=world["guesses"],
+        epsilon_m=stages.privacy.epsilon_m,
+        seed=0,
+    )
+    for before, after in (
+        (known, known_from_rows(known_rows(known))),
+        (following, followed_from_rows(followed_rows(following))),
+    ):
+        for name in type(before).__dataclass_fields__:
+            np.testing.assert_equal(getattr(after, name), getattr(before, name))
