@@ -31,6 +31,7 @@ from evaluation.pool.duration import (
 )
 from evaluation.pool.pieces import cut_work
 from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -61,7 +62,7 @@ def _measure(arguments: Sequence[str] | None) -> int:
         predictors=("+kalman_cv:aware=true",),
         attacks=ATTACKS,
         policies=("everything", "near:3.5", "ahead:2"),
-        stages={"patrol.fleets": 4},
+        stages=StageSettings().changed({"patrol.fleets": 4}),
         jobs=1,
         out=Path("not-written"),
     )

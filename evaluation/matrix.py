@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.plan.presets import DEFAULT, PRESETS
-from evaluation.plan.settings import OPTIONS, Settings
+from evaluation.plan.settings import OPTIONS, USUAL_STAGES, Settings
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
@@ -195,7 +195,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
     return Settings(
         adversaries=values.pop("adversary", ()),
         cell_timeout_s=values.pop("cell_timeout", None),
-        stages=stage_values,
+        stages=USUAL_STAGES.changed(stage_values),
         sessions=values.pop("session", ()),
         **values,
     )

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from isac_track.patrols import Patrol
     from isac_track.plugins import Plugin
 
+Array: TypeAlias = "np.ndarray[Any, np.dtype[Any]]"
 _ALL: Final = "everything"  # Answers that hold all samples, for `withheld_share`.
 
 
@@ -343,6 +344,6 @@ def _place_rows(n_people: int, n_routes: int) -> Rows:
     }
 
 
-def _small(values: Floats | Ints) -> Floats | Ints:
+def _small(values: Array) -> Array:
     """Return whole numbers in four bytes, and all others as they are."""
     return values.astype(np.int32) if values.dtype.kind == "i" else values

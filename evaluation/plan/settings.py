@@ -48,7 +48,7 @@ _PRECISION_WRONG = (
     " 0.5 (0.01: +- 1 %), got {0:g}"
 )
 _ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:(?P<port>[0-9]{1,5})/?)")
-_USUAL_STAGES: Final = StageSettings().changed({"patrol.fleets": 0})
+USUAL_STAGES: Final = StageSettings().changed({"patrol.fleets": 0})
 """Without a number of fleets a run has those of its preset (`plan`)."""
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
@@ -165,7 +165,7 @@ class Settings:
     tasks: tuple[str, ...] | None = None
     policies: tuple[str, ...] | None = None
     adversaries: tuple[str, ...] = ()
-    stages: StageSettings = field(default_factory=lambda: _USUAL_STAGES)
+    stages: StageSettings = field(default_factory=lambda: USUAL_STAGES)
     jobs: int | None = None
     cell_timeout_s: float | None = None
     executor: str = "local"
@@ -223,7 +223,7 @@ class Settings:
             option.name: getattr(self, option.name) for option in fields(self)
         }
         if isinstance(given["stages"], Mapping):
-            given["stages"] = _USUAL_STAGES.changed(given["stages"])
+            given["stages"] = USUAL_STAGES.changed(given["stages"])
         if isinstance(given["columns"], Mapping):
             given["columns"] = ",".join(
                 f"{key}={name}" for key, name in given["columns"].items()

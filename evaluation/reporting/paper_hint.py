@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 from evaluation.plan.axes import usual_jobs
-from evaluation.plan.presets import DEFAULT
+from evaluation.plan.presets import DEFAULT, PRESETS
 from evaluation.pool.duration import wall_s
 from evaluation.reporting.announcements import rerun_command
 
@@ -15,6 +15,7 @@ _RERELEASE_S: Final = 703.0  # For each million pairs of the task `rerelease`.
 _HANDOVER_S: Final = 1650.0  # For each million pairs of the task `handover-1s`.
 # The people of the simulated sessions are the same in every run.
 _TRAVERSAL_S: Final = 7.5
+_PATROLS_S: Final = 433.0  # For each million seconds of people, times fleets.
 """CPU seconds of the cells of `paper`, by their sizes.
 
 To lay out these cells would take seconds. The factors give the estimate of `--dry-run`
@@ -66,6 +67,8 @@ def _cells_cpu_s(manifest: Mapping[str, Any]) -> float:
     for task, million_pairs_s in costs.items():
         sizes = tasks.get(task, {}).get("candidates", {}).values()
         cpu_s += million_pairs_s * sum(size**2 for size in sizes) / 1e6
+    person_s = float(manifest["dataset"].get("person_s", 0.0))
+    cpu_s += _PATROLS_S * person_s * PRESETS[PAPER].fleets / 1e6
     return cpu_s
 
 

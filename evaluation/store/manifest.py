@@ -245,6 +245,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
         "notice": notice,
         "tracks": len(dataset.tracks),
         "tracks_used": len(tracks),
+        "person_s": _person_s(dataset.tracks),
         "too_short": tracks.too_short,
         "no_future": tracks.no_future,
         "speed_mps": mean_speeds(dataset.tracks, used=tracks.source),
@@ -270,6 +271,12 @@ def describe_data(ready: Plan) -> dict[str, Any]:
             dataset.tracks, settings=stages, used=used
         )
     return data
+
+
+def _person_s(tracks: Tracks) -> float:
+    """Return the time that all people are present for, s."""
+    first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    return float((tracks.t[last] - tracks.t[first]).sum())
 
 
 def describe(ready: Plan) -> dict[str, Any]:

@@ -69,7 +69,7 @@ def _guesses_on_large_map(
     everybody = np.bincount(place.ravel(), weights=np.repeat(time, shift.size))
     n_clusters = int(owner.max()) + 1
     if n_clusters == 1:
-        return 0.5 * (cell.max(axis=0) + 1.0)[None]
+        return np.asarray(0.5 * (cell.max(axis=0) + 1.0)[None])
     guesses = np.empty((n_clusters, 2))
     for number in range(n_clusters):
         is_own = pairs[0] == number
