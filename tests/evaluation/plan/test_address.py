@@ -95,6 +95,14 @@ def test_a_label_says_who_reads_where(address, is_joint):
     assert parse_label(reader.label) == replace(reader, world=OWN_WORLD)
 
 
+@pytest.mark.parametrize("world", [OWN_WORLD, World(horizon_s=3.0)])
+@pytest.mark.parametrize("policy", ["flag", "ahead:2,window_s=4,horizon_s=4.1"])
+@pytest.mark.parametrize("adversary", ["", "blind"])
+def test_a_label_says_under_which_policy(world, policy, adversary):
+    reader = Address(world=world, policy=policy, plugin="log", adversary=adversary)
+    assert parse_label(reader.cell_label) == reader
+
+
 @pytest.mark.parametrize(("text", "address"), CONSUMERS.items(), ids=str)
 def test_a_consumer_has_its_parts(text, address):
     assert parse_consumer(text) == address
