@@ -49,7 +49,7 @@ KINDS: dict[str, dict[str, str]] = {
     },
     "policy": {
         "noun": "policy",
-        "one_check": "form_is_kept",
+        "one_check": "form_stays_the_same",
         "idea": "whom",
         "parameter": "metres",
         "another": "3.0",

@@ -260,8 +260,9 @@ class PatrolSettings(_Stage):
     query_s: float = _number(1.0, 1e-3, 3600.0)  # time between two queries of a robot
     # reading: interval of the clock of all people
     scan_s: float = _number(0.0836, 1e-3, 60.0)
-    segment_s: float = _number(inf, 1.0, 1e6, or_inf=True)
-    """length of the part of a recording that is used, from its start; inf: all of it"""
+    segment_s: float = _number(inf, 0.0, 1e6, or_inf=True)
+    """length of the part of a recording that is used, from its start; inf: all of it;
+    0: as the preset of a run says"""
     # step of the instants at which a place may be known
     grid_s: float = _number(0.1, 1e-3, 60.0)
 

@@ -54,7 +54,7 @@ class PolicyCase(made.Case):
         return mask.astype(np.float64)[:, None]
 
     def fault(self, _selected: object) -> str:
-        """Return nothing: `form_is_kept` looks at what is selected."""
+        """Return nothing: `form_stays_the_same` looks at what is selected."""
         return ""
 
     @staticmethod
@@ -107,7 +107,7 @@ def _query(sizes: tuple[int, ...]) -> Query:
     )
 
 
-def form_is_kept(row: common.Row) -> None:
+def form_stays_the_same(row: common.Row) -> None:
     """A state is of the present sample of a person, and a flag selects no sample."""
     form = row.subject.form
     for case in (row.ordinary, row.another, *row.ordinary.odd()):
@@ -124,7 +124,7 @@ def form_is_kept(row: common.Row) -> None:
 
 POLICY: dict[str, Body] = {
     "result_is_a_mask": common.result_is_right,
-    "form_is_kept": form_is_kept,
+    "form_stays_the_same": form_stays_the_same,
     "query_is_not_mutated": common.inputs_are_not_mutated,
     "same_query_same_answer": common.same_seed_same_result,
     "odd_queries_are_answered": common.odd_tracks_are_handled,

@@ -33,13 +33,12 @@ if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
     from isac_track.intervals import Estimate
 
-MAP: Final = (
-    "map"  # Consumer: an adversary without a log, who knows where people stand.
-)
+MAP: Final = "map"
+"""Consumer: an adversary without a log, that knows where people stand."""
 _PEOPLE: Final = ["source", "group"]
-_OF_SHARED: Final = ("disclosed_share", "people_seen", "plr_walk")
+_SHARED_METRICS: Final = ("disclosed_share", "people_seen", "plr_walk")
 """Metrics of the answers themselves, which no adversary changes."""
-_OF_ORACLE: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
+_ORACLE_METRICS: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
 
 
 class PatrolNumber(NamedTuple):
@@ -107,8 +106,8 @@ def _numbers(out: Path, entry: Mapping[str, Any], *, seed: int) -> list[PatrolNu
     metrics = knowledge_metrics(known_from_rows(rows), group=group, seed=seed)
     by_map = metrics["known_by_map"]
     return [
-        *(number(name, metrics[name], SHARED) for name in _OF_SHARED),
-        *(number(name, metrics[name], consumer, knowledge) for name in _OF_ORACLE),
+        *(number(name, metrics[name], SHARED) for name in _SHARED_METRICS),
+        *(number(name, metrics[name], consumer, knowledge) for name in _ORACLE_METRICS),
         number("known_share", by_map, MAP),
     ]
 

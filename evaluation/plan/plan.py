@@ -94,7 +94,7 @@ def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     Raises IsacTrackError for anything that a user can mend.
     """
     check_threads()
-    settings = _with_fleets(settings)
+    settings = _with_patrols(settings)
     crossed = axes(settings)
     reading = {name: getattr(settings, name) for name in _HOW_TO_READ}
     dataset = dataset or datasets.load(settings.dataset, **reading)
@@ -244,12 +244,14 @@ def asked_of_file(settings: Settings) -> dict[str, Any]:
     }
 
 
-def _with_fleets(settings: Settings) -> Settings:
-    """Return settings with the preset's number of fleets, unless they name another."""
-    if settings.stages.patrol.fleets:
-        return settings
-    fleets = PRESETS[settings.preset].fleets
-    return settings.changed(stages=settings.stages.changed({"patrol.fleets": fleets}))
+def _with_patrols(settings: Settings) -> Settings:
+    """Return settings with the preset's patrols, where they name no others."""
+    preset, patrol = PRESETS[settings.preset], settings.stages.patrol
+    values = {
+        "patrol.fleets": patrol.fleets or preset.fleets,
+        "patrol.segment_s": patrol.segment_s or preset.patrolled_s,
+    }
+    return settings.changed(stages=settings.stages.changed(values))
 
 
 class _Crossing(NamedTuple):

@@ -48,6 +48,7 @@ class Preset:
     # Mechanisms with which patrols are shared, of those of the run.
     patrolled: tuple[str, ...] = ("raw", "fid:1")
     fleets: int = 20  # Fleets of patrols, with routes of their own.
+    patrolled_s: float = 300.0  # They walk through so much of a recording.
     follows_informed: bool = True
     """Whether an adversary who knows routes and policy follows people, too."""
     skips_oracle: bool = False
@@ -193,6 +194,7 @@ _QUICK = Preset(
     tasks=("rerelease", "handover-1s", "handover-5s"),
     policies=("everything", "near:3.5", "ahead:2", "state:2"),
     fleets=4,
+    patrolled_s=200.0,
     follows_informed=False,
     summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
 )

@@ -48,8 +48,10 @@ _PRECISION_WRONG = (
     " 0.5 (0.01: +- 1 %), got {0:g}"
 )
 _ADDRESS = re.compile(r"(inproc://.+)|(([\w-]+://)?[^/\s]+:(?P<port>[0-9]{1,5})/?)")
-USUAL_STAGES: Final = StageSettings().changed({"patrol.fleets": 0})
-"""Without a number of fleets a run has those of its preset (`plan`)."""
+USUAL_STAGES: Final = StageSettings().changed(
+    {"patrol.fleets": 0, "patrol.segment_s": 0.0}
+)
+"""A run has the fleets and the patrolled segment of its preset (`plan`)."""
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),

@@ -114,7 +114,10 @@ def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
     """Return the stage settings that are not the usual ones, as they are typed."""
     settings = manifest["settings"]
     preset = PRESETS.get(settings["preset"], PRESETS[DEFAULT])
-    usual = StageSettings().flat() | {"patrol.fleets": preset.fleets}
+    usual = StageSettings().flat() | {
+        "patrol.fleets": preset.fleets,
+        "patrol.segment_s": preset.patrolled_s,
+    }
     stages = settings.get("stages", {}).items()
     return [
         f"{name}={value}" for name, value in stages if usual.get(name, value) != value

@@ -110,7 +110,7 @@ SETTINGS: Final = {
     "patrol.fleets": "fleets with routes of their own; preset quick: 4",
     "patrol.query_s": "time between two queries of a robot",
     "patrol.scan_s": "interval of the clock of all people",
-    "patrol.segment_s": "length of the recording that is walked",
+    "patrol.segment_s": "recording that is walked; quick: 200, else 300",
     "patrol.grid_s": "step of the instants that are judged",
 }
 """The meaning of each stage setting; others are listed with name, value and unit."""

@@ -135,26 +135,26 @@ def _robot_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
 
 def patrol_sentence(run: Results) -> str:
     """Return the policy and mechanism that a run proposes for patrols; or empty."""
-    found = run.verdict.get("patrols", {}).get("recommended", {})
-    if not found:
+    proposal = run.verdict.get("patrols", {}).get("recommended", {})
+    if not proposal:
         return ""
-    everything, best = found["everything"], found["best"]
-    seconds = found["horizon_s"]
+    everything, best = proposal["everything"], proposal["best"]
+    seconds = proposal["horizon_s"]
     ahead = f" within {seconds:g} s" if seconds else ""
-    all_sent = _percent(everything["known"])
-    text = (
-        f"If {robot_subject(found['robot'])} may miss {100 * found['limit']:g} points"
-        f" more conflicts{ahead}"
+    known = (
+        f"A log of all answers reveals {_percent(everything['known'])} of person-time"
+    )
+    limit = (
+        f" if {robot_subject(proposal['robot'])} may miss"
+        f" {100 * proposal['limit']:g} points more conflicts{ahead}"
     )
     if best is None or best == everything:
-        return (
-            f"{text}, no policy tried lets a log know less: {all_sent} of person-time."
-        )
+        return f"{known}; no policy tried reveals less{limit}."
     shared = mechanism_name(find_family(run.families, best["mechanism"]), best["level"])
-    certainty = "" if found["has_interval"] else " (no intervals: few routes)"
+    certainty = "" if proposal["has_interval"] else " (no intervals: few routes)"
     return (
-        f"{text}, policy {best['policy']} with {shared} tells a log least:"
-        f" {_percent(best['known'])} of person-time instead of {all_sent}{certainty}."
+        f"{known}. Policy {best['policy']} with {shared} reveals"
+        f" {_percent(best['known'])}, the least{limit}{certainty}."
     )
 
 

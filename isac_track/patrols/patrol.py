@@ -99,11 +99,13 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
 
     `recorded` are placed tracks (`isac_track.place.placed`). Each robot draws its route
     from a random stream of its own. DataError if nobody is present at a scan, or at a
-    query, and SettingsError without a fleet.
+    query, and SettingsError without a fleet or a segment.
     """
     rules = settings.patrol
     if not rules.fleets:
         raise SettingsError("patrol.fleets is 0: name the number of fleets")
+    if not rules.segment_s:
+        raise SettingsError("patrol.segment_s is 0: name the length of the segment")
     start_s = float(recorded.t.min())
     end_s = min(float(recorded.t.max()), start_s + rules.segment_s)
     walks = _present_walks(recorded, settings=settings, start_s=start_s, end_s=end_s)

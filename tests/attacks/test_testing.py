@@ -157,8 +157,12 @@ class Faulty:
         (Faulty("short"), "result_is_a_mask", "must return a mask"),
         (Faulty("draws"), "same_query_same_answer", "differ in"),
         (Faulty("alone"), "odd_queries_are_answered", "IndexError"),
-        (Faulty("", form="flag"), "form_is_kept", "a flag, which sends no sample"),
-        (Faulty("", form="state"), "form_is_kept", "a state, which is of now"),
+        (
+            Faulty("", form="flag"),
+            "form_stays_the_same",
+            "a flag, which sends no sample",
+        ),
+        (Faulty("", form="state"), "form_stays_the_same", "a state, which is of now"),
     ],
 )
 def test_a_faulty_policy_fails_where_it_should(policy, name, message):

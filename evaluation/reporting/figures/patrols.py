@@ -35,33 +35,33 @@ _PANELS: Final = {
 
 def figures(run: Results) -> Iterator[Figure]:
     """Yield missed futures over known share, and over the share that is followed."""
-    found = run.verdict.get("patrols", {}).get("recommended", {})
-    if not found:
+    proposal = run.verdict.get("patrols", {}).get("recommended", {})
+    if not proposal:
         return
-    world = World(horizon_s=found["horizon_s"]).text if found["horizon_s"] else ""
+    world = World(horizon_s=proposal["horizon_s"]).text if proposal["horizon_s"] else ""
     dataset = f"{run.dataset}:{world}" if world else run.dataset
     rows = run.patrols
     missed = rows[
         (rows["metric"] == MISSED_FUTURE)
-        & (rows["consumer"] == found["robot"])
+        & (rows["consumer"] == proposal["robot"])
         & (rows["dataset"] == dataset)
     ]
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for metric, label in _PANELS.items():
-        told = rows[(rows["metric"] == metric) & (rows["knowledge"] == _CHAINS)]
-        curves = list(_curves(run, missed, told))
+        revealed = rows[(rows["metric"] == metric) & (rows["knowledge"] == _CHAINS)]
+        curves = list(_curves(run, missed, revealed))
         if not curves:
             continue
         if not label_room(curves):
             key |= {curve.label: curve.look for curve in curves}
         y = Axis("missed future conflicts (%)")
         panels.append((METRICS[metric].head, curves_chart(curves, x=Axis(label), y=y)))
-    seconds = found["horizon_s"]
+    seconds = proposal["horizon_s"]
     ahead = f" within {seconds:g} s" if seconds else ""
     yield Figure(
         name="patrols",
         section="plane",
-        title=f"Policies on patrol: robot {robot_name(found['robot'])}, conflicts{ahead}",
+        title=f"Policies on patrol: robot {robot_name(proposal['robot'])}, conflicts{ahead}",
         panels=panels,
         columns=2,
         key=key,
@@ -74,9 +74,11 @@ def figures(run: Results) -> Iterator[Figure]:
     )
 
 
-def _curves(run: Results, missed: pd.DataFrame, told: pd.DataFrame) -> Iterator[Curve]:
+def _curves(
+    run: Results, missed: pd.DataFrame, revealed: pd.DataFrame
+) -> Iterator[Curve]:
     """Yield the curve of each policy, over its mechanisms, with intervals of misses."""
-    both = missed.merge(told, on=_KEYS, suffixes=("", "_x"))
+    both = missed.merge(revealed, on=_KEYS, suffixes=("", "_x"))
     both = both[np.isfinite(both["value"]) & np.isfinite(both["value_x"])]
     for place, (policy, rows) in enumerate(both.groupby("policy", sort=False)):
         ordered = rows.sort_values("value_x", kind="stable")

@@ -1,5 +1,7 @@
 """What a plan makes of settings, and what it refuses before anything is computed."""
 
+import math
+
 import pytest
 from helpers.small_runs import smoke
 
@@ -37,13 +39,16 @@ def test_settings_of_patrols_are_in_the_keys_of_patrols_alone(csv_recording):
     assert not usual[0] & other[0]
 
 
-def test_a_preset_has_its_number_of_fleets_and_a_user_another(csv_recording):
+def test_a_preset_has_its_patrols_and_a_user_others(csv_recording):
     settings = Settings(dataset=str(csv_recording), scenes=8, attacks=(), tasks=())
     for preset in ("quick", "paper"):
         ready = plan(settings.changed(preset=preset))
         assert ready.settings.stages.patrol.fleets == PRESETS[preset].fleets
-    stages = settings.stages.changed({"patrol.fleets": 20})
-    assert plan(settings.changed(stages=stages)).settings.stages.patrol.fleets == 20
+        assert ready.settings.stages.patrol.segment_s == PRESETS[preset].patrolled_s
+    named = {"patrol.fleets": 20, "patrol.segment_s": math.inf}
+    changed = plan(settings.changed(stages=settings.stages.changed(named)))
+    assert changed.settings.stages.patrol.fleets == 20
+    assert changed.settings.stages.patrol.segment_s == math.inf
 
 
 def test_every_policy_meets_robots_and_adversaries_of_the_patrolled(csv_recording):

@@ -193,7 +193,7 @@ class TestSensing:
         ("query_s", 0.0, "patrol.query_s must lie within"),
         ("query_s", 0.05, r"patrol.query_s \(0.05\) is below patrol.scan_s"),
         ("scan_s", -1.0, "patrol.scan_s must lie within"),
-        ("segment_s", 0.0, "patrol.segment_s must lie within 1 to 1e.06, or be inf"),
+        ("segment_s", -1.0, "patrol.segment_s must lie within 0 to 1e.06, or be inf"),
         ("grid_s", "wide", "patrol.grid_s must be a number"),
     ],
 )
