@@ -141,20 +141,22 @@ def patrol_sentence(run: Results) -> str:
     everything, best = proposal["everything"], proposal["best"]
     seconds = proposal["horizon_s"]
     ahead = f" within {seconds:g} s" if seconds else ""
-    known = (
-        f"A log of all answers reveals {_percent(everything['known'])} of person-time"
-    )
+    all_sent = f"{_percent(everything['known'])} of person-time"
     limit = (
         f" if {robot_subject(proposal['robot'])} may miss"
         f" {100 * proposal['limit']:g} points more conflicts{ahead}"
     )
     if best is None or best == everything:
-        return f"{known}; no policy tried reveals less{limit}."
+        return (
+            f"A log of all answers reveals {all_sent}, and no policy tried reveals"
+            f" less{limit}."
+        )
     shared = mechanism_name(find_family(run.families, best["mechanism"]), best["level"])
     certainty = "" if proposal["has_interval"] else " (no intervals: few routes)"
+    # A single sentence: the first screen drops last sentences where it lacks room.
     return (
-        f"{known}. Policy {best['policy']} with {shared} reveals"
-        f" {_percent(best['known'])}, the least{limit}{certainty}."
+        f"Policy {best['policy']} with {shared} reveals least to a log:"
+        f" {_percent(best['known'])} instead of {all_sent}{limit}{certainty}."
     )
 
 
