@@ -29,6 +29,7 @@ from evaluation.reporting.names import (
     robot_subject,
     task_phrase,
 )
+from evaluation.reporting.patrol_tables import patrol_sentence
 from evaluation.reporting.recommendation import share_answer, share_details
 from evaluation.reporting.rows import Results
 from evaluation.verdict import rules
@@ -78,6 +79,8 @@ def answers(
     robot = lead_robot(table, best=best_robot(run))
     losing = losing_robots(table, run.verdict.get("robots", ()))
     start = f"With {level_phrase(table, where)}, " if names_level else ""
+    on_patrol = patrol_sentence(run)
+    patrols = (f"On patrol: {on_patrol}",) if on_patrol else ()
     return (
         Answer(
             "What does the robot lose?",
@@ -103,7 +106,12 @@ def answers(
             _descriptors_sentence(items),
             _descriptors_details(items, table, where),
         ),
-        Answer("What should I share?", "Share", share_answer(run), share_details(run)),
+        Answer(
+            "What should I share?",
+            "Share",
+            share_answer(run),
+            (*patrols, *share_details(run)),
+        ),
     )
 
 

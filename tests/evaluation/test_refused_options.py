@@ -131,6 +131,7 @@ def test_there_are_no_more_workers_than_works():
         predictors=[],
         attacks=[],
         tasks=[],
+        policies=[],
     )
     crossed = axes(few)
     assert most_workers(crossed, few) == 2

@@ -40,7 +40,7 @@ MADE = json.loads(
     Path(__file__).with_name("finished_run.json").read_text(encoding="utf-8")
 )
 MANIFEST, VERDICT = MADE["manifest"], MADE["verdict"]
-MANIFEST["settings"]["stages"] = StageSettings().flat()
+MANIFEST["settings"]["stages"] = StageSettings().flat() | {"patrol.segment_s": 300.0}
 MANIFEST["history"] = {"points": 366.4, "interval_s": 0.0836}
 ITEM = VERDICT["items"][0]
 INDEPENDENT = ":adding=independent"

@@ -83,7 +83,7 @@ def test_a_run_with_a_mechanism_of_ones_own_treats_it_like_fid(
     assert messages.count("has no `adding` attribute") == 1
     assert "helpers.mechanisms:Twice has no" in messages
     summary = pd.read_csv(out / "summary.csv", keep_default_na=False)
-    assert list(summary.columns[-2:]) == ["family", "adding"]
+    assert list(summary.columns[-3:]) == ["family", "adding", "policy"]
     names = (
         summary[["mechanism", "family", "adding"]].drop_duplicates().to_numpy().tolist()
     )
