@@ -47,6 +47,7 @@ results = evaluation.run(
         predictors=("least_squares",),
         attacks=(ATTACK, "kalman_rts", f"shape@{ATTACK}", "shape@kalman_rts"),
         tasks=("rerelease",),
+        policies=(),  # no robots on patrol
         out="tutorial-run",
     )
 )

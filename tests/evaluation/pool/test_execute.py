@@ -213,8 +213,12 @@ class TestWhatARunLeaves:
         assert manifest["dataset"]["tracks"] == 12
         known = manifest["settings"]
         assert known["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
-        fleets = {"patrol.fleets": PRESETS[finished.preset].fleets}
-        assert known["stages"] == finished.stages.flat() | fleets
+        preset = PRESETS[finished.preset]
+        patrols = {
+            "patrol.fleets": preset.fleets,
+            "patrol.segment_s": preset.patrolled_s,
+        }
+        assert known["stages"] == finished.stages.flat() | patrols
         assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
             manifest["environment"].keys()
         )
