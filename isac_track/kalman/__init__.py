@@ -134,16 +134,16 @@ def smooth_positions(
     """Return smoothed positions, (M, 2) m, and their variance per axis, (M,) m^2.
 
     One pass is a Rauch-Tung-Striebel smoother of constant velocity; it returns no
-    velocities. Further passes are for errors of the radial law, whose length is |N(0,
-    sigma)| in any direction. Its density in the plane, exp(-r^2 / 2 sigma^2) / r up to
-    a constant, is infinite at zero: a sample that lies close to the walk is very likely
-    almost exact. The posterior mode solves a smoother with the weights 1 / r^2 + 1 /
-    sigma^2 per axis, r the sample's distance from the smoothed position. They are
-    iterated as 1 / (r^2 + delta^2) + 1 / sigma^2, with delta^2 = 2 P + anneal^(m - 1)
-    sigma^2 after the m-th pass. So a residual counts as no smaller than the uncertainty
-    of the position (P is its variance per axis). The first passes are nearly those of
-    Gaussian errors, lest the walk be drawn to samples that happen to lie near its
-    start.
+    velocities. Further passes are for errors of the radial law, whose length is that of
+    a normal error N(0, sigma) in any direction. Its density in the plane, exp(-r^2 / 2
+    sigma^2) / r up to a constant, is infinite at zero: a sample that lies close to the
+    walk is very likely almost exact. The posterior mode solves a smoother with the
+    weights 1 / r^2 + 1 / sigma^2 per axis, r the sample's distance from the smoothed
+    position. They are iterated as 1 / (r^2 + delta^2) + 1 / sigma^2, with delta^2 = 2 P
+    + anneal^(m - 1) sigma^2 after the m-th pass. So a residual counts as no smaller
+    than the uncertainty of the position (P is its variance per axis). The first passes
+    are nearly those of Gaussian errors, lest the walk be drawn to samples that happen
+    to lie near its start.
 
     The `batch` has a prior of two states, and sigma^2 is twice its variance per axis;
     `q` is the spectral density of the acceleration, m^2/s^3, positive. There are
