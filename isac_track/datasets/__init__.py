@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,6 +20,7 @@ import numpy as np
 
 from isac_track.datasets import (
     crowd,
+    people,
     read_frames,
     read_gc,
     read_table,
@@ -170,10 +171,10 @@ def load(
     sessions : sequence of str or Path
         Two files or more that are sessions of one recording, instead of a name.
     persistent_ids : bool
-        Whether an id is the same person in all sessions. A markerID in the header, as
-        PeTrack writes it, always names the person.
+        Whether an id is the same person in all sessions. Labels, a column person, and
+        PeTrack's markerID always name the person.
     columns : str or mapping, optional
-        Names of t, id, x, y and group in a table: ``t=time[ms],x=pos_x[cm]``.
+        Names of t, id, x, y, group and person in a table: ``t=time[ms],x=pos_x[cm]``.
     on_duplicate : str
         Treatment of an id at two places at one time: error, first or mean.
     crs : str, optional
@@ -304,8 +305,12 @@ def _with_doubts(
     known: Known, recording: _Recording, *, where: str
 ) -> tuple[Repair, ...]:
     """Return the repairs and, unless it is known by name, doubts about units."""
-    if known.name in KNOWN:  # docs/how-to/data.md describes their frozen tracks.
-        return tuple(repair for repair in recording.repairs if repair.kind != "frozen")
+    if known.name in KNOWN:  # docs/how-to/data.md describes frozen tracks and units.
+        return tuple(
+            repair
+            for repair in recording.repairs
+            if repair.kind not in {"frozen", "unit"}
+        )
     return (*recording.repairs, *doubts(recording.tracks, where=where))
 
 
@@ -324,6 +329,12 @@ def _load_frame(frame: object, *, unit: str | None, reading: Reading) -> Dataset
         raise DataError(f"a recording is a name, a path or a DataFrame, not {kind}")
     rows = read_table.read_frame(frame, columns=reading.columns)
     digest = hashlib.sha256(repr((rows.ids, rows.groups, rows.unit)).encode())
+    if rows.people is not None:
+        digest.update(
+            repr(
+                [(name, label.person) for name, label in sorted(rows.people.items())]
+            ).encode()
+        )
     for column in (rows.person, rows.t, rows.xy):
         digest.update(
             np.ascontiguousarray(column, dtype=column.dtype.newbyteorder("<")).tobytes()
@@ -398,8 +409,9 @@ def _read_file(
         path=where,
         format=format_name,
         fps=known.fps,
-        unit=unit,
+        unit=unit or known.unit or None,
         groups=groups,
+        withdrawn=known.withdrawn.get(path.name, {}),
         reading=reading,
     )
     return _Recording(tracks, (*notes, *repairs), sha256, format_name)
@@ -446,29 +458,23 @@ def _read_sessions(
     parts: list[tuple[str, Tracks, str]] = []
     notes: list[Repair] = []
     digest, formats = hashlib.sha256(), set[str]()
-    has_marker: dict[str, bool] = {}
+    names_people: dict[str, bool] = {}
     for path in paths:
         data, where = registry.read_bytes(path, data_set=known), shown(path)
         format_name, format_notes = _choose_format(path, known.format, data=data)
         header = read_frames.read_header(format_name, data=data, path=where)
-        by_marker = has_marker[path.stem] = header.marker is not None
         tracks, repairs = read(
             data=data,
             path=where,
             format=format_name,
             fps=known.fps,
-            unit=unit,
-            by_marker=by_marker,
+            unit=unit or known.unit or None,
+            withdrawn=known.withdrawn.get(path.name, {}),
             reading=reading,
         )
-        if by_marker:
-            # A person without a marker cannot be known in another session.
-            people = [
-                f"{path.stem}:{person}" if person.startswith("-") else person
-                for person in tracks.group
-            ]
-            tracks = replace(tracks, person=tuple(people))
-        parts.append((shown(path.stem), tracks, unit or header.unit or "m"))
+        session = shown(path.stem)
+        names_people[session] = any(note.kind == people.KIND for note in repairs)
+        parts.append((session, tracks, unit or header.unit or known.unit or "m"))
         notes += [*format_notes, *repairs]
         digest.update(
             f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(
@@ -476,8 +482,8 @@ def _read_sessions(
             )
         )
         formats.add(format_name)
-    _refuse_mixed_markers(has_marker)
-    same_people = same_people or all(has_marker.values())
+    _refuse_mixed_people(names_people)
+    same_people = same_people or all(names_people.values())
     return _Recording(
         join_sessions(parts, same_people=same_people),
         tuple(notes),
@@ -486,16 +492,16 @@ def _read_sessions(
     )
 
 
-def _refuse_mixed_markers(has_marker: Mapping[str, bool]) -> None:
-    """Raise DataError if only some sessions have a marker in their header."""
-    if len(set(has_marker.values())) < 2:  # noqa: PLR2004 - all or none
+def _refuse_mixed_people(names_people: Mapping[str, bool]) -> None:
+    """Raise DataError if only some sessions name their people."""
+    if len(set(names_people.values())) < 2:  # noqa: PLR2004 - all or none
         return
-    marked = next(session for session in has_marker if has_marker[session])
-    unmarked = next(session for session in has_marker if not has_marker[session])
+    first = next(session for session in names_people if names_people[session])
+    other = next(session for session in names_people if not names_people[session])
     raise DataError(
-        f"sessions {shown(marked)} and {shown(unmarked)}: a header names a markerID in"
-        " the first alone, so that ids clash; leave the column out there, or add"
-        " it to the other"
+        f"sessions {first} and {other}: the first alone names people (by labels, a"
+        " markerID or a column person), so that ids clash; name them in the other,"
+        " too, or leave them out"
     )
 
 
@@ -597,7 +603,7 @@ def read(
     fps: float | None = None,
     unit: str | None = None,
     groups: Iterable[tuple[str, str]] = (),
-    by_marker: bool = False,
+    withdrawn: Mapping[str, str] = {},
     reading: Reading = Reading(),  # noqa: B008 - frozen
 ) -> tuple[Tracks, tuple[Repair, ...]]:
     """Return the tracks in the bytes of one file, and what was mended or left out.
@@ -605,9 +611,9 @@ def read(
     `path` is the file's name for messages, and `format` one of `READERS`. `fps`, frames
     a second, is for formats that count frames; `unit` of length is m if neither it nor
     the file says. `groups` are (id, label) pairs of people who walk together, from
-    another file. With `by_marker` the marker that a pedpy header names is the person.
-    `reading` holds further options. DataError names file and line of anything that
-    cannot be read as tracks.
+    another file. `withdrawn` are labels of people that are not believed, by passage, with
+    the reason. `reading` holds further options. DataError names file and line of
+    anything that cannot be read as tracks.
     """
     if fps is not None:
         check_fps(fps, where="--fps")
@@ -627,11 +633,9 @@ def read(
         _no_columns(reading, format_name=format, path=path)
     if format not in _WITH_CLOCK:
         options["fps"] = fps
-    if by_marker:
-        options["by_marker"] = True
     # The rows have no name here: they are freed as soon as they are sorted.
     return _to_tracks(
-        READERS[format](data=data, path=path, **options),
+        people.withdraw(READERS[format](data=data, path=path, **options), withdrawn),
         groups,
         unit=unit,
         reading=reading,

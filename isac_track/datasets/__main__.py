@@ -10,7 +10,7 @@ import numpy as np
 from isac_track import datasets
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
 from isac_track.config import StageSettings
-from isac_track.datasets import registry
+from isac_track.datasets import people, registry
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
@@ -77,8 +77,17 @@ def _aligned(table: Mapping[str, Sequence[str]], title: str, *columns: str) -> s
     return frame.rename_axis(columns=title).to_string()
 
 
+def _attendance(dataset: datasets.Dataset) -> str:
+    """Return how many people come back; empty if neither sessions nor labels tell."""
+    has_labels = any(note.kind == people.KIND for note in dataset.repairs)
+    if dataset.tracks.session is None and not has_labels:
+        return ""
+    return str(people.count_attendance(dataset.tracks))
+
+
 def _list(_: Namespace) -> int:
     rows, notes, status = {}, [], DONE
+    attendances: list[str] = []
     for name, data_set in KNOWN.items():
         rows[name] = ["-"] * 7
         where = f"not here; `python -m isac_track.datasets fetch {name}`"
@@ -87,6 +96,8 @@ def _list(_: Namespace) -> int:
                 dataset = datasets.load(name, download=False)
                 summary = datasets.summarise(dataset.tracks)
                 where = dataset.path
+                if attendance := _attendance(dataset):
+                    attendances.append(f"{name}: {attendance}")
                 n_long = [
                     datasets.n_lasting(summary, duration_s) for duration_s in _LONG_S
                 ]
@@ -108,6 +119,7 @@ def _list(_: Namespace) -> int:
         _aligned(rows, "data set", *columns),
         "",
         *notes,
+        *attendances,
         registry.describe_lookup(),
         sep="\n",
     )
@@ -144,6 +156,7 @@ def _show(arguments: Namespace) -> int:
         "tracks": (
             f"{len(tracks)} in {len(set(tracks.group))} groups, {tracks.t.size} samples"
         ),
+        "people": _attendance(dataset),
         "long tracks": ", ".join(lasting),
         "zero steps": (
             f"{datasets.still_share(summary):.1%} of all steps have exactly no length"

@@ -10,9 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from isac_track.datasets import recording
-from isac_track.datasets.recording import Repair, Rows, listed
+from isac_track.datasets import people, recording
+from isac_track.datasets.recording import Label, Repair, Rows, listed
 from isac_track.errors import DataError
+from isac_track.types import Floats
 
 COLUMNS = {
     # From OpenTraj; height and velocities are not used.
@@ -71,21 +72,18 @@ class Header:
     """Places of frame, id, x and y; empty unless a line names all columns."""
     line: int = 0  # The line that names the columns.
     marker: int | None = None  # Column of the person's number, the same in all files.
+    labels: Mapping[str, Label] = field(default_factory=dict)
+    """The person of each passage that a comment names."""
 
 
 def read_columns(
-    format_name: str,
-    *,
-    data: bytes,
-    path: str,
-    fps: float | None,
-    by_marker: bool = False,
+    format_name: str, *, data: bytes, path: str, fps: float | None
 ) -> Rows:
     """Read rows of numbers with spaces or tabs between them; ``#`` begins a comment.
 
-    With `by_marker` the header's marker identifies the person; a row without a marker
-    (-1) has its id, made negative. DataError names file and line, or says that `fps` is
-    missing or contradicts the file's.
+    The header's labels or its marker name the people; a marker of -1 names nobody.
+    DataError names file and line, or says that `fps` is missing or contradicts the
+    file's.
     """
     recording.check_text(data=data, path=path)
     header = read_header(format_name, data=data, path=path)
@@ -113,15 +111,25 @@ def read_columns(
     columns = header.columns or {
         name: COLUMNS[format_name].index(name) for name in _USED
     }
-    if by_marker and header.marker is not None:
-        # -1 is PeTrack's sign for no marker: such a trajectory keeps its id, below all
-        # markers.
-        marker, own = table[:, header.marker], table[:, columns["id"]]
-        table[:, columns["id"]] = np.where(marker < 0, -1 - own, marker)
     rows = recording.build_rows(
         {name: table[:, columns[name]] for name in _USED}, place
     )
-    return replace(rows, t=rows.t / rate, unit=header.unit)
+    labels: Mapping[str, Label] | None = header.labels or None
+    if header.marker is not None:
+        labels = _marker_labels(table[:, header.marker], rows)
+    return replace(rows, t=rows.t / rate, unit=header.unit, people=labels)
+
+
+def _marker_labels(marker: Floats, rows: Rows) -> Mapping[str, Label]:
+    """Return the person of each passage by its marker, (M,); DataError for two.
+
+    A negative marker is PeTrack's sign for none.
+    """
+    values, index = np.unique(marker, return_inverse=True)
+    names = [f"{value:.0f}" if value >= 0 else "" for value in values.tolist()]
+    return people.label_rows(
+        index, names, owner=rows.person, ids=rows.ids, place=rows.place
+    )
 
 
 def _choose_rate(
@@ -152,6 +160,7 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
     rates: dict[float, int] = {}
     units: dict[str, int] = {}
     named: list[tuple[int, list[str]]] = []
+    labels: list[tuple[str, Label]] = []
     n_fields = 0
     for number, line in enumerate(recording.iterate_lines(data), start=1):
         # The search is quadratic in the worst case: the text must be short.
@@ -159,30 +168,43 @@ def read_header(format_name: str, *, data: bytes, path: str) -> Header:
         if text and not text.startswith("#"):
             n_fields = len(text.split("#", 1)[0].split())
             break
+        if label := people.parse_label(text, line=number):
+            labels.append(label)
+            continue
         fps = _declared_rate(text, where=f"{path}, line {number}")
         if fps is not None:
             rates.setdefault(fps, number)
         for unit in _declared_units(text.lower()):
             units.setdefault(unit[:40], number)
-        bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
-        names = [
-            _COLUMN_NAMES.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())
-        ]
+        names = _column_names(text)
         if all(names.count(name) == 1 for name in _USED):
             named.append((number, names))
     _check_single(rates, units, path=path)
     # There must be as many names as the first row has fields: a sentence about the
     # columns does not count.
-    header_line, names = 0, list[str]()
-    for line_number, column_names in named:
-        if len(column_names) == n_fields:
-            header_line, names = line_number, column_names
-            break
+    fitting = [entry for entry in named if len(entry[1]) == n_fields]
+    header_line, names = next(iter(fitting), (0, []))
     places = {name: names.index(name) for name in _USED if header_line}
     marker = names.index("marker") if names.count("marker") == 1 else None
+    if marker is not None and labels:
+        raise DataError(
+            f"{path}, line {labels[0][1].line}: a label, and line {header_line} names a"
+            " markerID; leave one of them, so that a passage has one person"
+        )
     return Header(
-        next(iter(rates), None), next(iter(units), ""), places, header_line, marker
+        fps=next(iter(rates), None),
+        unit=next(iter(units), ""),
+        columns=places,
+        line=header_line,
+        marker=marker,
+        labels=people.collect_labels(labels, path=path),
     )
+
+
+def _column_names(text: str) -> list[str]:
+    """Return our name of each word of a comment; empty for a word that names none."""
+    bare = re.sub(r"\s*[/\[(]\s*[a-z]+[\])]?", "", text.lower()[1:])
+    return [_COLUMN_NAMES.get(word, "") for word in re.split(r"[\s,;]+", bare.strip())]
 
 
 def _check_single(

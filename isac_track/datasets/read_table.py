@@ -1,4 +1,4 @@
-"""Readers of tables with named columns (csv, parquet): t (s), id, x, y (m), group."""
+"""Readers of tables with named columns (csv, parquet): t (s), id, x, y (m), group, person."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from isac_track.datasets import recording
+from isac_track.datasets import people, recording
 from isac_track.datasets.recording import LENGTHS, TIMES, Column
 from isac_track.errors import DataError, error_text
 from isac_track.types import Floats, Ints
@@ -398,7 +398,7 @@ def _build_rows(
     used: Mapping[str, _UsedColumn],
     place: recording.Place,
 ) -> recording.Rows:
-    """Build the rows from arrow columns t, id, x, y, group; `names` are the file's."""
+    """Build the rows from arrow columns, named as ours; `names` are the file's."""
     if not table.num_rows:
         raise DataError(f"{place.path}: the file holds no rows")
     t = _times(table["t"], used["t"], place=place)
@@ -415,6 +415,12 @@ def _build_rows(
         groups = tuple(
             (ids[member], labels[label]) for member, label in pairs if labels[label]
         )
+    passages: dict[str, recording.Label] | None = None
+    if "person" in used:  # An empty cell is no label.
+        value, person_names = _index_values(table["person"], is_group=True, place=place)
+        passages = people.label_rows(
+            value, person_names, owner=person, ids=ids, place=place
+        )
     read = {column.name for column in used.values()}
     if others := [recording.printable(name[:40]) for name in names if name not in read]:
         unused = f"column(s) {recording.listed(others)}: not used, {t.size} rows each"
@@ -424,7 +430,16 @@ def _build_rows(
         notes = (note, *notes)
     unit_source = "the header or --columns"
     return recording.Rows(
-        person, ids, t - t.min(), xy, place, groups, notes, unit, unit_by=unit_source
+        person,
+        ids,
+        t - t.min(),
+        xy,
+        place,
+        groups,
+        notes,
+        unit,
+        unit_by=unit_source,
+        people=passages,
     )
 
 

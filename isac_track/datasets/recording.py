@@ -11,7 +11,7 @@ import numpy as np
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
-COLUMNS = ("t", "id", "x", "y", "group")  # Columns of a table.
+COLUMNS = ("t", "id", "x", "y", "group", "person")  # Columns of a table.
 # Frames and ids are float64, which holds every whole number below this.
 WHOLE_LIMIT = 2.0**53
 _LIMITS = {
@@ -101,6 +101,14 @@ class Place:
         return [Repair(kind, rows.size, f"{where}: {text}")]
 
 
+@dataclass(frozen=True, slots=True)
+class Label:
+    """The person whom a file names for a passage, and where it does."""
+
+    person: str
+    line: int  # Line or row of the file, from 1.
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Rows:
     """M rows of a recording: numbers are checked, nothing is sorted or mended yet."""
@@ -118,6 +126,8 @@ class Rows:
     unit_by: str = "the header"  # The source of the unit, for messages.
     # The longest step within a track, if the format says so.
     split_s: float | None = None
+    people: Mapping[str, Label] | None = None
+    """The person of each id that has a label; None if the file names nobody."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +142,7 @@ class Column:
 class Reading:
     """Options of a user for their own file, besides format, frame rate and unit."""
 
-    # By t, id, x, y and group.
+    # By t, id, x, y, group and person.
     columns: Mapping[str, Column] = field(default_factory=dict)
     on_duplicate: str = "error"  # One of `ON_DUPLICATE`.
     crs: str | None = None  # One of `CRS`; None is a plane.
@@ -188,8 +198,8 @@ def parse_columns(text: str | Mapping[str, str] | None) -> dict[str, Column]:
 def parse_header(header: str, *, quantity: str) -> Column:
     """Return name and unit of a header such as ``x [cm]``, ``t(s)`` or ``y/m``.
 
-    `quantity` is t, id, x, y or group: only t has units of time, only x and y have
-    units of length. Text in brackets behind an id or a group is no unit. Without a
+    `quantity` is t, id, x, y, group or person: only t has units of time, only x and y have
+    units of length. Text in brackets behind another name is no unit. Without a
     known unit the column has the name of the header.
     """
     bare, unit = _split_unit(header.strip())

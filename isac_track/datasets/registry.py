@@ -58,6 +58,7 @@ class Known:
     session: int | None = None
     format: str = ""
     fps: float | None = None
+    unit: str = ""  # Unit of length, unless the file says so.
     sha256: Mapping[str, str] = field(default_factory=dict)
     """Hash of every file, by file name; empty for a bundled or the user's own file."""
     remote: str = ""  # Its folder in OpenTraj.
@@ -65,6 +66,14 @@ class Known:
     sessions: str = ""
     # How to get a data set that is never downloaded from here: a folder of its name.
     get: str = ""
+    folder: str = ""  # The folder of its files, if it is not called like the data set.
+    withdrawn: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    """By file and passage: why a label of the file is not believed."""
+
+    @property
+    def place(self) -> Path:
+        """Its folder within the user's folder of data sets or the cache."""
+        return Path(self.folder or self.name)
 
 
 _TABLES = tomllib.loads(
@@ -111,10 +120,10 @@ def locate(data_set: Known) -> tuple[dict[str, Path], list[str]]:
     names = [WHOLE] if is_folder else [*data_set.sha256]
     is_here = os.path.isdir if is_folder else os.path.isfile  # These never raise.
     files = {
-        file_name: folder / data_set.name / file_name
+        file_name: folder / data_set.place / file_name
         for folder in folders
         for file_name in names
-        if is_here(folder / data_set.name / file_name)
+        if is_here(folder / data_set.place / file_name)
     }
     return files, [file_name for file_name in names if file_name not in files]
 

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from isac_track.datasets import people
 from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_within
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints, Tracks
@@ -60,7 +61,7 @@ def to_tracks(
     """
     place, members = rows.place, [*rows.groups, *groups]
     order, run, repairs = _sort(rows)
-    notes = [*rows.notes, *repairs]
+    notes = [*rows.notes, *people.check_labels(rows), *repairs]
     rows = _take(rows, order)
     rows, order, run, repairs = _drop_copies(
         rows, order, run, on_duplicate=on_duplicate
@@ -89,8 +90,13 @@ def to_tracks(
         raise DataError(f"{place.path}: no track has two samples")
     notes += _note_fast_steps(rows, offsets, order)
     _check_usual_step(rows, offsets)
+    names = people.name_people(rows, ids)
+    members += people.group_members(names, ids)
     clusters = walking_groups(ids=ids, members=members)
-    return _build_tracks(rows, offsets, ids=ids, clusters=clusters), tuple(notes)
+    tracks = _build_tracks(rows, offsets, ids=ids, clusters=clusters, names=names)
+    passages = [ids[index] for index in rows.person[offsets[:-1]]]
+    people.refuse_overlaps(tracks, rows, passages=passages)
+    return tracks, tuple(notes)
 
 
 def _sort(rows: Rows) -> tuple[Ints, Ints, list[Repair]]:
@@ -121,9 +127,14 @@ def _check_usual_step(rows: Rows, offsets: Ints) -> None:
 
 
 def _build_tracks(
-    rows: Rows, offsets: Ints, *, ids: tuple[str, ...], clusters: tuple[str, ...]
+    rows: Rows,
+    offsets: Ints,
+    *,
+    ids: tuple[str, ...],
+    clusters: tuple[str, ...],
+    names: tuple[str, ...],
 ) -> Tracks:
-    """Return the tracks of sorted rows; `clusters` are those of the people `ids`."""
+    """Return the tracks of sorted rows; each of `ids` has its cluster and person."""
     owner = rows.person[offsets[:-1]]
     # The source id of a track is the person's, numbered if the person has several.
     longest = max(
@@ -144,7 +155,7 @@ def _build_tracks(
         offsets=offsets,
         source=tuple(sources),
         group=tuple(clusters[index] for index in owner),
-        person=tuple(ids[index] for index in owner),
+        person=tuple(names[index] for index in owner),
     )
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
+from isac_track.datasets import people
 from isac_track.datasets.recording import steps_within
 from isac_track.datasets.registry import shown
 from isac_track.datasets.repair import walking_groups
@@ -42,9 +43,9 @@ def join_sessions(
     """Join the tracks of all sessions on one clock, one session after the other.
 
     `parts` are name, tracks and unit of length of each file; a track is called
-    ``SESSION:ID``. With `same_people` an id is the same person in all sessions, and so
-    one cluster. DataError for sessions with the same name, or with different units or
-    sampling rates.
+    ``SESSION:ID``. With `same_people` the name of a person is the same person in all
+    sessions, and so one cluster. DataError for sessions with the same name, with
+    different units or sampling rates, or with two spellings of a person.
     """
     names = [name for name, _, _ in parts]
     for name in names:
@@ -80,8 +81,9 @@ def join_sessions(
     ]
     source = tuple(f"{name}:{tracks.source[row]}" for name, tracks, row in walks)
     group = tuple(f"{name}:{tracks.group[row]}" for name, tracks, row in walks)
-    person = tuple((tracks.person or tracks.group)[row] for _, tracks, row in walks)
+    person = tuple(_person(name, tracks, row) for name, tracks, row in walks)
     if same_people:
+        people.refuse_two_spellings([(name, tracks) for name, tracks, _ in parts])
         labels = [f"person {name}" for name in person]
         labels += [f"with {name}" for name in group]
         members = list(zip(source + source, labels, strict=True))
@@ -95,3 +97,11 @@ def join_sessions(
         person=person if same_people else None,
         session=tuple(name for name, _, _ in walks),
     )
+
+
+def _person(session: str, tracks: Tracks, row: int) -> str:
+    """Return the person of a track: without a label, known in no other session."""
+    person = (tracks.person or tracks.group)[row]
+    if people.is_labelled(person):
+        return person
+    return f"{people.UNLABELLED}{session}:{person.removeprefix(people.UNLABELLED)}"

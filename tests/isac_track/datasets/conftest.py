@@ -47,6 +47,16 @@ def single_file():
 
 
 @pytest.fixture
+def returners():
+    return find_folder("returners") / "returners"
+
+
+@pytest.fixture
+def hermes():
+    return find_folder("hermes") / "hermes"
+
+
+@pytest.fixture
 def mirror(empty_machine, monkeypatch):  # noqa: ARG001 - the cache is to be empty
     """A real server on the loopback; fill its `files`, by path."""
     with serving() as server:

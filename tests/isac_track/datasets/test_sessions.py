@@ -49,7 +49,7 @@ def test_a_marker_is_the_person_whatever_the_id_and_heights_are_never_used(tmp_p
     petrack(tmp_path / "b.txt", [(1, 702), (2, 703)])
     dataset = load(tmp_path)
     tracks = dataset.tracks
-    assert tracks.source == ("a:701", "a:702", "b:702", "b:703")
+    assert tracks.source == ("a:1", "a:2", "b:1", "b:2")
     assert tracks.person == ("701", "702", "702", "703")
     assert tracks.session == ("a", "a", "b", "b")
     assert len(set(tracks.group)) == 3  # one person is one cluster of every interval
@@ -68,7 +68,7 @@ def test_a_person_without_a_marker_is_not_known_in_another_session(tmp_path):
     petrack(tmp_path / "b.txt", [(1, -1), (2, 702)])
     tracks = load(tmp_path).tracks
     assert len(tracks) == 5
-    rows = [tracks.source.index(row) for row in ("a:702", "b:702")]
+    rows = [tracks.source.index(row) for row in ("a:2", "b:2")]
     assert len({tracks.person[row] for row in rows}) == 1
     assert len(set(tracks.person)) == len(set(tracks.group)) == 4
 
@@ -95,12 +95,12 @@ def test_ids_are_other_people_in_another_file_unless_it_is_said_that_they_last(
         (
             {"marked": False},
             [],
-            "names a markerID in the first alone, so that ids clash",
+            "sessions a and b: the first alone names people",
         ),
         (
             {"people": [(1, 701), (2, 701)]},
             [],
-            "id 701 is somewhere else at the same time",
+            "person 701 walks passage 2 from 0 s on and passage 1 (line 4) until 23.6 s",
         ),
         (
             {},
