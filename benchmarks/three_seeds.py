@@ -23,7 +23,6 @@ from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.estimates.strongest import against_each, by_task
-from evaluation.plan.address import Address, parse_row
 from evaluation.plan.world import OWN_WORLD
 from evaluation.reporting.headline import (
     Headline,
@@ -41,6 +40,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
     from evaluation.estimates.keys import Where
+    from evaluation.plan.address import Address
+    from evaluation.store.entries import Entry
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,7 +50,7 @@ class Run:
 
     out: Path
     table: Headline
-    entries: Mapping[Address, Mapping[str, Any]]  # Of the cells.
+    entries: Mapping[Address, Entry]  # Of the cells.
     # By task, "" for reconstruction, and mechanism.
     strongest: Mapping[tuple[str, str], Address]
 
@@ -58,7 +59,7 @@ class Run:
         """The columns of the first table, and that of the worst-off tenth."""
         return [*self.table.columns, *filter(None, [self.table.worst])]
 
-    def entry(self, where: Where, column: HeadlineColumn) -> Mapping[str, Any] | None:
+    def entry(self, where: Where, column: HeadlineColumn) -> Entry | None:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.adversary)
@@ -88,7 +89,7 @@ def read(out: Path) -> Run:
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
-        parse_row(cell): cell for cell in manifest["cells"] if not parse_row(cell).world
+        cell.address: cell for cell in manifest["cells"] if not cell.address.world
     }
     return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
 

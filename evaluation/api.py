@@ -19,10 +19,10 @@ from evaluation.estimates.best_robot import BestRobots, best_robots
 from evaluation.estimates.bounds import gaps, linked_gaps
 from evaluation.estimates.by_speed import by_speed
 from evaluation.estimates.decisions import decisions
-from evaluation.estimates.families import CLEAN, RAW, Family, families_in
+from evaluation.estimates.families import CLEAN, RAW, Family, entry_families
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import TPR, galleries
-from evaluation.estimates.keys import horizons_in, judged_at
+from evaluation.estimates.keys import judged_at
 from evaluation.estimates.levels import levels
 from evaluation.estimates.linked_people import Choices, read_probes
 from evaluation.estimates.matching import FUTURE, Sweeps, matched
@@ -47,7 +47,7 @@ from evaluation.estimates.strongest_table import (
     strongest_on_each,
     strongest_table,
 )
-from evaluation.plan.address import Address, parse_row
+from evaluation.plan.address import Address
 from evaluation.plan.constants import BLOCK_SCENES, MOST_SCENES
 from evaluation.plan.plan import Plan, plan, plan_stronger
 from evaluation.plan.settings import Settings, check_drawing
@@ -66,9 +66,10 @@ from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.store import folder
 from evaluation.store.cell_files import read_gallery
+from evaluation.store.entries import FAILED_COLUMNS, Entry, horizons_in
 from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.store.linkage_outcomes import ClusterSums
-from evaluation.store.manifest import FAILED_COLUMNS, file_names, read_manifest
+from evaluation.store.manifest import file_names, read_manifest
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.patrols import built_in, recommend_policy
 from evaluation.verdict.what_to_share import (
@@ -417,7 +418,7 @@ def _judged(
     )
     candidates = {
         name
-        for name, family in families_in(manifest["cells"]).items()
+        for name, family in entry_families(manifest["cells"]).items()
         if family.protects or family.family == RAW
     }
     best = best_robots(
@@ -492,7 +493,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return the results of a run's cells, and the extent of the search for flags."""
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
-    families = families_in(manifest["cells"])
+    families = entry_families(manifest["cells"])
     with run_in_idle_worker(partial(_link_estimates, out, manifest)) as wait_for_links:
         scenes = _scene_estimates(out, manifest)
         links = wait_for_links()
@@ -553,7 +554,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         galleries=gallery_table,
         speeds=speeds,
         verdict=answered_verdict,
-        failed=pd.DataFrame(manifest.get("failed", []), columns=list(FAILED_COLUMNS)),
+        failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
         conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_gallery(out),
@@ -561,6 +562,12 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     sentences = [answer.sentence for answer in answers(results)]
     with_answer = {"answer": sentences, **answered_verdict}
     return replace(results, verdict=with_answer), searched
+
+
+def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """Return `failed.csv`: the cells that could not be computed, with reasons."""
+    rows = [entry.fields() for entry in manifest.get("failed", [])]
+    return pd.DataFrame(rows, columns=list(FAILED_COLUMNS))
 
 
 def _frontiers_and_matches(
@@ -649,11 +656,7 @@ def _try_stronger(ready: Plan, update: Callable[[int, int, str], None]) -> None:
     manifest = read_manifest(ready.out)
     entries = _proposal_entries(manifest["cells"])
     proposed = _proposed_levels(ready.out, manifest | {"cells": entries})
-    specs = [
-        entry["spec"]
-        for entry in entries
-        if (entry["mechanism"], entry["level"]) in proposed
-    ]
+    specs = [entry.spec for entry in entries if entry.address.where in proposed]
     # All cells of the run are finished: these few are not counted among them.
     n_cells = ready.n_cells
 
@@ -663,7 +666,7 @@ def _try_stronger(ready: Plan, update: Callable[[int, int, str], None]) -> None:
     execute_stronger(plan_stronger(ready, specs=specs), report)
 
 
-def _proposal_entries(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _proposal_entries(entries: Sequence[Entry]) -> list[Entry]:
     """Return the entries that proposed levels rest on.
 
     They are of protections, raw and clean, at all horizons; of the linkage tasks only
@@ -671,23 +674,21 @@ def _proposal_entries(entries: Sequence[dict[str, Any]]) -> list[dict[str, Any]]
     """
     names = {
         name
-        for name, family in families_in(entries).items()
+        for name, family in entry_families(entries).items()
         if family.protects or family.family in (RAW, CLEAN)
     }
-    addresses = [parse_row(entry) for entry in entries]
-    leading = leading_handover({address.task for address in addresses})
-    return [
-        entry
-        for entry, address in zip(entries, addresses, strict=True)
-        if address.mechanism in names
-        and address.task in ("", leading)
-        and not (address.world.law or address.world.is_model)
-    ]
+    leading = leading_handover({entry.address.task for entry in entries})
+
+    def is_wanted(address: Address) -> bool:
+        in_world = not (address.world.law or address.world.is_model)
+        return address.mechanism in names and address.task in ("", leading) and in_world
+
+    return [entry for entry in entries if is_wanted(entry.address)]
 
 
 def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Any]:
     """Return mechanism and level of each level that would be proposed now."""
-    families = families_in(manifest["cells"])
+    families = entry_families(manifest["cells"])
     scenes, links = _scene_estimates(out, manifest), _link_estimates(out, manifest)
     attacks = strongest_on_each(
         {**scenes.estimates, **links.estimates}, links.sums | scenes.attacked, families
@@ -716,7 +717,7 @@ def _level_table(
         best={OWN_WORLD: scenes.own.best}
         | {world: robots.best for world, robots in later.items()},
         linked=links.table,
-        families=families_in(manifest["cells"]),
+        families=entry_families(manifest["cells"]),
         dataset=manifest["dataset"]["name"],
     )
 

@@ -101,10 +101,9 @@ def best_robots(
     """
     robots: dict[str, dict[Where, Scored]] = {}
     for robot in scored:
-        entry = robot.entry
-        if entry["mechanism"] in among:
-            where = entry["mechanism"], entry["level"]
-            robots.setdefault(entry["consumer"], {})[where] = robot
+        address = robot.entry.address
+        if address.mechanism in among:
+            robots.setdefault(address.consumer, {})[address.where] = robot
     most = max(map(len, robots.values()), default=0)
     rivals = {
         name: levels

@@ -10,13 +10,14 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import EstimatesByAddress, Where, entries_in
+from evaluation.estimates.keys import EstimatesByAddress, Where
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import AS_SHARED, Address, parse_row
+from evaluation.plan.address import AS_SHARED, Address
 from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, entries_in
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
 
@@ -59,9 +60,10 @@ def by_speed(
     cell cannot be read.
     """
     entries = {
-        parse_row(entry): entry
-        for entry in entries_in(manifest["cells"], OWN_WORLD)
-        if entry["kind"] in ("shared", "attack")
+        entry.address: entry
+        for entry in entries_in(
+            manifest["cells"], OWN_WORLD, kinds=("shared", "attack")
+        )
     }
     shown = [
         cell.where
@@ -103,7 +105,7 @@ def _is_shown(families: Mapping[str, Family], where: Where) -> bool:
     return (families[where[0]].name, where[1]) in SHOWN
 
 
-def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
+def _speeds(out: Path, entry: Entry) -> dict[str, float]:
     """Return the net speed of each source track of a cell, m/s."""
     table = read_rows(out, entry, columns=["source", _SPEED])
     sources, speeds = (table[name].to_pylist() for name in ("source", _SPEED))
@@ -113,7 +115,7 @@ def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
 def _bins(
     out: Path,
     manifest: Mapping[str, Any],
-    entry: Mapping[str, Any],
+    entry: Entry,
     speed_by_source: Mapping[str, float],
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""

@@ -171,10 +171,10 @@ def decisions(
     # The reference first: the others are compared with its curve.
     order = sorted(
         enumerate(scored),
-        key=lambda numbered: numbered[1].entry["consumer"] != reference,
+        key=lambda numbered: numbered[1].entry.address.consumer != reference,
     )
     for place, (entry, cluster, columns) in order:
-        where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
+        where, consumer = entry.address.where, entry.address.consumer
         alarms = parse_consumer(consumer).measured("false_alarm_rate")
         raw_alarm = estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():

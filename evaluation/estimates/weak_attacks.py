@@ -157,9 +157,7 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     """Return the attacks of a run that saw only one release of each source track."""
     return {
-        entry["consumer"]
-        for entry in manifest.get("cells", ())
-        if entry.get("slow", False)
+        entry.address.consumer for entry in manifest.get("cells", ()) if entry.is_slow
     }
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.loops import GAIN, prepare_loop
-from evaluation.plan.address import parse_row
 from evaluation.plan.plan import Plan
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
@@ -21,22 +20,20 @@ from evaluation.store.cell_files import (
     sound_files,
     write_gallery,
 )
-from evaluation.store.files import (
-    FOLDER,
-    entry_label,
-    locked,
-    read_regular_file,
-    write_checked,
+from evaluation.store.entries import (
+    Entry,
+    FailedEntry,
+    entries_in,
+    other_entries,
 )
+from evaluation.store.files import FOLDER, locked, read_regular_file, write_checked
 from evaluation.store.folder import check_folder, check_preset, open_run
 from evaluation.store.manifest import (
     candidate_losses,
     cell_entries,
-    consumer_fields,
     describe,
     merged_cells,
     merged_plugins,
-    other_entries,
     with_ceiling,
     without_other_patrols,
     write_manifest,
@@ -92,9 +89,8 @@ def execute(
     failed = _note_computed(computed, ready, manifest)
     progress(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
     if keeps_walks and NOT_PASSED_ON not in ready.dataset.licence:
-        failed_plugins = {
-            str(entry[name]) for entry in failed for name in ("spec", "consumer")
-        }
+        failed_plugins = {entry.spec for entry in failed}
+        failed_plugins |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = write_sample_tracks(ready, failed_plugins, names)
     else:
         manifest["gallery_without"] = []
@@ -130,12 +126,9 @@ def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> 
     entries = cell_entries(ready, places, missing)
     manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
     # Earlier cells keep their order: results do not depend on the order of requests.
-    by_label = {(entry["spec"], entry_label(entry)): entry for entry in entries}
-    cells = []
-    for earlier in manifest["cells"]:
-        key = earlier["spec"], entry_label(earlier)
-        cells.append(by_label.pop(key, earlier))
-    manifest["cells"] = cells + list(by_label.values())
+    by_cell = {entry.cell: entry for entry in entries}
+    cells = [by_cell.pop(earlier.cell, earlier) for earlier in manifest["cells"]]
+    manifest["cells"] = cells + list(by_cell.values())
     write_manifest(out, manifest | {"state": "running"})
     computed = compute_missing(missing, ready, progress, names)
     _note_computed(computed, ready, manifest)
@@ -147,7 +140,7 @@ def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> 
 
 def _note_computed(
     computed: ComputedCells, ready: Plan, manifest: dict[str, Any]
-) -> list[dict[str, Any]]:
+) -> list[FailedEntry]:
     """Note failed cells and the time of compiling in the manifest; return the failed.
 
     Raises PluginError if no cell is finished.
@@ -156,11 +149,13 @@ def _note_computed(
         earlier_s = manifest.get("compiling_s", 0.0)
         manifest["compiling_s"] = round(earlier_s + computed.compiling_s, 3)
     failed = [
-        {
-            **consumer_fields(cell.mechanism, cell.consumer),
-            "block": cell.block,
-            "why": why,
-        }
+        FailedEntry(
+            address=cell.consumer.address,
+            kind=cell.consumer.kind,
+            spec=cell.mechanism.spec,
+            block=cell.block,
+            why=why,
+        )
         for cell, why in computed.failed
     ]
     if failed:
@@ -169,29 +164,24 @@ def _note_computed(
         manifest["cells"] = with_ceiling(other_entries(manifest["cells"], than=failed))
         if not manifest["cells"]:
             write_manifest(ready.out, manifest | {"state": "failed"})
-            raise PluginError(failed[0]["why"])
-        reasons = list(dict.fromkeys(entry["why"] for entry in failed))
+            raise PluginError(failed[0].why)
+        reasons = list(dict.fromkeys(entry.why for entry in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=5)
     return failed
 
 
-def _exhausted_redraws(
-    out: Path, cells: Iterable[dict[str, Any]], world: World
-) -> int | None:
+def _exhausted_redraws(out: Path, cells: Iterable[Entry], world: World) -> int | None:
     """Return the number of a world's agents whose place has no clearance.
 
     None if no cell of a predictor tells.
     """
-    forecasts = (entry for entry in cells if entry["kind"] == "predictor")
-    in_world = (entry for entry in forecasts if parse_row(entry).world == world)
-    entry = next(in_world, None)
-    if entry is None:
+    forecasts = entries_in(cells, world, kinds=("predictor",))
+    if not forecasts:
         return None
-    return int(
-        read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum()
-    )
+    rows = read_rows(out, forecasts[0], columns=["exhausted"])
+    return int(rows["exhausted"].to_numpy().sum())
 
 
 def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:

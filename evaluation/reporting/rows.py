@@ -19,6 +19,7 @@ from evaluation.estimates.families import (
     FIXED,
     LEVEL_UNITS,
     Family,
+    entry_families,
     families_in,
 )
 from evaluation.estimates.keys import Where, level_text
@@ -396,7 +397,7 @@ class Results:
     def families(self) -> dict[str, Family]:
         """The mechanisms of the run by name; the manifest knows which protect."""
         families = families_in(self.without_policy)
-        for name, declared in families_in(self.manifest.get("cells", ())).items():
+        for name, declared in entry_families(self.manifest.get("cells", ())).items():
             if name in families:
                 families[name] = replace(families[name], protects=declared.protects)
         return families

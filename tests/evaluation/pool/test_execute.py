@@ -273,7 +273,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         10,
     ]
     for entry in message["cells"]:
-        place = entry["spec"], entry["consumer"], entry["knowledge"]
+        address = entry.address
+        place = entry.spec, address.consumer, address.adversary
         more, first = (stored_rows(tmp_path / name, *place) for name in ("more", "few"))
         assert set(more["scene"]) == set(range(10 if place[1] in predictors[:2] else 4))
         attacked = more[more["scene"] < 4].reset_index(drop=True)

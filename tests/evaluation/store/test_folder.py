@@ -15,7 +15,7 @@ import pytest
 from helpers.commands import assert_refused
 from helpers.runs import change_code
 from helpers.small_runs import smoke, write_walks
-from helpers.summaries import edit_manifest
+from helpers.summaries import change_first_cell, edit_manifest
 
 import evaluation
 from evaluation import matrix, report
@@ -236,7 +236,7 @@ class TestManifest:
         "name", ["../manifest.json", "raw_00000_0.parquet", "/etc/passwd"]
     )
     def test_that_names_a_file_elsewhere_is_refused_whoever_sealed_it(self, name, out):
-        edit_manifest(out, lambda entry: entry["cells"][0].update(files=[name]))
+        edit_manifest(out, lambda run: change_first_cell(run, files=(name,)))
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
@@ -283,7 +283,7 @@ class TestManifest:
     def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(
         self, out, ran
     ):
-        edit_manifest(out, lambda entry: entry["cells"][0].update(kind="predictor"))
+        edit_manifest(out, lambda run: change_first_cell(run, kind="predictor"))
         assert_refused(
             ran(report, out), "has no column conflict: it is no cell of the kind"
         )
