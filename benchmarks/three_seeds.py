@@ -63,8 +63,11 @@ class Run:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.adversary)
-        if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
-            source = self.strongest.get((source.task, where[0]), source)
+        if is_attack and self.table.known[where.mechanism].family not in (
+            *SWEPT,
+            CLEAN,
+        ):
+            source = self.strongest.get((source.task, where.mechanism), source)
         return self.entries.get(source.at(*where))
 
 
@@ -149,7 +152,7 @@ def _show(outs: Sequence[Path]) -> int:
     # The levels of the first table, under both adding rules.
     tabled = {(first.known[name].name, level) for name, level in choose_levels(first)}
     for where in first.wheres:
-        if (first.known[where[0]].name, where[1]) not in tabled:
+        if (first.known[where.mechanism].name, where.level) not in tabled:
             continue
         for number, column in enumerate(runs[0].columns):
             if results := pooled(runs, where, number):

@@ -21,11 +21,11 @@ from evaluation.estimates.cross_fit import (
 )
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import Scored, bootstrap_weights
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
 

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByAddress, Where, row_worlds
+from evaluation.estimates.keys import EstimatesByAddress, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
     EXPOSURE,
@@ -23,7 +23,7 @@ from evaluation.estimates.metrics import (
     SUCCESS,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.constants import BOUND
 from evaluation.plan.world import World
 from isac_track.intervals import Estimate, difference

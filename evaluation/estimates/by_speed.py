@@ -10,11 +10,11 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
 from evaluation.store.entries import Entry, entries_in
@@ -81,15 +81,15 @@ def by_speed(
     for where in shown:
         attack = (
             best.get("")
-            if families[where[0]].family in SWEPT
-            else strongest_by_mechanism.get(where[0])
+            if families[where.mechanism].family in SWEPT
+            else strongest_by_mechanism.get(where.mechanism)
         )
         for source in filter(None, (AS_SHARED, attack)):
             if entry := entries.get(source.at(*where)):
-                level = np.nan if where[1] is None else where[1]
+                level = np.nan if where.level is None else where.level
                 about = (
                     manifest["dataset"]["name"],
-                    where[0],
+                    where.mechanism,
                     level,
                     source.consumer,
                     source.adversary,
@@ -102,7 +102,7 @@ def by_speed(
 
 
 def _is_shown(families: Mapping[str, Family], where: Where) -> bool:
-    return (families[where[0]].name, where[1]) in SHOWN
+    return (families[where.mechanism].name, where.level) in SHOWN
 
 
 def _speeds(out: Path, entry: Entry) -> dict[str, float]:

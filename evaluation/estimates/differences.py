@@ -16,7 +16,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtr
 
 from evaluation.estimates.families import entry_families
-from evaluation.estimates.keys import EstimatesByAddress, Where, row_dicts
+from evaluation.estimates.keys import EstimatesByAddress, row_dicts
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -28,7 +28,7 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.address import Address, parse_consumer, parse_row
+from evaluation.plan.address import Address, Where, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
 from evaluation.store.entries import Entry, horizons_in

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 INFORMED: Final = "informed"
-Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
 EstimatesByAddress: TypeAlias = "Mapping[Address, Estimate]"
 """Estimates of one run in one world, which their addresses leave out."""
 _MOST_WRITTEN_OUT = 1e7

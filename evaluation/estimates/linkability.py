@@ -19,9 +19,9 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.keys import Where, row_dicts
+from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.entries import Entry, entries_in
 from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes

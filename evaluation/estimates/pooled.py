@@ -19,7 +19,7 @@ import pandas as pd
 from scipy.special import ndtri, stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, FID, RAW, entry_families
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import (
@@ -32,7 +32,7 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import World
 from evaluation.store.entries import horizons_in
 from isac_track.config import StageSettings

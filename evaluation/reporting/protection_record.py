@@ -11,7 +11,7 @@ import numpy as np
 
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Where
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import counted, listed, sentence_case
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import share_text

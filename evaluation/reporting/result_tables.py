@@ -407,7 +407,7 @@ def strength_table(run: Results) -> Table:
         by_level = estimates_by_level(source_rows(run.ours, source))
         for where in representative_levels(by_level, run.families, controls=False):
             row = _strength_cells(by_level[where][source])
-            row |= {"mechanism": where[0], "level": where[1]}
+            row |= {"mechanism": where.mechanism, "level": where.level}
             records.append(row | {"task": task, "linker": attack.label})
     columns = [
         make.text_column("task"),

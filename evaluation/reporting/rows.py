@@ -22,9 +22,15 @@ from evaluation.estimates.families import (
     entry_families,
     families_in,
 )
-from evaluation.estimates.keys import Where, level_text
+from evaluation.estimates.keys import level_text
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
-from evaluation.plan.address import Address, parse_consumer, parse_dataset, plugin_name
+from evaluation.plan.address import (
+    Address,
+    Where,
+    parse_consumer,
+    parse_dataset,
+    plugin_name,
+)
 from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family

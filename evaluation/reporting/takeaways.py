@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation.estimates.families import RAW
 from evaluation.estimates.frontier import front
-from evaluation.estimates.keys import Where
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import bare_percent, round_percent
 from evaluation.reporting.charts import PERCENT, Point
 from evaluation.reporting.headline import Headline
@@ -21,7 +21,7 @@ _RAW: Final[Where] = (RAW, None)
 
 def level_name(table: Headline, where: Where) -> str:
     """Return the plain name of a level of a run."""
-    return mechanism_name(find_family(table.known, where[0]), where[1])
+    return mechanism_name(find_family(table.known, where.mechanism), where.level)
 
 
 def missed(table: Headline, where: Where) -> str:

@@ -17,5 +17,6 @@ def address_at(
 
 def entry_at(consumer, knowledge="", *, kind="shared", where=("raw", None), **fields):
     """An entry of a manifest: a consumer at a mechanism and level."""
-    address = parse_consumer(consumer, knowledge).at(*where)
-    return Entry(address, kind, **{"spec": where[0]} | fields)
+    mechanism, level = where
+    address = parse_consumer(consumer, knowledge).at(mechanism, level)
+    return Entry(address, kind, **{"spec": mechanism} | fields)
