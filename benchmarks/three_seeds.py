@@ -39,8 +39,7 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from evaluation.estimates.keys import Where
-    from evaluation.plan.address import Address
+    from evaluation.plan.address import Address, Where
     from evaluation.store.entries import Entry
 
 

@@ -240,7 +240,7 @@ def _command(arguments: Sequence[str] | None) -> int:
     ):
         update(0, None, "reading the recording")
         # Heavy imports only now: --help, --list and a typing error answer at once.
-        from evaluation.plan.plan import plan  # noqa: PLC0415 - as said
+        from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as said
 
         if settings.precision is not None:
             from evaluation.api import sized  # noqa: PLC0415 - as said
@@ -250,9 +250,9 @@ def _command(arguments: Sequence[str] | None) -> int:
                     "--precision computes 250 scenes first: leave out --dry-run"
                 )
             settings = sized(settings, progress=update)
-        ready = plan(settings)
-        rehearsal = _rehearse(ready) if options.dry_run else []
-        first, *others = announcements.plan_lines(ready)
+        plan = make_plan(settings)
+        rehearsal = _rehearse(plan) if options.dry_run else []
+        first, *others = announcements.plan_lines(plan)
         heading += announcements.wrap_lines(first)
         heading += announcements.condense_notices(
             others, most=None if shows_all else 3, where="--dry-run"
@@ -273,7 +273,7 @@ def _command(arguments: Sequence[str] | None) -> int:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
                 shows = not options.no_pictures
-                results = run(ready=ready, progress=update, pictures=shows, walks=shows)
+                results = run(plan=plan, progress=update, pictures=shows, walks=shows)
         finally:
             gc.unfreeze()  # as a caller in the same process had it
     lines = _notice_lines(results.manifest, shows_all=shows_all)
@@ -292,13 +292,13 @@ def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:
     )
 
 
-def _rehearse(ready: "Plan") -> list[str]:
+def _rehearse(plan: "Plan") -> list[str]:
     """Return the expected duration of a run, and notices; raise errors of its start."""
     from evaluation.pool.duration import expected_s, in_words  # noqa: PLC0415 - as said
     from evaluation.pool.rehearsal import rehearse  # noqa: PLC0415 - as said
 
-    trial = rehearse(ready)
-    time = in_words(expected_s(ready, trial.times), jobs=ready.jobs)
+    trial = rehearse(plan)
+    time = in_words(expected_s(plan, trial.times), jobs=plan.jobs)
     timed = [spec for _, spec in trial.times]
     lines = [
         *(

@@ -104,7 +104,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
             closest.append(
                 Gap(
                     world=name,
-                    where=(mechanism, None if np.isnan(level) else level),
+                    where=Where(mechanism, None if np.isnan(level) else level),
                     attack=source,
                     reached=Estimate(*reached[_ENDS]),
                     gap=Estimate(*best[_ENDS]),

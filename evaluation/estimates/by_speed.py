@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
+from evaluation.estimates.families import AT_RAW, FID, FIXED, SWEPT, Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
@@ -21,7 +21,7 @@ from evaluation.store.entries import Entry, entries_in
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
 
-SHOWN: Final = ((RAW, None), (FID, 1.0), (FIXED, 1.0), ("ou", 0.4))
+SHOWN: Final = (AT_RAW, Where(FID, 1.0), Where(FIXED, 1.0), Where("ou", 0.4))
 """Mechanisms, without their adding rule, and levels."""
 EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
 """Edges of the bins. People slower than the first inner edge stand. Finer bins would
@@ -72,7 +72,7 @@ def by_speed(
     ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
-    at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
+    at_raw = AT_RAW if AT_RAW in shown else shown[0]
     speed_by_source = _speeds(out, entries[AS_SHARED.at(*at_raw)])
     strongest_by_mechanism = against_each(
         by_task(estimates, metric=EXPOSURE).get("", {})

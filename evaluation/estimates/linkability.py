@@ -193,10 +193,8 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
             "mechanism", kind="stable", key=lambda name: name.map(order)
         )
         for row in row_dicts(linked):
-            where = (
-                row["mechanism"],
-                None if math.isnan(row["level"]) else float(row["level"]),
-            )
+            level = None if math.isnan(row["level"]) else float(row["level"])
+            where = Where(row["mechanism"], level)
             source = parse_consumer(row["consumer"], row["knowledge"]).without_task
             cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
         if "all" not in cohorts:

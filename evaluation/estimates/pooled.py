@@ -139,7 +139,7 @@ def run_answers(
     }
     rows = []
     for adding in ADDING_RULES:
-        strict = sweeps.named(FID, adding=adding), _STRICT
+        strict = Where(sweeps.named(FID, adding=adding), _STRICT)
         answers = {
             **_at(sweeps.estimates, strict, best),
             **_lost_ahead(ahead, strict),

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from evaluation.estimates.families import CLEAN, RAW, SWEPT
+from evaluation.estimates.families import AT_RAW, CLEAN, RAW, SWEPT
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.plan.address import Where
 from evaluation.reporting.amounts import (
@@ -120,9 +120,7 @@ def reference_level(table: Headline) -> Where:
     wheres = [where for where in table.wheres if table.known[where.mechanism].is_added]
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
-    plain = min(
-        table.wheres, key=lambda where: where.mechanism != RAW, default=(RAW, None)
-    )
+    plain = min(table.wheres, key=lambda where: where.mechanism != RAW, default=AT_RAW)
     costs = {
         where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
     }
@@ -413,7 +411,7 @@ def _descriptors_details(
 
 def _raw_beside(table: Headline, where: Where, column: HeadlineColumn) -> str:
     """Return the number of raw positions in brackets; empty at raw itself."""
-    raw = table.at((RAW, None), column) if where.mechanism != RAW else None
+    raw = table.at(AT_RAW, column) if where.mechanism != RAW else None
     return f" (raw positions: {bare_percent(raw)})" if raw else ""
 
 
@@ -430,7 +428,10 @@ def _other_rule(
         if twin.name != own.name or twin.adding in ("", own.adding):
             continue
         pairs = [
-            (table.at(where, column), table.at((twin.mechanism, where.level), column))
+            (
+                table.at(where, column),
+                table.at(Where(twin.mechanism, where.level), column),
+            )
             for column in columns
         ]
         known = [(value, other) for value, other in pairs if value and other]

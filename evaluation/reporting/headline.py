@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.bounds import Gap, gaps
-from evaluation.estimates.families import CLEAN, SWEPT, Family, families_in
+from evaluation.estimates.families import CLEAN, FID, SWEPT, Family, families_in
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import (
     ASSIGNED,
@@ -346,14 +346,16 @@ def choose_levels(
     if len(table.wheres) <= most:
         return [*first, *rest]
     cost = {where: missed.value for where in rest if (missed := table.cost(where))}
-    strict = table.cost(("fid", 1.0))
+    strict = table.cost(Where(FID, 1.0))
     target = strict.value if strict else max(cost.values(), default=0.0)
     others = [where for where in rest if where in named]
     first = first[: max(1, most - len(others[:1]))]
     shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
         family = table.known[name].name
-        usual = [(name, level) for mechanism, level in HEADLINE if mechanism == family]
+        usual = [
+            Where(name, level) for mechanism, level in HEADLINE if mechanism == family
+        ]
         levels = [where for where in rest if where.mechanism == name]
         closest = min(levels, key=lambda where: abs(cost.get(where, math.inf) - target))
         others.append(next((where for where in usual if where in levels), closest))

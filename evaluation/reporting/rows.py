@@ -551,7 +551,9 @@ def representative_levels(
         return 1 + rules.index(family.adding) if family.is_added else 0
 
     return [
-        (name, level) for name in sorted(chosen, key=rank) for level in chosen[name]
+        Where(name, level)
+        for name in sorted(chosen, key=rank)
+        for level in chosen[name]
     ]
 
 

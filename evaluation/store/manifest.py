@@ -194,7 +194,7 @@ def named_values(settings: Settings, axis: str) -> list[str] | None:
     return texts
 
 
-def describe_data(ready: Plan) -> dict[str, Any]:
+def describe_data(plan: Plan) -> dict[str, Any]:
     """Return a description of the data: its source, repairs, and tracks left out.
 
     It has advice if too few people are left.
@@ -204,7 +204,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
         recording_advice,
     )
 
-    tracks, dataset = ready.tracks, ready.dataset
+    tracks, dataset = plan.tracks, plan.dataset
     own = ("name", "sha256", "format", "simulated")
     notice = dataset.notice and without_folders(dataset.notice, dataset)
     data = {
@@ -223,7 +223,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
         ],
     }
     if tracks.n_replaced:
-        most_m = ready.settings.stages.resample.max_overshoot_m
+        most_m = plan.settings.stages.resample.max_overshoot_m
         detail = (
             f"pieces where a spline leaves the chord by over {most_m:g} m or runs;"
             " straighter"
@@ -234,7 +234,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
     if dataset.sessions:
         data["sessions"] = [public_path(session) for session in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
-        stages, used = ready.settings.stages, len(tracks)
+        stages, used = plan.settings.stages, len(tracks)
         data["would_help"] = recording_advice(
             dataset.tracks, settings=stages, used=used
         )
@@ -247,15 +247,15 @@ def _person_s(tracks: Tracks) -> float:
     return float((tracks.t[last] - tracks.t[first]).sum())
 
 
-def describe(ready: Plan) -> dict[str, Any]:
+def describe(plan: Plan) -> dict[str, Any]:
     """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
     from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
         mean_interval_s,
     )
 
-    tracks, settings, axes = ready.tracks, ready.settings, ready.axes
-    labels = id_labels(ready)
+    tracks, settings, axes = plan.tracks, plan.settings, plan.axes
+    labels = id_labels(plan)
     without_rule = {
         plugin.family
         for plugin in axes.mechanisms
@@ -268,9 +268,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "tracks_used": n_used,
             "no_future": len(tracks) - n_used,
         }
-    tasks = {
-        sessions.task.name: _describe_task(sessions) for sessions in ready.sessions
-    }
+    tasks = {sessions.task.name: _describe_task(sessions) for sessions in plan.sessions}
     return {
         "environment": {
             "isac_track": isac_track.__version__,
@@ -282,8 +280,8 @@ def describe(ready: Plan) -> dict[str, Any]:
                 str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
-        "code": ready.code,
-        "settings": _describe_settings(ready),
+        "code": plan.code,
+        "settings": _describe_settings(plan),
         "own_plugins": list_user_plugins(axes),
         "granted": {
             plugin.spec: sorted(item.name for item in plugin.instance.requires)
@@ -291,10 +289,10 @@ def describe(ready: Plan) -> dict[str, Any]:
             if plugin.instance.requires
         },
         "without_rule": sorted(without_rule),
-        "dataset": describe_data(ready),
+        "dataset": describe_data(plan),
         "geometry": asdict(
             geometry(
-                ready.recorded, settings=settings.stages.sensing, seed=settings.seed
+                plan.recorded, settings=settings.stages.sensing, seed=settings.seed
             )
         ),
         "history": {
@@ -309,9 +307,9 @@ def describe(ready: Plan) -> dict[str, Any]:
     }
 
 
-def _describe_settings(ready: Plan) -> dict[str, Any]:
+def _describe_settings(plan: Plan) -> dict[str, Any]:
     """Return the settings of a run, with the axes that they expand to."""
-    settings, axes = ready.settings, ready.axes
+    settings, axes = plan.settings, plan.axes
     linkers = dict.fromkeys(link.spec for _, link in axes.links)
     named = {axis: named_values(settings, axis) for axis in AXES}
     described: dict[str, Any] = {
@@ -407,31 +405,31 @@ def _git_commit() -> str | None:
 
 
 def cell_entries(
-    ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
+    plan: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
 ) -> list[Entry]:
     """Return the entries of a run's cells, whose files are in `places` or to come."""
     files_by_cell = {
         (unit.key, key): unit.file for unit in missing for key in unit.consumers
     } | {**places}
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for unit in ready.units:  # block by block
+    for unit in plan.units:  # block by block
         for key, consumer in unit.consumers.items():
             files[unit.mechanism.spec, consumer.label].append(
                 files_by_cell[unit.key, key]
             )
     return [
         make_entry(mechanism, consumer, files=files[mechanism.spec, consumer.label])
-        for mechanism, consumer in ready.pairs
+        for mechanism, consumer in plan.pairs
     ]
 
 
-def without_other_patrols(manifest: Mapping[str, Any], ready: Plan) -> list[Entry]:
+def without_other_patrols(manifest: Mapping[str, Any], plan: Plan) -> list[Entry]:
     """Return the entries of a manifest, without patrols of other settings than a plan's.
 
     Their files stay: with the earlier settings a run finds them again.
     """
     earlier = manifest.get("settings", {}).get("stages", {})
-    ours = patrol_values(ready.settings.stages.flat())
+    ours = patrol_values(plan.settings.stages.flat())
     is_same = patrol_values(earlier) == ours
     return [entry for entry in manifest["cells"] if is_same or not entry.address.policy]
 

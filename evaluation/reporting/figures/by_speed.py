@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.families import ADDING_RULES, AT_RAW, RAW
 from evaluation.plan.address import Where, parse_row
 from evaluation.reporting.charts import (
     LOOKS,
@@ -83,7 +83,7 @@ def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
 def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
     """Return the rows of each level."""
     levels = rows["level"].astype(object).where(rows["level"].notna(), None)
-    wheres = list(zip(rows["mechanism"], levels, strict=True))
+    wheres = list(map(Where, rows["mechanism"], levels))
     places: dict[Where, list[int]] = {}
     for place, where in enumerate(wheres):
         places.setdefault(where, []).append(place)
@@ -96,7 +96,7 @@ def _looks(run: Results, wheres: Iterable[Where]) -> dict[str, Look]:
         _name(run, where) for where in wheres if where.mechanism != RAW
     )
     looks = {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
-    raw = {_name(run, (RAW, None)): Look(LOOKS - 1)} if (RAW, None) in wheres else {}
+    raw = {_name(run, AT_RAW): Look(LOOKS - 1)} if AT_RAW in wheres else {}
     return raw | looks
 
 

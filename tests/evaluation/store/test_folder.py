@@ -21,7 +21,7 @@ import evaluation
 from evaluation import matrix, report
 from evaluation.api import rebuild
 from evaluation.plan.fingerprint import digest
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.store import folder as store
 from evaluation.store.files import locked
@@ -123,11 +123,11 @@ class TestWhereTheFolderCannotBeUsed:
 
     def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
-        ready = plan(replace(tiny, out=out))
+        plan = make_plan(replace(tiny, out=out))
         with forbidden(tmp_path):
             for look in (
-                lambda: [*plan_lines(ready)],
-                lambda: evaluation.run(ready=ready),
+                lambda: [*plan_lines(plan)],
+                lambda: evaluation.run(plan=plan),
             ):
                 with pytest.raises(
                     SettingsError, match="Permission denied; choose another"
@@ -141,11 +141,11 @@ class TestWhereTheFolderCannotBeUsed:
         self, name, finished, everybodys, tiny
     ):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        ready = plan(replace(tiny, out=out))
+        plan = make_plan(replace(tiny, out=out))
         with forbidden(out, name):
             for look in (
-                lambda: [*plan_lines(ready)],
-                lambda: evaluation.run(ready=ready),
+                lambda: [*plan_lines(plan)],
+                lambda: evaluation.run(plan=plan),
             ):
                 with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
                     look()
@@ -268,11 +268,11 @@ class TestManifest:
         self, tmp_path, ran, tiny
     ):
         out = tmp_path / "run"
-        ready = plan(replace(tiny, out=out))
-        manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
-        write_manifest(out, manifest | {"code": ready.code, "state": "running"})
+        plan = make_plan(replace(tiny, out=out))
+        manifest, _, _ = store.open_run(out, identity=plan.identity, fresh=False)
+        write_manifest(out, manifest | {"code": plan.code, "state": "running"})
         assert_refused(ran(report, out), f"{out} holds a run that never started")
-        assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
+        assert len(evaluation.run(plan=plan, pictures=False).failed) == 0
 
     def test_of_a_run_without_a_finished_cell_has_no_report(self, out, ran):
         edit_manifest(out, lambda cell: cell.update(cells=[]))
