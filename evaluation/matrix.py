@@ -5,7 +5,7 @@ import gc
 import sys
 import tomllib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -239,18 +239,7 @@ def _command(arguments: Sequence[str] | None) -> int:
         start_workers_early(0 if options.dry_run else _n_workers(settings)),
     ):
         update(0, None, "reading the recording")
-        # Heavy imports only now: --help, --list and a typing error answer at once.
-        from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as said
-
-        if settings.precision is not None:
-            from evaluation.api import sized  # noqa: PLC0415 - as said
-
-            if options.dry_run:
-                raise SettingsError(
-                    "--precision computes 250 scenes first: leave out --dry-run"
-                )
-            settings = sized(settings, progress=update)
-        plan = make_plan(settings)
+        plan = _plan(settings, update, is_dry=options.dry_run)
         rehearsal = _rehearse(plan) if options.dry_run else []
         first, *others = announcements.plan_lines(plan)
         heading += announcements.wrap_lines(first)
@@ -281,6 +270,24 @@ def _command(arguments: Sequence[str] | None) -> int:
     # One line more: loops may have been compiled.
     show(results, before=len(heading) + len(lines) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
+
+
+def _plan(
+    settings: Settings, update: Callable[[int, int | None, str], None], *, is_dry: bool
+) -> "Plan":
+    """Return the plan of a run, with the number of scenes that its precision takes."""
+    # Heavy imports only now: --help, --list and a typing error answer at once.
+    from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as said
+
+    if settings.precision is not None:
+        from evaluation.api import sized  # noqa: PLC0415 - as said
+
+        if is_dry:
+            raise SettingsError(
+                "--precision computes 250 scenes first: leave out --dry-run"
+            )
+        settings = sized(settings, progress=update)
+    return make_plan(settings)
 
 
 def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:

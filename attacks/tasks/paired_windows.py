@@ -6,7 +6,7 @@ base station, on which the noise depends.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 from typing import TypeAlias
 
@@ -17,7 +17,14 @@ from attacks.tasks.draft import LEAST_PEOPLE, Draft, track_rows
 from attacks.tasks.sessions import Sessions, Windows, circumstances, halves
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError, SettingsError
-from isac_track.types import Floats, Ints, Tracks, end_to_end, sample_runs
+from isac_track.types import (
+    Bools,
+    Floats,
+    Ints,
+    Tracks,
+    end_to_end,
+    sample_runs,
+)
 
 # People of the two-session crowd: simulating more would not show more.
 MOST_SIMULATED = 300
@@ -161,22 +168,14 @@ def _closed(
         [tracks.group[row] for row in rows],
         [later.tracks.group[row] for row in rows_later],
     )
-    searches: tuple[str, ...]
-    if draft.task.comes_back:
-        search = np.zeros(rows.size, dtype=np.int64)
-        cluster = np.unique(group, return_inverse=True)[1]
-        may_teach, searches = cluster[:, None] != cluster, ("everybody",)
-    else:
-        search = halves(group, rng=draft.rng("folds"))
-        may_teach = np.stack([search == 1, search == 0])
-        searches = ("half 1", "half 2")
+    searches = _searches(draft, group)
     # In an order of its own, so that a place in the list does not give a person away.
     order = draft.rng("order").permutation(rows.size)
     everybody = np.arange(rows.size)
     return draft.sessions(
         rows,
         group=group,
-        may_teach=may_teach,
+        may_teach=searches.may_teach,
         probe=_closed_windows(
             draft,
             "probe",
@@ -184,7 +183,7 @@ def _closed(
             start_s=starts[:, 0],
             length_s=length_s,
             person=everybody,
-            search=search,
+            search=searches.search,
         ),
         gallery=_closed_windows(
             later,
@@ -193,14 +192,37 @@ def _closed(
             start_s=starts[order, 1],
             length_s=length_s,
             person=order,
-            search=search[order],
+            search=searches.search[order],
         ),
         mate=np.argsort(order),
-        fold=np.arange(len(searches)),
-        searches=searches,
+        fold=np.arange(len(searches.names)),
+        searches=searches.names,
         too_short=len(tracks) - len(long),
         not_drawn=len(long) - rows.size,
     )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Searches:
+    """The searches that the N people of a task are linked in."""
+
+    search: Ints  # (N,) number of each person's search.
+    may_teach: Bools  # (2 or N, N) from whom the adversary of a half or person learns.
+    names: tuple[str, ...]
+
+
+def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
+    """Return a search for each half of the people, or one in which all come back.
+
+    Who comes back is linked by an adversary who learns from all other groups.
+    """
+    if draft.task.comes_back:
+        cluster = np.unique(group, return_inverse=True)[1]
+        everybody = np.zeros(len(group), dtype=np.int64)
+        return _Searches(everybody, cluster[:, None] != cluster, ("everybody",))
+    search = halves(group, rng=draft.rng("folds"))
+    may_teach = np.stack([search == 1, search == 0])
+    return _Searches(search, may_teach, ("half 1", "half 2"))
 
 
 def _long_in_both(draft: Draft, needed_s: float) -> list[int]:

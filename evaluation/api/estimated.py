@@ -96,9 +96,16 @@ class SceneEstimates:
         return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
 
     @property
-    def judged(self) -> list[_Judged]:
-        """Robots at every horizon, the run's own first."""
-        return [self.own, *self.later.values()]
+    def decided(self) -> pd.DataFrame:
+        """The robots at every horizon, the run's own first: `decisions.csv`."""
+        robots = (self.own, *self.later.values())
+        return pd.concat([judged.decided for judged in robots], ignore_index=True)
+
+    @property
+    def curves(self) -> pd.DataFrame:
+        """Their misses over false alarms: `curves.csv`."""
+        robots = (self.own, *self.later.values())
+        return pd.concat([judged.curves for judged in robots], ignore_index=True)
 
 
 def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:

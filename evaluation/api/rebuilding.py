@@ -20,14 +20,14 @@ from evaluation.api.estimated import (
 from evaluation.estimates import horizons, paper, summary, weak_attacks
 from evaluation.estimates.bounds import gaps
 from evaluation.estimates.by_speed import by_speed
-from evaluation.estimates.families import entry_families
+from evaluation.estimates.families import Family, entry_families
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import galleries
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.linked_people import Choices, read_probes
 from evaluation.estimates.matching import FUTURE, Sweeps, matched
 from evaluation.estimates.own_plugins import Estimates, plugin_records
-from evaluation.estimates.patrols import patrol_frame, patrol_numbers
+from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
 from evaluation.estimates.strongest_table import strongest_table
 from evaluation.plan.address import Address
 from evaluation.plan.settings import check_drawing
@@ -96,9 +96,6 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     with run_in_idle_worker(partial(link_estimates, out, manifest)) as wait_for_links:
         scenes = scene_estimates(out, manifest)
         links = wait_for_links()
-    flagged, searched = weak_attacks.flags(
-        scenes.estimates, slow=weak_attacks.slow_attacks(manifest)
-    )
     compared = compare_attacks(scenes, links, families)
     sweeps, best = compared.sweeps, compared.best
     describe_people = partial(
@@ -113,13 +110,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
             dataset=dataset,
         )
         on_patrol = patrol_numbers(out, manifest)
-        patrols = patrol_frame(
-            on_patrol,
-            families=families,
-            dataset=dataset,
-            columns=summary.COLUMNS,
-        )
-        far = weak_attacks.far_from_optimum(gaps(tidy))
+        flags, searched = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
     answered_verdict = _verdict(manifest, scenes, compared, validity)
@@ -131,7 +122,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     results = Results(
         out=out,
         manifest=manifest,
-        summary=pd.concat([tidy, patrols], ignore_index=True) if len(patrols) else tidy,
+        summary=_with_patrols(tidy, on_patrol, families=families, dataset=dataset),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(
             sweeps, matches, dataset=dataset, history=manifest["history"]
@@ -142,13 +133,9 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         attacked=strongest_table(
             compared.by_mechanism, sweeps.estimates, dataset=dataset
         ),
-        decisions=pd.concat(
-            [robots.decided for robots in scenes.judged], ignore_index=True
-        ),
-        curves=pd.concat(
-            [robots.curves for robots in scenes.judged], ignore_index=True
-        ),
-        flags=pd.concat([flagged, far], ignore_index=True) if len(far) else flagged,
+        decisions=scenes.decided,
+        curves=scenes.curves,
+        flags=flags,
         linkability=links.table,
         galleries=gallery_table,
         speeds=speeds,
@@ -161,6 +148,36 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     sentences = [answer.sentence for answer in answers(results)]
     with_answer = {"answer": sentences, **answered_verdict}
     return replace(results, verdict=with_answer), searched
+
+
+def _with_patrols(
+    tidy: pd.DataFrame,
+    on_patrol: Sequence[PatrolNumber],
+    *,
+    families: Mapping[str, Family],
+    dataset: str,
+) -> pd.DataFrame:
+    """Return the tidy summary with the rows of patrols after all others."""
+    patrols = patrol_frame(
+        on_patrol, families=families, dataset=dataset, columns=summary.COLUMNS
+    )
+    return pd.concat([tidy, patrols], ignore_index=True) if len(patrols) else tidy
+
+
+def _flags(
+    manifest: Mapping[str, Any], scenes: SceneEstimates, tidy: pd.DataFrame
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Return the flags of attacks that may be too weak, and the extent of the search.
+
+    `tidy` is the run's summary.
+    """
+    flagged, searched = weak_attacks.flags(
+        scenes.estimates, slow=weak_attacks.slow_attacks(manifest)
+    )
+    far = weak_attacks.far_from_optimum(gaps(tidy))
+    if len(far):
+        flagged = pd.concat([flagged, far], ignore_index=True)
+    return flagged, searched
 
 
 def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:
