@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.decisions import decisions
-from evaluation.estimates.families import families_in
+from evaluation.estimates.families import entry_families
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.summary import estimates
@@ -57,7 +57,7 @@ def pooled(outs: Sequence[Path]) -> pd.DataFrame:
     mechanisms = {key.mechanism for key in means}
     known = {
         name: family
-        for name, family in families_in(runs[0][2]["cells"]).items()
+        for name, family in entry_families(runs[0][2]["cells"]).items()
         if name in mechanisms
     }
     predictors = manifests[0]["settings"]["predictors"]

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 from threadpoolctl import threadpool_limits
 
 from evaluation.compute.work import compute_cells
-from evaluation.plan.plan import Plan, plan
+from evaluation.plan.plan import Plan, make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import (
     cells_cpu_s,
@@ -68,8 +68,10 @@ def _measure(arguments: Sequence[str] | None) -> int:
     )
     with threadpool_limits(limits=1, user_api="blas"):
         few = {"linkage.most_people": 40, "linkage.handover_instants": 3}
-        _spent(plan(settings.changed(scenes=8, stages=settings.stages.changed(few))))
-        rates = _spent(plan(settings.changed(scenes=100)))
+        _spent(
+            make_plan(settings.changed(scenes=8, stages=settings.stages.changed(few)))
+        )
+        rates = _spent(make_plan(settings.changed(scenes=100)))
     _write(rates)
     factor = whole_run_factor()
     _write({name: factor * rate for name, rate in rates.items()})
@@ -86,7 +88,7 @@ def whole_run_factor() -> float:
     settings = Settings(
         preset="paper", dataset="plaza", jobs=2, out=Path("not-written")
     )
-    return 2.0 * measured_s / cells_cpu_s(plan(settings))
+    return 2.0 * measured_s / cells_cpu_s(make_plan(settings))
 
 
 def _write(rates: Mapping[str, float]) -> None:
@@ -95,7 +97,7 @@ def _write(rates: Mapping[str, float]) -> None:
     rates_path(ROOT).write_text(text, encoding="utf-8")
 
 
-def _spent(ready: Plan) -> dict[str, float]:
+def _spent(plan: Plan) -> dict[str, float]:
     """Return CPU seconds by part, per million samples or pairs.
 
     The `setup` of a piece of work is done before its first level, for all levels.
@@ -104,12 +106,12 @@ def _spent(ready: Plan) -> dict[str, float]:
     first_s = defaultdict[str, float](float)
     first_cells = list[tuple[str, str, float]]()
     setup_sizes = defaultdict[str, float](float)
-    for work in cut_work(ready.units, ready):
-        size, setup, before = work_size(work, ready), setup_name(work), process_time()
+    for work in cut_work(plan.units, plan):
+        size, setup, before = work_size(work, plan), setup_name(work), process_time()
         setup_sizes[setup] += size
-        stages, seed = ready.settings.stages, ready.settings.seed
+        stages, seed = plan.settings.stages, plan.settings.seed
         for _, mechanism, consumer, _ in compute_cells(
-            work, tracks=ready.tracks, stages=stages, seed=seed
+            work, tracks=plan.tracks, stages=stages, seed=seed
         ):
             now, name = process_time(), rate_name(consumer)
             if mechanism is work.levels[0][0]:

@@ -23,7 +23,6 @@ from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.estimates.strongest import against_each, by_task
-from evaluation.plan.address import Address, parse_row
 from evaluation.plan.world import OWN_WORLD
 from evaluation.reporting.headline import (
     Headline,
@@ -40,7 +39,8 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from evaluation.estimates.keys import Where
+    from evaluation.plan.address import Address, Where
+    from evaluation.store.entries import Entry
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,7 +49,7 @@ class Run:
 
     out: Path
     table: Headline
-    entries: Mapping[Address, Mapping[str, Any]]  # Of the cells.
+    entries: Mapping[Address, Entry]  # Of the cells.
     # By task, "" for reconstruction, and mechanism.
     strongest: Mapping[tuple[str, str], Address]
 
@@ -58,12 +58,15 @@ class Run:
         """The columns of the first table, and that of the worst-off tenth."""
         return [*self.table.columns, *filter(None, [self.table.worst])]
 
-    def entry(self, where: Where, column: HeadlineColumn) -> Mapping[str, Any] | None:
+    def entry(self, where: Where, column: HeadlineColumn) -> Entry | None:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.adversary)
-        if is_attack and self.table.known[where[0]].family not in (*SWEPT, CLEAN):
-            source = self.strongest.get((source.task, where[0]), source)
+        if is_attack and self.table.known[where.mechanism].family not in (
+            *SWEPT,
+            CLEAN,
+        ):
+            source = self.strongest.get((source.task, where.mechanism), source)
         return self.entries.get(source.at(*where))
 
 
@@ -88,7 +91,7 @@ def read(out: Path) -> Run:
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
-        parse_row(cell): cell for cell in manifest["cells"] if not parse_row(cell).world
+        cell.address: cell for cell in manifest["cells"] if not cell.address.world
     }
     return Run(out, headline(summary, epsilon_m=epsilon_m), entries, strongest)
 
@@ -148,7 +151,7 @@ def _show(outs: Sequence[Path]) -> int:
     # The levels of the first table, under both adding rules.
     tabled = {(first.known[name].name, level) for name, level in choose_levels(first)}
     for where in first.wheres:
-        if (first.known[where[0]].name, where[1]) not in tabled:
+        if (first.known[where.mechanism].name, where.level) not in tabled:
             continue
         for number, column in enumerate(runs[0].columns):
             if results := pooled(runs, where, number):

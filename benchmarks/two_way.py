@@ -47,7 +47,9 @@ def main() -> int:
             "least_squares": ["scene", "conflict", "predicted"],
         }
         for name in MECHANISMS:
-            entries = {cell["consumer"]: cell for cell in cells if cell["spec"] == name}
+            entries = {
+                cell.address.consumer: cell for cell in cells if cell.spec == name
+            }
             agents, scenes = (
                 read_rows(out, entries[consumer], columns=wanted).to_pandas()
                 for consumer, wanted in columns.items()

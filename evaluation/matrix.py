@@ -5,7 +5,7 @@ import gc
 import sys
 import tomllib
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -239,20 +239,9 @@ def _command(arguments: Sequence[str] | None) -> int:
         start_workers_early(0 if options.dry_run else _n_workers(settings)),
     ):
         update(0, None, "reading the recording")
-        # Heavy imports only now: --help, --list and a typing error answer at once.
-        from evaluation.plan.plan import plan  # noqa: PLC0415 - as said
-
-        if settings.precision is not None:
-            from evaluation.api import sized  # noqa: PLC0415 - as said
-
-            if options.dry_run:
-                raise SettingsError(
-                    "--precision computes 250 scenes first: leave out --dry-run"
-                )
-            settings = sized(settings, progress=update)
-        ready = plan(settings)
-        rehearsal = _rehearse(ready) if options.dry_run else []
-        first, *others = announcements.plan_lines(ready)
+        plan = _plan(settings, update, is_dry=options.dry_run)
+        rehearsal = _rehearse(plan) if options.dry_run else []
+        first, *others = announcements.plan_lines(plan)
         heading += announcements.wrap_lines(first)
         heading += announcements.condense_notices(
             others, most=None if shows_all else 3, where="--dry-run"
@@ -273,7 +262,7 @@ def _command(arguments: Sequence[str] | None) -> int:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
                 shows = not options.no_pictures
-                results = run(ready=ready, progress=update, pictures=shows, walks=shows)
+                results = run(plan=plan, progress=update, pictures=shows, walks=shows)
         finally:
             gc.unfreeze()  # as a caller in the same process had it
     lines = _notice_lines(results.manifest, shows_all=shows_all)
@@ -281,6 +270,24 @@ def _command(arguments: Sequence[str] | None) -> int:
     # One line more: loops may have been compiled.
     show(results, before=len(heading) + len(lines) + 1, verbose=options.verbose)
     return FAILED_CELLS if len(results.failed) else DONE
+
+
+def _plan(
+    settings: Settings, update: Callable[[int, int | None, str], None], *, is_dry: bool
+) -> "Plan":
+    """Return the plan of a run, with the number of scenes that its precision takes."""
+    # Heavy imports only now: --help, --list and a typing error answer at once.
+    from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as said
+
+    if settings.precision is not None:
+        from evaluation.api import sized  # noqa: PLC0415 - as said
+
+        if is_dry:
+            raise SettingsError(
+                "--precision computes 250 scenes first: leave out --dry-run"
+            )
+        settings = sized(settings, progress=update)
+    return make_plan(settings)
 
 
 def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:
@@ -292,13 +299,13 @@ def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:
     )
 
 
-def _rehearse(ready: "Plan") -> list[str]:
+def _rehearse(plan: "Plan") -> list[str]:
     """Return the expected duration of a run, and notices; raise errors of its start."""
     from evaluation.pool.duration import expected_s, in_words  # noqa: PLC0415 - as said
     from evaluation.pool.rehearsal import rehearse  # noqa: PLC0415 - as said
 
-    trial = rehearse(ready)
-    time = in_words(expected_s(ready, trial.times), jobs=ready.jobs)
+    trial = rehearse(plan)
+    time = in_words(expected_s(plan, trial.times), jobs=plan.jobs)
     timed = [spec for _, spec in trial.times]
     lines = [
         *(

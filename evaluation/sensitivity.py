@@ -146,7 +146,7 @@ def _run_variant(
     Raises IsacTrackError if the base fails: all others are compared with it.
     """
     from evaluation.api import run  # noqa: PLC0415 - for --help
-    from evaluation.plan.plan import plan  # noqa: PLC0415 - as above
+    from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as above
     from evaluation.pool.execute import borrow  # noqa: PLC0415 - for --help
     from evaluation.verdict import sensitivity as verdicts  # noqa: PLC0415 - as above
 
@@ -162,11 +162,11 @@ def _run_variant(
             jobs=options.jobs,
             trust=options.trust,
         )
-        ready = plan(settings)
+        plan = make_plan(settings)
         sources = options.out, verdicts.variant_folder(options.out, BASE)
-        borrow(ready, sources=sources, fresh=options.fresh)
+        borrow(plan, sources=sources, fresh=options.fresh)
         # `evaluation.report` draws a variant on request.
-        run(ready=ready, progress=False, pictures=False)
+        run(plan=plan, progress=False, pictures=False)
     except IsacTrackError as error:
         if variant.name == BASE:
             raise

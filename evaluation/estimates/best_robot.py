@@ -20,12 +20,12 @@ from evaluation.estimates.cross_fit import (
     ratio_of_sums,
 )
 from evaluation.estimates.decisions import curve
-from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.families import AT_RAW
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import Scored, bootstrap_weights
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
 
@@ -101,15 +101,14 @@ def best_robots(
     """
     robots: dict[str, dict[Where, Scored]] = {}
     for robot in scored:
-        entry = robot.entry
-        if entry["mechanism"] in among:
-            where = entry["mechanism"], entry["level"]
-            robots.setdefault(entry["consumer"], {})[where] = robot
+        address = robot.entry.address
+        if address.mechanism in among:
+            robots.setdefault(address.consumer, {})[address.where] = robot
     most = max(map(len, robots.values()), default=0)
     rivals = {
         name: levels
         for name, levels in robots.items()
-        if len(levels) == most and (RAW, None) in levels
+        if len(levels) == most and AT_RAW in levels
     }
     if len(rivals) == 1:
         return _only_robot(next(iter(rivals)), estimates)
@@ -132,9 +131,7 @@ def _chosen(
     """Return the best of two robots or more."""
     names, wheres = list(rivals), list(next(iter(rivals.values())))
     weights = bootstrap_weights(manifest)
-    trials = [
-        _count_trials(rivals[name][RAW, None], weights.shape[1]) for name in names
-    ]
+    trials = [_count_trials(rivals[name][AT_RAW], weights.shape[1]) for name in names]
     people = _people(weights, first_half(tuple(manifest["groups"])), trials)
     sums = np.array([_sums_of_robot(rivals[name], wheres, people) for name in names])
     sums = _equally_weighted(sums)
@@ -205,7 +202,7 @@ def _sums_of_robot(
     people, row of weights.
     """
     sums = np.zeros((len(wheres), len(_NUMBERS), 2, 2, len(people.rows)))
-    raw = levels[RAW, None]
+    raw = levels[AT_RAW]
     for half, in_half in enumerate(people.halves):
         at_raw = ratio_of_sums(_alarms(raw, in_half, people.rows))
         for place, where in enumerate(wheres):

@@ -13,7 +13,7 @@ from typing import NamedTuple, cast
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByAddress, Where, row_worlds
+from evaluation.estimates.keys import EstimatesByAddress, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
     EXPOSURE,
@@ -23,7 +23,7 @@ from evaluation.estimates.metrics import (
     SUCCESS,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.constants import BOUND
 from evaluation.plan.world import World
 from isac_track.intervals import Estimate, difference
@@ -104,7 +104,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
             closest.append(
                 Gap(
                     world=name,
-                    where=(mechanism, None if np.isnan(level) else level),
+                    where=Where(mechanism, None if np.isnan(level) else level),
                     attack=source,
                     reached=Estimate(*reached[_ENDS]),
                     gap=Estimate(*best[_ENDS]),

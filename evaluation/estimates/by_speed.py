@@ -9,18 +9,19 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from evaluation.estimates.families import FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import EstimatesByAddress, Where, entries_in
+from evaluation.estimates.families import AT_RAW, FID, FIXED, SWEPT, Family
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EXPOSURE, METRICS
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import AS_SHARED, Address, parse_row
+from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, entries_in
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
 
-SHOWN: Final = ((RAW, None), (FID, 1.0), (FIXED, 1.0), ("ou", 0.4))
+SHOWN: Final = (AT_RAW, Where(FID, 1.0), Where(FIXED, 1.0), Where("ou", 0.4))
 """Mechanisms, without their adding rule, and levels."""
 EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
 """Edges of the bins. People slower than the first inner edge stand. Finer bins would
@@ -59,9 +60,10 @@ def by_speed(
     cell cannot be read.
     """
     entries = {
-        parse_row(entry): entry
-        for entry in entries_in(manifest["cells"], OWN_WORLD)
-        if entry["kind"] in ("shared", "attack")
+        entry.address: entry
+        for entry in entries_in(
+            manifest["cells"], OWN_WORLD, kinds=("shared", "attack")
+        )
     }
     shown = [
         cell.where
@@ -70,7 +72,7 @@ def by_speed(
     ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
-    at_raw = (RAW, None) if (RAW, None) in shown else shown[0]
+    at_raw = AT_RAW if AT_RAW in shown else shown[0]
     speed_by_source = _speeds(out, entries[AS_SHARED.at(*at_raw)])
     strongest_by_mechanism = against_each(
         by_task(estimates, metric=EXPOSURE).get("", {})
@@ -79,15 +81,15 @@ def by_speed(
     for where in shown:
         attack = (
             best.get("")
-            if families[where[0]].family in SWEPT
-            else strongest_by_mechanism.get(where[0])
+            if families[where.mechanism].family in SWEPT
+            else strongest_by_mechanism.get(where.mechanism)
         )
         for source in filter(None, (AS_SHARED, attack)):
             if entry := entries.get(source.at(*where)):
-                level = np.nan if where[1] is None else where[1]
+                level = np.nan if where.level is None else where.level
                 about = (
                     manifest["dataset"]["name"],
-                    where[0],
+                    where.mechanism,
                     level,
                     source.consumer,
                     source.adversary,
@@ -100,10 +102,10 @@ def by_speed(
 
 
 def _is_shown(families: Mapping[str, Family], where: Where) -> bool:
-    return (families[where[0]].name, where[1]) in SHOWN
+    return (families[where.mechanism].name, where.level) in SHOWN
 
 
-def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
+def _speeds(out: Path, entry: Entry) -> dict[str, float]:
     """Return the net speed of each source track of a cell, m/s."""
     table = read_rows(out, entry, columns=["source", _SPEED])
     sources, speeds = (table[name].to_pylist() for name in ("source", _SPEED))
@@ -113,7 +115,7 @@ def _speeds(out: Path, entry: Mapping[str, Any]) -> dict[str, float]:
 def _bins(
     out: Path,
     manifest: Mapping[str, Any],
-    entry: Mapping[str, Any],
+    entry: Entry,
     speed_by_source: Mapping[str, float],
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""

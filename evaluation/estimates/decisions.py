@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.summary import Scored, bootstrap_weights
-from evaluation.plan.address import Address, parse_consumer
+from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import Estimate, estimate_from_replicates, percentile_interval
 from isac_track.types import Bools, Floats, Ints
 
@@ -171,10 +171,10 @@ def decisions(
     # The reference first: the others are compared with its curve.
     order = sorted(
         enumerate(scored),
-        key=lambda numbered: numbered[1].entry["consumer"] != reference,
+        key=lambda numbered: numbered[1].entry.address.consumer != reference,
     )
     for place, (entry, cluster, columns) in order:
-        where, consumer = (entry["mechanism"], entry["level"]), entry["consumer"]
+        where, consumer = entry.address.where, entry.address.consumer
         alarms = parse_consumer(consumer).measured("false_alarm_rate")
         raw_alarm = estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():
@@ -195,8 +195,8 @@ def decisions(
                 }
             points.append(all_conflicts.points())
             future_points.append(future.points() if future else _NO_POINTS)
-            level = np.nan if where[1] is None else where[1]
-            about = dataset, where[0], level, consumer, name
+            level = np.nan if where.level is None else where.level
+            about = dataset, where.mechanism, level, consumer, name
             row: dict[str, Any] = dict(zip(_ABOUT, about, strict=True))
             row |= {"place": place}
             row |= _with_ends("area", "area", all_conflicts.areas())

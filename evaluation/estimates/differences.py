@@ -15,8 +15,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtr
 
-from evaluation.estimates.families import families_in
-from evaluation.estimates.keys import EstimatesByAddress, Where, horizons_in, row_dicts
+from evaluation.estimates.families import entry_families
+from evaluation.estimates.keys import EstimatesByAddress, row_dicts
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -28,9 +28,10 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.address import Address, parse_consumer, parse_row
+from evaluation.plan.address import Address, Where, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
+from evaluation.store.entries import Entry, horizons_in
 from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
@@ -150,7 +151,7 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
     shared = [number for number in in_a if number in in_b]
     if not shared:
         has_a, has_b = (
-            short_list([*families_in(run["cells"])]) for run in (first, second)
+            short_list([*entry_families(run["cells"])]) for run in (first, second)
         )
         raise DataError(
             f"{out_a} and {out_b} share no number: A has {has_a}, B has {has_b};"
@@ -304,10 +305,10 @@ def _is_headline(key: Address) -> bool:
 
 
 def _lead(
-    rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Manifest]
+    rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Entry]
 ) -> pd.DataFrame:
     """Return the leading rows, at the levels of the smoke preset or the first ones."""
-    best = strongest(estimates, families_in(cells))
+    best = strongest(estimates, entry_families(cells))
     known = dict.fromkeys(
         key.measure for key, number in estimates.items() if np.isfinite(number.value)
     )
@@ -344,12 +345,10 @@ def _lead(
     return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
 
 
-def _lead_levels(known: Collection[Where], cells: Sequence[Manifest]) -> list[Where]:
+def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:
     """Return the levels of the smoke preset that a run has, else its first ones."""
     where_by_spec = {
-        cell["spec"]: (cell["mechanism"], cell["level"])
-        for cell in cells
-        if (cell["mechanism"], cell["level"]) in known
+        cell.spec: cell.address.where for cell in cells if cell.address.where in known
     }
     smoke = [
         where_by_spec[spec]
@@ -441,12 +440,10 @@ def _axes(manifest: Manifest) -> dict[str, list[str]]:
     cells = manifest["cells"]
 
     def consumers(*kinds: str) -> list[Address]:
-        return [
-            parse_row(cell) for kind in kinds for cell in cells if cell["kind"] == kind
-        ]
+        return [cell.address for kind in kinds for cell in cells if cell.kind == kind]
 
     return {
-        "mechanisms": [cell["spec"] for cell in cells],
+        "mechanisms": [cell.spec for cell in cells],
         "predictors": [robot.consumer for robot in consumers("predictor")],
         "attacks": [attack.attack_spec for attack in consumers("attack", "linkage")],
         "tasks": [reader.task for reader in consumers("linkage", "control")],

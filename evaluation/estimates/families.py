@@ -4,17 +4,19 @@ A mechanism of the results is a family with the parameters that are not the defa
 has a value for each of its levels. No other module takes the names apart.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 import pandas as pd
 
-from evaluation.plan.address import plugin_name
+from evaluation.plan.address import Where, plugin_name
+from evaluation.store.entries import Entry
 from isac_track.types import Adding
 
 RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
+AT_RAW: Final = Where(RAW)
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
 # Meaning and unit of a level.
@@ -72,8 +74,8 @@ class Family:
 def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, Family]:
     """Return the mechanisms of a run by name, in its order.
 
-    `rows` have `mechanism`, `family` and `adding`: a summary, or `manifest["cells"]`,
-    which also say whether each claims to protect.
+    `rows` have `mechanism`, `family` and `adding`, as a summary has, and may say
+    whether each claims to protect. A finished run's manifest also knows: `entry_families`.
     """
     texts = ["mechanism", "family", "adding"]
     frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
@@ -84,6 +86,18 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
         mechanism: Family(mechanism, family, adding, protects=protects)
         for (mechanism, family, adding), protects in zip(known, claims, strict=True)
     }
+
+
+def entry_families(entries: Iterable[Entry]) -> dict[str, Family]:
+    """Return the mechanisms of a run by name, in the order of its manifest's entries."""
+    families: dict[str, Family] = {}
+    for entry in entries:
+        name = entry.address.mechanism
+        if name not in families:
+            families[name] = Family(
+                name, entry.family, entry.address.adding, protects=entry.protects
+            )
+    return families
 
 
 def with_unit(mechanism: str) -> str:

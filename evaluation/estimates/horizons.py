@@ -7,13 +7,14 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByAddress, horizons_in
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import Address, parse_consumer, parse_row
+from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.presets import BASELINE
 from evaluation.plan.world import World
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, horizons_in
 from isac_track.intervals import (
     FEWEST_EFFECTIVE,
     Estimate,
@@ -35,10 +36,10 @@ def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     same scenes: those of the first are read. Raises DataError as `read_rows`.
     """
     frames = [pd.DataFrame(columns=TIME_COLUMNS, dtype=float)]
-    name, robots = manifest["dataset"]["name"], dict[World, Mapping[str, Any]]()
+    name, robots = manifest["dataset"]["name"], dict[World, Entry]()
     for entry in manifest["cells"]:
-        if entry["kind"] == "predictor":
-            robots.setdefault(parse_row(entry).world, entry)
+        if entry.kind == "predictor":
+            robots.setdefault(entry.address.world, entry)
     horizons_s = (None, *horizons_in(manifest["cells"]))
     for world in (World(horizon_s=horizon_s) for horizon_s in horizons_s):
         if world in robots:
@@ -48,9 +49,7 @@ def conflict_times(out: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
     return pd.concat(frames[1:] or frames, ignore_index=True)[TIME_COLUMNS]
 
 
-def _distribution(
-    out: Path, entry: Mapping[str, Any], manifest: Mapping[str, Any]
-) -> pd.DataFrame:
+def _distribution(out: Path, entry: Entry, manifest: Mapping[str, Any]) -> pd.DataFrame:
     table, weights = (
         read_rows(out, entry, columns=_COLUMNS),
         bootstrap_weights(manifest),

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from evaluation.estimates.metrics import MISSED_RATE
-from evaluation.plan.address import (
-    Address,
-    parse_consumer,
-    parse_dataset,
-    parse_row,
-)
-from evaluation.plan.world import World, parse_world
+from evaluation.plan.address import Address, parse_consumer, parse_dataset
 from isac_track.protocols import ADVERSARIES
 
 if TYPE_CHECKING:
@@ -22,7 +16,6 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 INFORMED: Final = "informed"
-Where: TypeAlias = "tuple[str, float | None]"  # Mechanism and level.
 EstimatesByAddress: TypeAlias = "Mapping[Address, Estimate]"
 """Estimates of one run in one world, which their addresses leave out."""
 _MOST_WRITTEN_OUT = 1e7
@@ -61,28 +54,6 @@ def row_addresses(rows: pd.DataFrame) -> list[Address]:
             *(rows[name] for name in names), knowledge, strict=True
         )
     ]
-
-
-def row_address(row: Mapping[Any, Any]) -> Address:
-    """Return the address of a row or of a manifest's entry, without what a run shares.
-
-    That is recording and world: all numbers of a mapping have the same.
-    """
-    return parse_row(row).within()
-
-
-def entries_in(
-    entries: Iterable[Mapping[str, Any]], world: World
-) -> list[Mapping[str, Any]]:
-    """Return the entries of a manifest that are of a world."""
-    return [entry for entry in entries if (entry.get("world") or "") == world.text]
-
-
-def horizons_in(entries: Iterable[Mapping[str, Any]]) -> list[float]:
-    """Return the further horizons of a run, s, ascending, from its manifest's cells."""
-    worlds = map(parse_world, {entry.get("world") or "" for entry in entries})
-    horizons_s = {world.horizon_s for world in worlds if world is not None}
-    return sorted(horizon_s for horizon_s in horizons_s if horizon_s is not None)
 
 
 def judged_at(

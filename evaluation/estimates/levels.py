@@ -16,7 +16,7 @@ import pandas as pd
 
 from evaluation.estimates.best_robot import BestRobots
 from evaluation.estimates.families import RAW, Family
-from evaluation.estimates.keys import EstimatesByAddress, Where, row_address
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.metrics import (
     COSTS,
@@ -37,7 +37,7 @@ from evaluation.estimates.strongest import (
     success_metric,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE, Strongest
-from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_row
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.linkability import GALLERY
@@ -238,7 +238,7 @@ def _cards(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
     if linked.empty:
         return {}
     rows = linked[linked["cohort"] == "all"].to_dict("records")
-    return {row_address(row): row for row in rows}
+    return {parse_row(row).within(): row for row in rows}
 
 
 def _choices(attack: Strongest, metric: str) -> dict[str, str]:

@@ -19,10 +19,11 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.keys import Where, entries_in, row_address, row_dicts
+from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.address import Address, parse_consumer, parse_row
+from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.world import OWN_WORLD, World
+from evaluation.store.entries import Entry, entries_in
 from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes
 from isac_track.linkability.significance import LEVEL, holm, outcome
 
@@ -64,7 +65,7 @@ REMARKS = {
 """Remarks on a linkage cell that does not simply link, each with its meaning."""
 # Data set of the simulated two-session crowd's tasks.
 TWO_SESSIONS = "plaza-two-sessions"
-Cards: TypeAlias = "Sequence[tuple[Mapping[str, Any], LinkageOutcome]]"
+Cards: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
 
 
 def task_recording(task: str, *, dataset: str) -> str:
@@ -90,11 +91,7 @@ def cards(
     `drawn` are the attacks' metrics that need replicates; without it all metrics of
     attacks and controls have them. Raises DataError if a cell cannot be read.
     """
-    entries = [
-        entry
-        for entry in entries_in(manifest["cells"], world)
-        if entry["kind"] in ("linkage", "control")
-    ]
+    entries = entries_in(manifest["cells"], world, kinds=("linkage", "control"))
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 
@@ -104,16 +101,16 @@ def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
     `dataset` is that of the run.
     """
     ceilings = {
-        parse_row(entry).source: card.numbers["p_value"]
+        entry.address.source: card.numbers["p_value"]
         for entry, card in cards
-        if entry["mechanism"] == CLEAN
+        if entry.address.mechanism == CLEAN
     }
     leaks = _leaks(cards)
     rows = []
     for entry, card in cards:
-        address, numbers = row_address(entry), card.numbers
+        address, numbers = entry.address, card.numbers
         p_value = numbers["p_value"]
-        if entry["kind"] == "control":
+        if entry.kind == "control":
             result = "beats chance" if p_value <= LEVEL else "at chance"
         else:
             result = outcome(p_value=p_value, ceiling_p_value=ceilings[address.source])
@@ -121,7 +118,7 @@ def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
         ends = rank1.value, rank1.ci_low, rank1.ci_high
         row = {
             **in_run(address, dataset=dataset).to_columns(),
-            "invalid": ", ".join(leaks.get((entry["spec"], address.task), ())),
+            "invalid": ", ".join(leaks.get((entry.spec, address.task), ())),
         }
         everybody = {
             **numbers,
@@ -140,12 +137,12 @@ def _leaks(cards: Cards) -> dict[tuple[str, str], list[str]]:
     """Return the shortcuts that beat chance, by SPEC and task (after Holm)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
     for entry, card in cards:
-        address = parse_row(entry)
+        address = entry.address
         task, name = address.task, address.control
-        if entry["kind"] == "control" and CONTROLS[name].audits(TASKS[task]):
+        if entry.kind == "control" and CONTROLS[name].audits(TASKS[task]):
             # Two-sided: scores that are low for mates also give them away.
             tails = card.numbers["p_value"], card.numbers["p_value_low"]
-            p_values = audits.setdefault((entry["spec"], task), {})
+            p_values = audits.setdefault((entry.spec, task), {})
             p_values[name] = min(1.0, 2.0 * min(tails))
     leaks = {}
     for cell, p_values in audits.items():
@@ -196,10 +193,8 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
             "mechanism", kind="stable", key=lambda name: name.map(order)
         )
         for row in row_dicts(linked):
-            where = (
-                row["mechanism"],
-                None if math.isnan(row["level"]) else float(row["level"]),
-            )
+            level = None if math.isnan(row["level"]) else float(row["level"])
+            where = Where(row["mechanism"], level)
             source = parse_consumer(row["consumer"], row["knowledge"]).without_task
             cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
         if "all" not in cohorts:

@@ -19,7 +19,6 @@ from evaluation.compute.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.compute.link_setup import SIDES
 from evaluation.compute.tables import ON_TRIAL
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.estimates.keys import entries_in
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
     ASSIGNED,
@@ -29,10 +28,11 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import against_each, by_task, first_half
-from evaluation.plan.address import Address, parse_row
+from evaluation.plan.address import Address
 from evaluation.plan.constants import WINDOWS
 from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, entries_in
 from isac_track.intervals import cluster_sums
 from isac_track.linkability import GALLERY
 from isac_track.linkability.ranks import among_strangers, expected_hit, first_among
@@ -135,9 +135,10 @@ def read_probes(
     other half's choice. Without choices all are linked by the strongest, probe by
     probe. Raises DataError if a cell cannot be read.
     """
-    cells = {
-        parse_row(entry): entry for entry in entries_in(manifest["cells"], OWN_WORLD)
-    }
+    linked_entries = entries_in(
+        manifest["cells"], OWN_WORLD, kinds=("linkage", "windows")
+    )
+    cells = {entry.address: entry for entry in linked_entries}
     levels = by_task(sweeps.estimates, metric=SUCCESS)
     papers = {RAW} | {
         sweeps.named(family, adding=adding)
@@ -169,7 +170,7 @@ def read_probes(
     return probes
 
 
-def _mated(out: Path, linked: Mapping[str, Any]) -> pa.Table:
+def _mated(out: Path, linked: Entry) -> pa.Table:
     """Return the rows of a cell's probes that have a mate."""
     probes = read_rows(out, linked, columns=_PROBE_COLUMNS, beside=_WINDOW_COLUMNS)
     return probes.filter(pc.greater_equal(probes["above"], 0))
@@ -198,7 +199,7 @@ def _hits(probes: pa.Table, metric: str) -> Floats:
 
 def _crossed_hits(
     out: Path,
-    pair: Sequence[tuple[Mapping[str, Any] | None, str]],
+    pair: Sequence[tuple[Entry | None, str]],
     group: Sequence[str],
 ) -> Floats | None:
     """Return the share of hits, (N,), each half linked by the other's choice."""
@@ -213,9 +214,9 @@ def _crossed_hits(
 
 def _probes(
     out: Path,
-    linked: Mapping[str, Any],
-    windows: Mapping[str, Any],
-    pairs: Mapping[str, Sequence[tuple[Mapping[str, Any] | None, str]]],
+    linked: Entry,
+    windows: Entry,
+    pairs: Mapping[str, Sequence[tuple[Entry | None, str]]],
 ) -> LinkedProbes:
     probes = _mated(out, linked)
     tracks = read_rows(out, windows, columns=_WINDOW_COLUMNS, beside=_PROBE_COLUMNS)
@@ -236,9 +237,9 @@ def _probes(
         crossed = _crossed_hits(out, pairs[metric], group) if metric in pairs else None
         hits[metric] = _hits(probes, metric) if crossed is None else crossed
     return LinkedProbes(
-        mechanism=linked["mechanism"],
-        level=linked["level"],
-        linker=parse_row(linked).source,
+        mechanism=linked.address.mechanism,
+        level=linked.address.level,
+        linker=linked.address.source,
         hit=hits[SUCCESS],
         hit_among=hits[SUCCESS_OF_100],
         strangers=_strangers(probes),

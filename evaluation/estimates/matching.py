@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, TypeAlias
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW, Family
+from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW, Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
@@ -25,7 +25,7 @@ from evaluation.estimates.metrics import (
     FUTURE_EQUAL_ALARMS,
     MISSED_RATE,
 )
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.presets import SHARED
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, percentile_intervals
@@ -160,8 +160,10 @@ class Sweeps:
         self, mechanisms: Iterable[str], *measures: Address
     ) -> tuple[int, float]:
         """Return the least clusters and effective clusters over all levels and raw."""
-        wheres = [(name, level) for name in mechanisms for level in self.levels(name)]
-        wheres.append((RAW, None))
+        wheres = [
+            Where(name, level) for name in mechanisms for level in self.levels(name)
+        ]
+        wheres.append(AT_RAW)
         keys = (measure.at(*where) for where in wheres for measure in measures)
         known = [self.estimates[key] for key in keys if key in self.estimates]
         known = known or [Estimate(np.nan)]

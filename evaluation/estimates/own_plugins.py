@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
 from evaluation.estimates.strongest import (
     GROUPS,
@@ -26,7 +26,7 @@ from evaluation.estimates.strongest import (
     ranking_levels,
 )
 from evaluation.estimates.strongest_table import Strongest
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import IDENTITY, ORACLE
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, estimate_from_replicates
@@ -216,11 +216,11 @@ def _mechanism_records(
             and np.isfinite(estimate.value)
         }
         robot = min(missed, key=lambda name: missed[name].value, default="")
-        attack, linker = attacks.get(where[0]), linkers.get(where[0])
+        attack, linker = attacks.get(where.mechanism), linkers.get(where.mechanism)
         yield {
             "kind": MECHANISM,
-            "plugin": where[0],
-            "level": where[1],
+            "plugin": where.mechanism,
+            "level": where.level,
             "horizon_s": horizon_s,
             "robot": robot,
             "missed": _interval(missed.get(robot)),

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
+from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW
 from evaluation.estimates.matching import FUTURE, MIN_DEFINED, MISSED, Sweeps
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
-from evaluation.plan.address import Address, parse_dataset
+from evaluation.plan.address import Address, Where, parse_dataset
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 
@@ -199,7 +199,7 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[tuple[object, ...]]:
     for level in (0.1, 0.2):
         raw, ours = (
             sweeps.estimates.get(missed.at(*where))
-            for where in ((RAW, None), (fixed, level))
+            for where in (AT_RAW, Where(fixed, level))
         )
         if raw is None or ours is None:
             continue

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.compute.tables import Rows
+    from evaluation.store.entries import Entry
     from isac_track.intervals import Estimate
 
 MAP: Final = "map"
@@ -61,30 +62,31 @@ def patrol_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]
     seed = int(manifest["identity"]["seed"])
     numbers: list[PatrolNumber] = []
     for entry in manifest["cells"]:
-        if entry.get("policy"):
+        if entry.address.policy:
             numbers += _numbers(out, entry, seed=seed)
     return numbers
 
 
-def _numbers(out: Path, entry: Mapping[str, Any], *, seed: int) -> list[PatrolNumber]:
+def _numbers(out: Path, entry: Entry, *, seed: int) -> list[PatrolNumber]:
     """Return the numbers of a cell of a robot, or of an adversary with a log."""
+    address = entry.address
 
     def number(
         metric: str, estimate: Estimate, consumer: str, knowledge: str = ""
     ) -> PatrolNumber:
         return PatrolNumber(
-            mechanism=entry["mechanism"],
-            level=entry["level"],
+            mechanism=address.mechanism,
+            level=address.level,
             consumer=consumer,
             knowledge=knowledge,
             metric=metric,
-            policy=entry["policy"],
-            world=entry.get("world") or "",
+            policy=address.policy,
+            world=address.world.text,
             estimate=estimate,
         )
 
-    consumer, knowledge = entry["consumer"], entry["knowledge"]
-    if entry["kind"] == "patrol":
+    consumer, knowledge = address.consumer, address.adversary
+    if entry.kind == "patrol":
         rows, group = _read(out, entry, ROBOT_COLUMNS)
         is_built_in = bool(rows["by_construction"].all())
         metrics = estimate_utility(utility_counts(rows), group=group, seed=seed)
@@ -113,7 +115,7 @@ def _numbers(out: Path, entry: Mapping[str, Any], *, seed: int) -> list[PatrolNu
 
 
 def _read(
-    out: Path, entry: Mapping[str, Any], columns: Sequence[str]
+    out: Path, entry: Entry, columns: Sequence[str]
 ) -> tuple[Rows, tuple[str, ...]]:
     """Return the rows of a cell, and the cluster of each person."""
     table = read_rows(out, entry, columns=[*_PEOPLE, *columns])

@@ -18,8 +18,8 @@ import numpy as np
 import pandas as pd
 from scipy.special import ndtri, stdtrit
 
-from evaluation.estimates.families import ADDING_RULES, FID, RAW, families_in
-from evaluation.estimates.keys import EstimatesByAddress, Where, horizons_in
+from evaluation.estimates.families import ADDING_RULES, FID, RAW, entry_families
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import cards
 from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import (
@@ -32,8 +32,9 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import estimates, linkage_estimates
-from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import World
+from evaluation.store.entries import horizons_in
 from isac_track.config import StageSettings
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, difference
 
@@ -121,7 +122,7 @@ def run_answers(
     Differences are paired: both numbers are of the same people in the same draws. A
     question without an answer has no row. Raises DataError if a cell cannot be read.
     """
-    families = families_in(manifest["cells"])
+    families = entry_families(manifest["cells"])
     scorecards = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
     scenes, _, _ = estimates(out, manifest)
     sweeps = Sweeps({**scenes, **linkage_estimates(scorecards)}, families)
@@ -138,7 +139,7 @@ def run_answers(
     }
     rows = []
     for adding in ADDING_RULES:
-        strict = sweeps.named(FID, adding=adding), _STRICT
+        strict = Where(sweeps.named(FID, adding=adding), _STRICT)
         answers = {
             **_at(sweeps.estimates, strict, best),
             **_lost_ahead(ahead, strict),

@@ -11,7 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from scipy.special import expit, logit, ndtri, stdtrit
@@ -20,6 +20,7 @@ from evaluation.compute.link_scores import COMPANIONS
 from evaluation.estimates.metrics import SUCCESS, SUCCESS_OF_100
 from evaluation.estimates.summary import cell_columns, ratios
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry
 from isac_track.intervals import (
     CONFIDENCE,
     LEAST_CLUSTERS,
@@ -135,20 +136,20 @@ def stacked_sums(runs: Sequence[Mapping[str, tuple[float, float]]]) -> Floats:
 
 
 def read_sums(
-    out: Path, entry: Mapping[str, Any], metric: str
+    out: Path, entry: Entry, metric: str
 ) -> dict[str, tuple[float, float]] | None:
     """Return numerator and denominator of a cell's metric by the name of each cluster.
 
     `entry` is the cell's entry in a manifest. None if the metric is no ratio of sums
     over people, or was refused. Raises DataError if the cell cannot be read.
     """
-    if entry["kind"] == "linkage":
+    if entry.kind == "linkage":
         table = read_rows(out, entry, columns=_PROBE_COLUMNS)
         counts = {name: table[name].to_numpy() for name in _PROBE_COLUMNS[1:]}
         over, under = _hits(counts, metric)
     else:
-        table = read_rows(out, entry, columns=cell_columns(entry["kind"]))
-        over, under = ratios(entry["kind"], table).get(metric, (None, None))
+        table = read_rows(out, entry, columns=cell_columns(entry.kind))
+        over, under = ratios(entry.kind, table).get(metric, (None, None))
     if over is None or under is None or not np.isfinite(over).all():
         return None
     names, cluster = np.unique(

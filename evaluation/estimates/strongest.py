@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
-from evaluation.estimates.keys import INFORMED, EstimatesByAddress, Where
+from evaluation.estimates.keys import INFORMED, EstimatesByAddress
 from evaluation.estimates.metrics import (
     ASSIGNED,
     DESCRIPTORS,
@@ -38,7 +38,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
     WIDE,
 )
-from evaluation.plan.address import AS_SHARED, Address
+from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.presets import IDENTITY
 from evaluation.store.people import in_first_half
 from isac_track.types import Bools, Floats, read_only
@@ -160,7 +160,7 @@ def _chooses(
     wanted = (
         SWEPT if {FIXED, FID}.intersection(family_names) else {*family_names} - {CLEAN}
     )
-    return families[where[0]].family in wanted
+    return families[where.mechanism].family in wanted
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import EstimatesByAddress, Where
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     ASSIGNED,
@@ -29,7 +29,7 @@ from evaluation.estimates.strongest import (
     by_task,
     cross_fitted,
 )
-from evaluation.plan.address import Address
+from evaluation.plan.address import Address, Where
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
@@ -99,7 +99,9 @@ def strongest_on_each(
         for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
                 for mechanism, source in against_each(levels, among=among).items():
-                    wheres = tuple(where for where in levels if where[0] == mechanism)
+                    wheres = tuple(
+                        where for where in levels if where.mechanism == mechanism
+                    )
                     known = own_sums.get((mechanism, task), {})
                     crossed = cross_fitted(known, families, source, by=ranked_by)
                     strongest.append(

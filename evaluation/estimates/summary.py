@@ -7,7 +7,7 @@ whole clusters, the same ones for every mechanism, so that differences are paire
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,7 +16,7 @@ import pandas as pd
 import pyarrow as pa
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.keys import EstimatesByAddress, entries_in, row_address
+from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import Cards, in_run
 from evaluation.estimates.metrics import (
     BOUNDS,
@@ -33,6 +33,7 @@ from evaluation.estimates.worst_off import person_means, worst_tenth
 from evaluation.plan.address import Address
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, entries_in
 from evaluation.store.linkage_outcomes import ClusterSums, LinkageOutcome
 from isac_track.intervals import (
     Estimate,
@@ -92,7 +93,7 @@ _DECIDED = (
 class Scored(NamedTuple):
     """A predictor's answers for every scene of one mechanism level."""
 
-    entry: Mapping[str, Any]  # Of the cell in the manifest.
+    entry: Entry  # Of the cell in the manifest.
     cluster: Ints  # (S,) of the scenes
     columns: Mapping[str, Any]  # (S,) each: `_DECIDED`
 
@@ -111,19 +112,15 @@ def estimates(
     numbers: dict[Address, Estimate] = {}
     scored: list[Scored] = []
     attacked: dict[Address, ClusterSums] = {}
-    entries = [
-        entry
-        for entry in entries_in(manifest["cells"], world)
-        if entry["kind"] in _CELL_COLUMNS
-    ]
+    entries = entries_in(manifest["cells"], world, kinds=_CELL_COLUMNS)
     gap = [GAP] if world.is_model else []
     every_column = {
         name for columns in (*_CELL_COLUMNS.values(), gap) for name in columns
     }
-    for _, entries_of_file in groupby(entries, key=itemgetter("files")):
+    for _, entries_of_file in groupby(entries, key=attrgetter("files")):
         keys, sums = [], []
         for entry in entries_of_file:
-            kind, address = entry["kind"], row_address(entry)
+            kind, address = entry.kind, entry.address.within()
             columns = [*_CELL_COLUMNS[kind], *(gap if kind == "attack" else [])]
             table = read_rows(out, entry, columns=columns, beside=every_column)
             cluster = clusters(table, manifest)
@@ -208,7 +205,7 @@ def linkage_sums(cards: Cards) -> dict[Address, ClusterSums]:
 
 
 def _addressed(cards: Cards) -> Iterator[tuple[Address, LinkageOutcome]]:
-    return ((row_address(entry), card) for entry, card in cards)
+    return ((entry.address.within(), card) for entry, card in cards)
 
 
 def bootstrap_weights(manifest: Mapping[str, Any]) -> Floats:

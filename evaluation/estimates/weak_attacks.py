@@ -18,9 +18,15 @@ import pandas as pd
 
 from evaluation.estimates.bounds import Gap
 from evaluation.estimates.families import CLEAN, RAW
-from evaluation.estimates.keys import EstimatesByAddress, Where, where_text
+from evaluation.estimates.keys import EstimatesByAddress, where_text
 from evaluation.estimates.metrics import EXPOSURE, SUCCESS
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer, plugin_name
+from evaluation.plan.address import (
+    AS_SHARED,
+    Address,
+    Where,
+    parse_consumer,
+    plugin_name,
+)
 from evaluation.plan.constants import BOUND
 from evaluation.plan.presets import IDENTITY
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
@@ -157,9 +163,7 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
 def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     """Return the attacks of a run that saw only one release of each source track."""
     return {
-        entry["consumer"]
-        for entry in manifest.get("cells", ())
-        if entry.get("slow", False)
+        entry.address.consumer for entry in manifest.get("cells", ()) if entry.is_slow
     }
 
 
@@ -255,7 +259,7 @@ def _falling_pairs(
         noise = {
             where: estimates[rmse.at(*where)].value
             for where in levels
-            if where[0] in (mechanism, RAW) and rmse.at(*where) in estimates
+            if where.mechanism in (mechanism, RAW) and rmse.at(*where) in estimates
         }
         in_order = sorted(noise, key=noise.__getitem__)
         if len(in_order) < 2 or in_order[-1][0] != mechanism:  # noqa: PLR2004 - a fall has two ends

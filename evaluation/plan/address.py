@@ -12,7 +12,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from evaluation.plan.constants import SHARED
 from evaluation.plan.world import OWN_WORLD, World, parse_world
@@ -23,6 +23,13 @@ _UNDER: Final = " under "  # Between consumer and policy.
 _LABEL: Final = re.compile(
     rf"(.+?)(?: \((\w+)\))?(, joint)?(?:{_UNDER}(\S+?))?(?:, (\S+))?"
 )
+
+
+class Where(NamedTuple):
+    """A mechanism at a level: what the numbers of a row of a table have in common."""
+
+    mechanism: str  # SPEC without the level.
+    level: float | None = None  # None: the mechanism has none.
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +94,9 @@ class Address:
         return f"{label}, {self.world.text}" if self.world else label
 
     @property
-    def where(self) -> tuple[str, float | None]:
+    def where(self) -> Where:
         """Mechanism and level."""
-        return self.mechanism, self.level
+        return Where(self.mechanism, self.level)
 
     @property
     def measure(self) -> Address:

@@ -88,7 +88,7 @@ class Plan:
         )
 
 
-def plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
+def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     """Check the settings, load the data set unless it is given, and lay out the cells.
 
     Raises IsacTrackError for anything that a user can mend.
@@ -214,24 +214,24 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
     return identity
 
 
-def plan_stronger(ready: Plan, *, specs: Iterable[str]) -> Plan:
+def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     """Return a plan of the preset's stronger adversaries against some levels of a run.
 
     Its cells have the keys of the same run with `--adversary` and `--attack ou_rts`.
     The plan has no units without levels, or if the user named the attacks.
     """
-    settings, wanted = ready.settings, set(specs)
+    settings, wanted = plan.settings, set(specs)
     breakers: tuple[str, ...] = ()
     if not settings.choice("attacks").replaces:
         breakers = PRESETS[settings.preset].breakers
     mechanisms = tuple(
-        level for level in ready.axes.mechanisms if level.spec in wanted and breakers
+        level for level in plan.axes.mechanisms if level.spec in wanted and breakers
     )
     attacks = (plugins.parse("attacks", BREAKER)[0],)
     crossed = Axes(mechanisms, (), attacks, adversaries=breakers, only_stronger=True)
-    units, code_digests = _units(crossed, settings, identity=ready.identity)
+    units, code_digests = _units(crossed, settings, identity=plan.identity)
     return replace(
-        ready, axes=crossed, units=units, code_digests=code_digests, sessions=()
+        plan, axes=crossed, units=units, code_digests=code_digests, sessions=()
     )
 
 

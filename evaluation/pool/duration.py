@@ -29,14 +29,14 @@ _HOURS_FROM_S: Final = 7200.0
 _REPORT_S: Final = 3.0  # Of the smallest run: tables, figures and page.
 
 
-def expected_s(ready: Plan, own: PluginTimes = NO_TIMES) -> float:
+def expected_s(plan: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the expected duration of a plan, s, on as many idle cores as workers.
 
     Finished cells take no time. A plug-in of a user's own counts as the median of the
     built-in ones of its kind; its measured time, if `own` has it, comes on top. Loops
     that are still to be compiled are not counted.
     """
-    return wall_s(cells_cpu_s(ready, own), jobs=ready.jobs)
+    return wall_s(cells_cpu_s(plan, own), jobs=plan.jobs)
 
 
 def wall_s(cpu_s: float, *, jobs: int) -> float:
@@ -44,22 +44,22 @@ def wall_s(cpu_s: float, *, jobs: int) -> float:
     return _START_S + (1.0 + _REPORT_SHARE) * cpu_s / max(jobs, 1) + _REPORT_S
 
 
-def cells_cpu_s(ready: Plan, own: PluginTimes = NO_TIMES) -> float:
+def cells_cpu_s(plan: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the CPU time of the missing cells of a plan, s."""
-    missing = ready.units if ready.settings.fresh else unfinished(ready)
+    missing = plan.units if plan.settings.fresh else unfinished(plan)
     rates, cpu_s = measured_rates(), 0.0
-    for work in cut_work(missing, ready):
+    for work in cut_work(missing, plan):
         rate = rates[setup_name(work)]
         rate += sum(_rate(cell.consumer, rates) for cell in planned_cells(work))
-        cpu_s += rate * work_size(work, ready)
-        cpu_s += _own_s(work, ready, own) if own else 0.0
+        cpu_s += rate * work_size(work, plan)
+        cpu_s += _own_s(work, plan, own) if own else 0.0
     return cpu_s
 
 
-def _own_s(work: Block | LinkWork | PatrolWork, ready: Plan, own: PluginTimes) -> float:
+def _own_s(work: Block | LinkWork | PatrolWork, plan: Plan, own: PluginTimes) -> float:
     """Return the CPU time of a user's plug-ins in a piece of work, s."""
-    n_samples = _millions_of_samples(work, ready)
-    sizes = {"linkage": work_size(work, ready)}
+    n_samples = _millions_of_samples(work, plan)
+    sizes = {"linkage": work_size(work, plan)}
     calls = [("mechanism", mechanism) for mechanism, _ in work.levels]
     calls += [
         ("attack" if plugin is cell.consumer.behind else cell.consumer.kind, plugin)
@@ -73,10 +73,10 @@ def _own_s(work: Block | LinkWork | PatrolWork, ready: Plan, own: PluginTimes) -
     )
 
 
-def _millions_of_samples(work: Block | LinkWork | PatrolWork, ready: Plan) -> float:
+def _millions_of_samples(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
     """Return the millions of samples that are shared at a level of a work."""
     if isinstance(work, Block | PatrolWork):
-        return work_size(work, ready)
+        return work_size(work, plan)
     sides = work.sessions.probe, work.sessions.gallery
     return sum(float(side.offsets[-1]) for side in sides) / 1e6
 
@@ -96,19 +96,19 @@ def _rounded(seconds: float) -> float:
     return 5.0 * max(round(seconds / 5.0), 1)
 
 
-def work_size(work: Block | LinkWork | PatrolWork, ready: Plan) -> float:
+def work_size(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
     """Return the millions of samples, or of pairs, that a consumer reads of a work.
 
     On a patrol each robot reads the last samples of people at each query: the
     person-seconds of the recording, once for each robot.
     """
     if isinstance(work, PatrolWork):
-        rules, tracks = ready.settings.stages.patrol, work.recorded
+        rules, tracks = plan.settings.stages.patrol, work.recorded
         ends = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
         n_queries = float(ends.sum()) / rules.query_s
         return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, Block):
-        return work.order.size * float(np.diff(ready.tracks.offsets).mean()) / 1e6
+        return work.order.size * float(np.diff(plan.tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
     probes, gallery = (
         np.bincount(side, minlength=len(work.sessions.searches)) for side in sides

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.loops import GAIN, prepare_loop
-from evaluation.plan.address import parse_row
 from evaluation.plan.plan import Plan
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
@@ -21,22 +20,20 @@ from evaluation.store.cell_files import (
     sound_files,
     write_gallery,
 )
-from evaluation.store.files import (
-    FOLDER,
-    entry_label,
-    locked,
-    read_regular_file,
-    write_checked,
+from evaluation.store.entries import (
+    Entry,
+    FailedEntry,
+    entries_in,
+    other_entries,
 )
+from evaluation.store.files import FOLDER, locked, read_regular_file, write_checked
 from evaluation.store.folder import check_folder, check_preset, open_run
 from evaluation.store.manifest import (
     candidate_losses,
     cell_entries,
-    consumer_fields,
     describe,
     merged_cells,
     merged_plugins,
-    other_entries,
     with_ceiling,
     without_other_patrols,
     write_manifest,
@@ -53,7 +50,7 @@ class FailedCellsWarning(UserWarning):
 
 
 def execute(
-    ready: Plan, progress: Callable[[int, int, str], None], *, keeps_walks: bool = True
+    plan: Plan, progress: Callable[[int, int, str], None], *, keeps_walks: bool = True
 ) -> None:
     """Compute the cells that a run's folder lacks; the caller holds the folder's lock.
 
@@ -63,39 +60,38 @@ def execute(
     `progress` is called with cells finished, cells to do, and the cell under way.
     Raises IsacTrackError for anything that a user can mend; finished cells are kept.
     """
-    started, out = time.monotonic(), ready.out
-    untried = try_plugins(ready)
-    if not ready.settings.fresh:
-        check_preset(out, preset=ready.settings.preset)
+    started, out = time.monotonic(), plan.out
+    untried = try_plugins(plan)
+    if not plan.settings.fresh:
+        check_preset(out, preset=plan.settings.preset)
     manifest, index_by_file, damaged = open_run(
-        out, identity=ready.identity, fresh=ready.settings.fresh
+        out, identity=plan.identity, fresh=plan.settings.fresh
     )
     deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
-    names = prepare_names(ready, is_continued=bool(index_by_file))
+    names = prepare_names(plan, is_continued=bool(index_by_file))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = cell_places(index_by_file)
-    units = pieces.missing_units(ready, places)
+    units = pieces.missing_units(plan, places)
     earlier_plugins = manifest.get("own_plugins", {})
-    manifest["cells"] = without_other_patrols(manifest, ready)
-    manifest |= describe(ready) | {
+    manifest["cells"] = without_other_patrols(manifest, plan)
+    manifest |= describe(plan) | {
         "damaged_cells": damaged,
         "untried_plugins": untried,
     }
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    entries = cell_entries(ready, places, units)
+    entries = cell_entries(plan, places, units)
     manifest["failed"] = other_entries(failures, than=entries)
     manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
     write_manifest(out, manifest | {"state": "running"})
-    computed = compute_missing(units, ready, progress, names)
-    failed = _note_computed(computed, ready, manifest)
-    progress(ready.n_cells, ready.n_cells, "report: intervals, verdict, figures")
-    if keeps_walks and NOT_PASSED_ON not in ready.dataset.licence:
-        failed_plugins = {
-            str(entry[name]) for entry in failed for name in ("spec", "consumer")
-        }
-        manifest["gallery_without"] = write_sample_tracks(ready, failed_plugins, names)
+    computed = compute_missing(units, plan, progress, names)
+    failed = _note_computed(computed, plan, manifest)
+    progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
+    if keeps_walks and NOT_PASSED_ON not in plan.dataset.licence:
+        failed_plugins = {entry.spec for entry in failed}
+        failed_plugins |= {entry.address.consumer for entry in failed}
+        manifest["gallery_without"] = write_sample_tracks(plan, failed_plugins, names)
     else:
         manifest["gallery_without"] = []
         write_gallery([], out=out)
@@ -107,38 +103,35 @@ def execute(
         horizon_entry["exhausted_redraws"] = _exhausted_redraws(
             out, manifest["cells"], world
         )
-    is_approximate = ready.settings.stages.linkage.candidates > 0
+    is_approximate = plan.settings.stages.linkage.candidates > 0
     if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
         manifest["linkage"]["candidates"] = losses
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
 
-def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> None:
+def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> None:
     """Compute the cells of stronger adversaries for a finished run.
 
-    `ready` is a plan of `evaluation.plan.plan.plan_stronger`. The description of the
+    `plan` is a plan of `evaluation.plan.plan.plan_stronger`. The description of the
     run in its manifest stays. Otherwise as `execute`.
     """
-    if not ready.units:
+    if not plan.units:
         return
-    started, out = time.monotonic(), ready.out
-    manifest, index_by_file, _ = open_run(out, identity=ready.identity, fresh=False)
-    names = prepare_names(ready, is_continued=True)
+    started, out = time.monotonic(), plan.out
+    manifest, index_by_file, _ = open_run(out, identity=plan.identity, fresh=False)
+    names = prepare_names(plan, is_continued=True)
     places = cell_places(index_by_file)
-    missing = pieces.missing_units(ready, places)
-    entries = cell_entries(ready, places, missing)
+    missing = pieces.missing_units(plan, places)
+    entries = cell_entries(plan, places, missing)
     manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
     # Earlier cells keep their order: results do not depend on the order of requests.
-    by_label = {(entry["spec"], entry_label(entry)): entry for entry in entries}
-    cells = []
-    for earlier in manifest["cells"]:
-        key = earlier["spec"], entry_label(earlier)
-        cells.append(by_label.pop(key, earlier))
-    manifest["cells"] = cells + list(by_label.values())
+    by_cell = {entry.cell: entry for entry in entries}
+    cells = [by_cell.pop(earlier.cell, earlier) for earlier in manifest["cells"]]
+    manifest["cells"] = cells + list(by_cell.values())
     write_manifest(out, manifest | {"state": "running"})
-    computed = compute_missing(missing, ready, progress, names)
-    _note_computed(computed, ready, manifest)
+    computed = compute_missing(missing, plan, progress, names)
+    _note_computed(computed, plan, manifest)
     spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
     write_manifest(
         out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
@@ -146,8 +139,8 @@ def execute_stronger(ready: Plan, progress: Callable[[int, int, str], None]) -> 
 
 
 def _note_computed(
-    computed: ComputedCells, ready: Plan, manifest: dict[str, Any]
-) -> list[dict[str, Any]]:
+    computed: ComputedCells, plan: Plan, manifest: dict[str, Any]
+) -> list[FailedEntry]:
     """Note failed cells and the time of compiling in the manifest; return the failed.
 
     Raises PluginError if no cell is finished.
@@ -156,11 +149,13 @@ def _note_computed(
         earlier_s = manifest.get("compiling_s", 0.0)
         manifest["compiling_s"] = round(earlier_s + computed.compiling_s, 3)
     failed = [
-        {
-            **consumer_fields(cell.mechanism, cell.consumer),
-            "block": cell.block,
-            "why": why,
-        }
+        FailedEntry(
+            address=cell.consumer.address,
+            kind=cell.consumer.kind,
+            spec=cell.mechanism.spec,
+            block=cell.block,
+            why=why,
+        )
         for cell, why in computed.failed
     ]
     if failed:
@@ -168,45 +163,40 @@ def _note_computed(
         # No entry that lacks a cell: every mean is over all blocks.
         manifest["cells"] = with_ceiling(other_entries(manifest["cells"], than=failed))
         if not manifest["cells"]:
-            write_manifest(ready.out, manifest | {"state": "failed"})
-            raise PluginError(failed[0]["why"])
-        reasons = list(dict.fromkeys(entry["why"] for entry in failed))
+            write_manifest(plan.out, manifest | {"state": "failed"})
+            raise PluginError(failed[0].why)
+        reasons = list(dict.fromkeys(entry.why for entry in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
         warnings.warn(text, FailedCellsWarning, stacklevel=5)
     return failed
 
 
-def _exhausted_redraws(
-    out: Path, cells: Iterable[dict[str, Any]], world: World
-) -> int | None:
+def _exhausted_redraws(out: Path, cells: Iterable[Entry], world: World) -> int | None:
     """Return the number of a world's agents whose place has no clearance.
 
     None if no cell of a predictor tells.
     """
-    forecasts = (entry for entry in cells if entry["kind"] == "predictor")
-    in_world = (entry for entry in forecasts if parse_row(entry).world == world)
-    entry = next(in_world, None)
-    if entry is None:
+    forecasts = entries_in(cells, world, kinds=("predictor",))
+    if not forecasts:
         return None
-    return int(
-        read_rows(out, entry, columns=["exhausted"])["exhausted"].to_numpy().sum()
-    )
+    rows = read_rows(out, forecasts[0], columns=["exhausted"])
+    return int(rows["exhausted"].to_numpy().sum())
 
 
-def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
+def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     """Open the folder of a run and copy cells of other runs into it.
 
     Each cell comes from the first of the source folders that has it: equal keys mean
     equal cells. Raises DataError if the folder cannot be written or another process
     runs in it, and SettingsError if it holds another run, which `fresh` replaces.
     """
-    check_folder(ready.out)
-    with locked(ready.out):
-        manifest, files, _ = open_run(ready.out, identity=ready.identity, fresh=fresh)
-        share_key(ready.out, sources)
-        write_manifest(ready.out, manifest | {"code": ready.code, "state": "running"})
-        units = pieces.missing_units(ready, cell_places(files))
+    check_folder(plan.out)
+    with locked(plan.out):
+        manifest, files, _ = open_run(plan.out, identity=plan.identity, fresh=fresh)
+        share_key(plan.out, sources)
+        write_manifest(plan.out, manifest | {"code": plan.code, "state": "running"})
+        units = pieces.missing_units(plan, cell_places(files))
         wanted = {
             (unit.key, consumer_key)
             for unit in units
@@ -219,5 +209,5 @@ def borrow(ready: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None
                 }
                 if wanted & present:
                     content = read_regular_file(source / FOLDER / name)
-                    write_checked(ready.out, name, content)
+                    write_checked(plan.out, name, content)
                     wanted -= present

@@ -18,27 +18,27 @@ from isac_track.plugins import Plugin
 
 
 def write_sample_tracks(
-    ready: Plan, failed_plugins: set[str], names: Mapping[str, str]
+    plan: Plan, failed_plugins: set[str], names: Mapping[str, str]
 ) -> list[str]:
     """Write sample tracks without the failed plug-ins; return the failures here."""
-    axes = ready.axes
+    axes = plan.axes
     mechanisms = [
         plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
     ]
     compute = partial(
         _gallery_part,
-        tracks=ready.tracks,
+        tracks=plan.tracks,
         attacks=[
             plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
         ],
-        stages=ready.settings.stages,
-        seed=ready.settings.seed,
+        stages=plan.settings.stages,
+        seed=plan.settings.seed,
     )
     parts: list[pa.Table] = []
     failed = []
     # Workers have loaded all modules that this takes.
-    in_workers = ready.jobs > 1 or has_user_plugins(axes)
-    limit_s = ready.settings.cell_timeout_s
+    in_workers = plan.jobs > 1 or has_user_plugins(axes)
+    limit_s = plan.settings.cell_timeout_s
     works = deque(gallery_mechanisms(mechanisms))
     for mechanism, result in spread(
         compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
@@ -47,7 +47,7 @@ def write_sample_tracks(
             failed.append(f"{mechanism.spec}: {result.message}")
         else:
             parts.append(rename_people(result, names))
-    write_gallery(parts, out=ready.out)
+    write_gallery(parts, out=plan.out)
     return failed
 
 

@@ -50,7 +50,7 @@ class ComputedCells(NamedTuple):
 
 def compute_missing(
     units: Sequence[Unit],
-    ready: Plan,
+    plan: Plan,
     progress: Callable[[int, int, str], None],
     names: Mapping[str, str],
 ) -> ComputedCells:
@@ -58,24 +58,24 @@ def compute_missing(
 
     Each file is written as soon as all of its cells are finished, or have failed.
     """
-    works = deque(cut_work(units, ready))
+    works = deque(cut_work(units, plan))
     total = sum(len(unit.consumers) for unit in units)
     compiling_s = None
-    if ready.settings.scheduler is None:  # a cluster's workers compile for themselves
-        compiling_s = _prepare_loops(works, ready, partial(progress, 0, total))
+    if plan.settings.scheduler is None:  # a cluster's workers compile for themselves
+        compiling_s = _prepare_loops(works, plan, partial(progress, 0, total))
     failures, finished = Failures(), set[CellName]()
     if not works:
         return ComputedCells(failures.cells, compiling_s)
     first_cell = next(planned_cells(works[0]))
     progress(0, total, _describe_cell(cell_name(first_cell)))
-    collector = FileCollector(expected_files(units, ready.code_digests), names)
-    with closing(_spread_works(works, ready, collector)) as computed:
+    collector = FileCollector(expected_files(units, plan.code_digests), names)
+    with closing(_spread_works(works, plan, collector)) as computed:
         for work, result in computed:
             n_failed = len(failures.cells)
             if isinstance(result, Failure):
                 works.extend(failures.rest(work, result, finished=finished))
                 for cell, _ in failures.cells[n_failed:]:
-                    _write_file(ready, collector.add(cell_name(cell), None))
+                    _write_file(plan, collector.add(cell_name(cell), None))
                 continue
             if isinstance(result, WholeFile):
                 cells = result.cells
@@ -83,7 +83,7 @@ def compute_missing(
             else:
                 cells = (cell_name(result),)
                 file = collector.add(cells[0], result)
-            _write_file(ready, file)
+            _write_file(plan, file)
             finished.update(cells)
             check_interrupt()
             progress(len(finished) + n_failed, total, _describe_cell(cells[-1]))
@@ -91,35 +91,35 @@ def compute_missing(
 
 
 def _spread_works(
-    works: deque[Work], ready: Plan, collector: FileCollector
+    works: deque[Work], plan: Plan, collector: FileCollector
 ) -> Generator[tuple[Work, WorkResult]]:
     """Yield each result with its work, from this machine or from a Dask cluster."""
     compute = partial(
         compute_files,
         files=collector.files,
         names=collector.names,
-        tracks=ready.tracks,
-        stages=ready.settings.stages,
-        seed=ready.settings.seed,
+        tracks=plan.tracks,
+        stages=plan.settings.stages,
+        seed=plan.settings.seed,
     )
-    scheduler = ready.settings.scheduler
+    scheduler = plan.settings.scheduler
     if scheduler is None:
         return spread(
             compute,
             works,
-            jobs=ready.jobs,
-            limit_s=ready.settings.cell_timeout_s,
-            in_workers=has_user_plugins(ready.axes),
+            jobs=plan.jobs,
+            limit_s=plan.settings.cell_timeout_s,
+            in_workers=has_user_plugins(plan.axes),
         )
     from evaluation.pool.dask import spread_on_cluster  # noqa: PLC0415 - an extra
 
     cut_for_cluster(works)
-    modules = ready.code_digests.keys()
+    modules = plan.code_digests.keys()
     return spread_on_cluster(compute, works, scheduler=scheduler, modules=modules)
 
 
 def _prepare_loops(
-    works: Iterable[Work], ready: Plan, report: Callable[[str], None]
+    works: Iterable[Work], plan: Plan, report: Callable[[str], None]
 ) -> float:
     """Compile the loops that the cells call, or load them; return the time of it, s.
 
@@ -128,12 +128,10 @@ def _prepare_loops(
     """
     cells = (cell for work in works for cell in planned_cells(work))
     loops = list_loops((cell.mechanism, cell.consumer) for cell in cells)
-    in_workers = (
-        has_user_plugins(ready.axes) or ready.settings.cell_timeout_s is not None
-    )
+    in_workers = has_user_plugins(plan.axes) or plan.settings.cell_timeout_s is not None
     started, states = time.monotonic(), dict[str, str]()
     prepared = spread(
-        prepare_loop, deque(loops), jobs=ready.jobs, limit_s=None, in_workers=in_workers
+        prepare_loop, deque(loops), jobs=plan.jobs, limit_s=None, in_workers=in_workers
     )
     with closing(prepared):
         for loop, state in prepared:
@@ -155,6 +153,6 @@ def _describe_cell(name: CellName) -> str:
     return f"{stage}: {spec} > {label}"
 
 
-def _write_file(ready: Plan, file: WholeFile | None) -> None:
+def _write_file(plan: Plan, file: WholeFile | None) -> None:
     if file is not None:
-        write_checked(ready.out, file.name, file.content)
+        write_checked(plan.out, file.name, file.content)

@@ -43,13 +43,13 @@ class PlannedCell(NamedTuple):
     consumer: Consumer
 
 
-def missing_units(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
+def missing_units(plan: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
     """Return the units of a run that lack consumers, each with the consumers it lacks.
 
     `places` has the files of finished cells, as `cell_places` returns them.
     """
     units = []
-    for unit in ready.units:
+    for unit in plan.units:
         consumers = {
             key: consumer
             for key, consumer in unit.consumers.items()
@@ -60,54 +60,54 @@ def missing_units(ready: Plan, places: Mapping[tuple[str, str], str]) -> list[Un
     return units
 
 
-def n_finished(ready: Plan) -> int:
+def n_finished(plan: Plan) -> int:
     """Return the number of finished cells of a run, as `unfinished` finds them."""
-    return ready.n_cells - sum(len(unit.consumers) for unit in unfinished(ready))
+    return plan.n_cells - sum(len(unit.consumers) for unit in unfinished(plan))
 
 
-def unfinished(ready: Plan) -> list[Unit]:
+def unfinished(plan: Plan) -> list[Unit]:
     """Return the units that a run lacks by the checksums of its folder.
 
     Raises as `checksummed_files` does.
     """
     indices = {}
-    for name in checksummed_files(ready.out):
-        index = read_index(ready.out / FOLDER / name)
+    for name in checksummed_files(plan.out):
+        index = read_index(plan.out / FOLDER / name)
         if index is not None:
             indices[name] = index
-    return missing_units(ready, cell_places(indices))
+    return missing_units(plan, cell_places(indices))
 
 
-def cut_work(missing: Sequence[Unit], ready: Plan) -> list[Work]:
+def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     """Return the work of missing units in pieces: blocks of scenes, linkage tasks."""
-    blocks = _cut_scenes(missing, ready)
-    links = _cut_linkage(missing, ready)
+    blocks = _cut_scenes(missing, plan)
+    links = _cut_linkage(missing, plan)
     # The longest first: at the end no worker waits for long.
     links.sort(key=_n_pairs, reverse=True)
     # A block takes the most memory, and longer the more consumers it has: with several
     # workers, most of the time only one block is under way.
-    share = _BLOCKS_WITHIN if ready.jobs > 1 else 0.0
+    share = _BLOCKS_WITHIN if plan.jobs > 1 else 0.0
     n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
     due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
     due += [(n + 1) / len(links) for n in range(len(links))]
-    patrols = _cut_patrols(missing, ready)
+    patrols = _cut_patrols(missing, plan)
     # A patrol takes as long as several blocks: it begins early.
     due += [(n + 1) / (len(patrols) + 1) for n in range(len(patrols))]
     works: list[Work] = [*blocks, *links, *patrols]
     return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 
 
-def _cut_scenes(missing: Sequence[Unit], ready: Plan) -> list[Block]:
+def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
     """Return the missing levels of every block of scenes, in every world."""
-    n_scenes = ready.settings.n_utility_scenes
-    tasks = {sessions.task.name for sessions in ready.sessions}
+    n_scenes = plan.settings.n_utility_scenes
+    tasks = {sessions.task.name for sessions in plan.sessions}
     # Split where few blocks are attacked by the workers. Each piece senses the block
     # again, so that there are no more pieces than an even load takes.
-    n_attacked = -(-ready.settings.n_scenes // BLOCK_SCENES)
+    n_attacked = -(-plan.settings.n_scenes // BLOCK_SCENES)
     n_pieces = 1
-    if ready.jobs > 1:
-        n_pieces = -(-_TASKS_PER_WORKER * ready.jobs // n_attacked)
-    orders = _scene_orders(ready)
+    if plan.jobs > 1:
+        n_pieces = -(-_TASKS_PER_WORKER * plan.jobs // n_attacked)
+    orders = _scene_orders(plan)
     blocks = []
     for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
         for world, order in orders.items():
@@ -126,9 +126,9 @@ def _cut_scenes(missing: Sequence[Unit], ready: Plan) -> list[Block]:
     return blocks
 
 
-def _scene_orders(ready: Plan) -> dict[World, Ints]:
+def _scene_orders(plan: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
-    settings = ready.settings
+    settings = plan.settings
 
     def order(n_tracks: int) -> Ints:
         return track_order(
@@ -138,20 +138,20 @@ def _scene_orders(ready: Plan) -> dict[World, Ints]:
             seed=settings.seed,
         )
 
-    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(ready.tracks)))
-    for horizon_s, tracks in ready.tracks.further.items():
+    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(plan.tracks)))
+    for horizon_s, tracks in plan.tracks.further.items():
         orders[World(horizon_s=horizon_s)] = order(len(tracks))
     return orders
 
 
-def _cut_linkage(missing: Sequence[Unit], ready: Plan) -> list[LinkWork]:
+def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     """Return the missing levels of every linkage task, in every world."""
-    groups = tuple(sorted(set(ready.tracks.group)))
-    walked = [(sessions, OWN_WORLD) for sessions in ready.sessions]
+    groups = tuple(sorted(set(plan.tracks.group)))
+    walked = [(sessions, OWN_WORLD) for sessions in plan.sessions]
     walked += [
         (sessions, world)
-        for world in ready.axes.linked_in
-        for sessions in ready.model_sessions
+        for world in plan.axes.linked_in
+        for sessions in plan.model_sessions
     ]
     links = []
     for sessions, world in walked:
@@ -163,20 +163,18 @@ def _cut_linkage(missing: Sequence[Unit], ready: Plan) -> list[LinkWork]:
         # Each piece senses the sessions again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_TASK):
             piece = levels[first : first + _LEVELS_PER_TASK]
-            keep_scores = ready.settings.keep_scores
+            keep_scores = plan.settings.keep_scores
             links.append(LinkWork(sessions, groups, piece, keep_scores, world))
     return links
 
 
-def _cut_patrols(missing: Sequence[Unit], ready: Plan) -> list[PatrolWork]:
+def _cut_patrols(missing: Sequence[Unit], plan: Plan) -> list[PatrolWork]:
     """Return the missing levels of patrols, a piece for each worker.
 
     Each piece makes the patrol and senses everybody again.
     """
     levels = _levels(unit for unit in missing if unit.stage == PATROL)
-    return [
-        PatrolWork(ready.recorded, piece) for piece in _share_out(levels, ready.jobs)
-    ]
+    return [PatrolWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)]
 
 
 def _levels(units: Iterable[Unit]) -> Levels:

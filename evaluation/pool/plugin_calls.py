@@ -43,7 +43,7 @@ class Trial:
     """SPECs of the plug-ins without a time."""
 
 
-def try_plugins(ready: Plan) -> list[str]:
+def try_plugins(plan: Plan) -> list[str]:
     """Call every user's plug-in whose cells are missing; return those given up.
 
     Each is called in a worker that computes nothing of the run. A folder that holds a
@@ -52,36 +52,36 @@ def try_plugins(ready: Plan) -> list[str]:
 
     Raises PluginError if one fails, or takes longer than a cell may.
     """
-    with usable(ready.out):
-        if (ready.out / PLUGIN_ERROR).exists():
-            (ready.out / PLUGIN_ERROR).unlink()
-    call = partial(check_plugin, stages=ready.settings.stages)
-    make_error = partial(_error_with_traceback, ready.out)
-    return _called(ready, call, make_error=make_error).given_up
+    with usable(plan.out):
+        if (plan.out / PLUGIN_ERROR).exists():
+            (plan.out / PLUGIN_ERROR).unlink()
+    call = partial(check_plugin, stages=plan.settings.stages)
+    make_error = partial(_error_with_traceback, plan.out)
+    return _called(plan, call, make_error=make_error).given_up
 
 
-def time_plugins(ready: Plan) -> Trial:
+def time_plugins(plan: Plan) -> Trial:
     """Call every user's plug-in whose cells are missing, and time it; write nothing.
 
     Raises as `try_plugins` does.
     """
-    call = partial(check_and_time, stages=ready.settings.stages)
-    return _called(ready, call, make_error=_error_without_traceback)
+    call = partial(check_and_time, stages=plan.settings.stages)
+    return _called(plan, call, make_error=_error_without_traceback)
 
 
 def _called(
-    ready: Plan,
+    plan: Plan,
     call: Callable[[PluginCall], Iterable[tuple[str, str] | PluginTime]],
     *,
     make_error: Callable[[str, str], PluginError],
 ) -> Trial:
     """Call the plug-ins, each in a worker; raise the error of the first that fails."""
-    if not has_user_plugins(ready.axes):
+    if not has_user_plugins(plan.axes):
         return Trial()
-    with usable(ready.out):
-        missing = ready.units if ready.settings.fresh else unfinished(ready)
+    with usable(plan.out):
+        missing = plan.units if plan.settings.fresh else unfinished(plan)
     trial = Trial()
-    allowed_s = ready.settings.cell_timeout_s
+    allowed_s = plan.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
     works = deque(_plugin_calls(missing))
     called = [*works]

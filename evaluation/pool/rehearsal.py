@@ -12,21 +12,21 @@ from evaluation.store.manifest import checked_manifest, parse_manifest
 from isac_track.errors import SettingsError
 
 
-def rehearse(ready: Plan) -> Trial:
+def rehearse(plan: Plan) -> Trial:
     """Try all that a run does before it computes; return what plug-ins showed.
 
     The folder must be writable, and hold no other run. Every plug-in of a user's own is
     called on a few made-up people, and timed. Raises SettingsError, DataError or PluginError
     as the run would.
     """
-    check_folder(ready.out)
-    with usable(ready.out):
-        _check_writable(ready.out)
-        if (ready.out / MANIFEST).exists() and not ready.settings.fresh:
-            manifest = checked_manifest(parse_manifest(ready.out), out=ready.out)
-            refuse_other_run(manifest["identity"], ready.identity, out=ready.out)
+    check_folder(plan.out)
+    with usable(plan.out):
+        _check_writable(plan.out)
+        if (plan.out / MANIFEST).exists() and not plan.settings.fresh:
+            manifest = checked_manifest(parse_manifest(plan.out), out=plan.out)
+            refuse_other_run(manifest["identity"], plan.identity, out=plan.out)
     with tempfile.TemporaryDirectory() as folder:
-        return time_plugins(replace(ready, out=Path(folder)))
+        return time_plugins(replace(plan, out=Path(folder)))
 
 
 def _check_writable(out: Path) -> None:

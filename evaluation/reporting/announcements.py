@@ -72,7 +72,7 @@ def scenes_text(identity: Mapping[str, Any]) -> str:
     return text if total == attacked else f"{text}, {attacked:,} of them attacked"
 
 
-def plan_lines(ready: Plan) -> Iterator[str]:
+def plan_lines(plan: Plan) -> Iterator[str]:
     """Yield what a plan will do, what it leaves out, and what slow attacks cost."""
     from evaluation.pool.pieces import (  # noqa: PLC0415 - names alone need none
         n_finished,
@@ -85,19 +85,19 @@ def plan_lines(ready: Plan) -> Iterator[str]:
 
     # Cells are counted and not read, which would take seconds. The run reads them and
     # names the damaged ones.
-    check_folder(ready.out)
-    with usable(ready.out):
-        finished = n_finished(ready)
-    if ready.settings.fresh:
+    check_folder(plan.out)
+    with usable(plan.out):
+        finished = n_finished(plan)
+    if plan.settings.fresh:
         finished = 0
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     yield (
-        f"{ready.dataset.name}: {len(ready.tracks)} of {len(ready.dataset.tracks)}"
-        f" tracks used, {scenes_text(ready.identity)}; {ready.n_cells} cells{so_far},"
-        f" in {short_path(ready.out)}"
+        f"{plan.dataset.name}: {len(plan.tracks)} of {len(plan.dataset.tracks)}"
+        f" tracks used, {scenes_text(plan.identity)}; {plan.n_cells} cells{so_far},"
+        f" in {short_path(plan.out)}"
     )
-    slow = [consumer for consumer in ready.axes.consumers if consumer.is_slow]
-    n_levels = len(ready.axes.mechanisms)
+    slow = [consumer for consumer in plan.axes.consumers if consumer.is_slow]
+    n_levels = len(plan.axes.mechanisms)
     costs: list[tuple[str, int, float]] = []
     for spec in dict.fromkeys(consumer.spec for consumer in slow):
         from evaluation.compute.reconstruction import (  # noqa: PLC0415 - seldom needed
@@ -105,9 +105,9 @@ def plan_lines(ready: Plan) -> Iterator[str]:
         )
 
         same = [consumer for consumer in slow if consumer.spec == spec]
-        cost_s = slow_cost_s(same, tracks=ready.tracks, n_levels=n_levels)
+        cost_s = slow_cost_s(same, tracks=plan.tracks, n_levels=n_levels)
         costs.append((spec, len(same), cost_s))
-    yield from plan_notices(ready, slow_costs=costs)
+    yield from plan_notices(plan, slow_costs=costs)
 
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:

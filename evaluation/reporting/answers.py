@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from evaluation.estimates.families import CLEAN, RAW, SWEPT
-from evaluation.estimates.keys import Where
+from evaluation.estimates.families import AT_RAW, CLEAN, RAW, SWEPT
 from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -117,10 +117,10 @@ def answers(
 
 def reference_level(table: Headline) -> Where:
     """Return the level of the answers: strictest FID, else the costliest, else raw."""
-    wheres = [where for where in table.wheres if table.known[where[0]].is_added]
+    wheres = [where for where in table.wheres if table.known[where.mechanism].is_added]
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
-    plain = min(table.wheres, key=lambda where: where[0] != RAW, default=(RAW, None))
+    plain = min(table.wheres, key=lambda where: where.mechanism != RAW, default=AT_RAW)
     costs = {
         where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
     }
@@ -231,7 +231,7 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
     column = table.attacked
     if column is None or table.at(where, column) is None:
         return ()
-    family = table.known.get(where[0])
+    family = table.known.get(where.mechanism)
     is_headline = family is None or family.family in (*SWEPT, CLEAN)
     source = column.measure.source
     attack = f"the {attack_name(source.consumer)} ({source.label})"
@@ -296,7 +296,7 @@ def _linked_numbers(
 
 def level_phrase(table: Headline, where: Where) -> str:
     """Return the name of a level for the middle of a sentence."""
-    return mechanism_phrase(find_family(table.known, where[0]), where[1])
+    return mechanism_phrase(find_family(table.known, where.mechanism), where.level)
 
 
 def _descriptor_items(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -411,7 +411,7 @@ def _descriptors_details(
 
 def _raw_beside(table: Headline, where: Where, column: HeadlineColumn) -> str:
     """Return the number of raw positions in brackets; empty at raw itself."""
-    raw = table.at((RAW, None), column) if where[0] != RAW else None
+    raw = table.at(AT_RAW, column) if where.mechanism != RAW else None
     return f" (raw positions: {bare_percent(raw)})" if raw else ""
 
 
@@ -423,12 +423,15 @@ def _other_rule(
     A number clearly differs if the intervals are apart and the values differ by at
     least five points.
     """
-    own = find_family(table.known, where[0])
+    own = find_family(table.known, where.mechanism)
     for twin in table.known.values():
         if twin.name != own.name or twin.adding in ("", own.adding):
             continue
         pairs = [
-            (table.at(where, column), table.at((twin.mechanism, where[1]), column))
+            (
+                table.at(where, column),
+                table.at(Where(twin.mechanism, where.level), column),
+            )
             for column in columns
         ]
         known = [(value, other) for value, other in pairs if value and other]

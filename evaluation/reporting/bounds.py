@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from evaluation.estimates.bounds import Gap
-from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import (
     CEILING,
     EXPOSURE,
@@ -13,6 +12,7 @@ from evaluation.estimates.metrics import (
     RANK_GAP,
     SUCCESS,
 )
+from evaluation.plan.address import Where
 from evaluation.plan.world import World
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import estimates

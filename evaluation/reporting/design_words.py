@@ -197,7 +197,7 @@ def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
     """Return the nearest level of every mechanism."""
     nearest: dict[str, Offer] = {}
     for offer in offers:
-        nearest.setdefault(offer.where[0], offer)
+        nearest.setdefault(offer.where.mechanism, offer)
     return list(nearest.values())
 
 
@@ -290,7 +290,7 @@ def _level_lines(
         side = _limited_side(offer, advice)
         linked = offer.linked.share if offer.linked else None
         numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
-        name = short_mechanism_name(offer.family, offer.where[1])
+        name = short_mechanism_name(offer.family, offer.where.level)
         rows.append([shorten_name(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
     groups = [
@@ -370,7 +370,8 @@ def answer_table(advice: Recommendation) -> Table:
     """Return the table of raw, the proposed levels, and the nearest of the others."""
     columns = [
         make.text_column(
-            "what is shared", lambda offer: mechanism_name(offer.family, offer.where[1])
+            "what is shared",
+            lambda offer: mechanism_name(offer.family, offer.where.level),
         ),
         Column(
             "missed",

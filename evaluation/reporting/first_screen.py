@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.keys import Where
+from evaluation.plan.address import Where
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import (
     PERCENT,
@@ -147,7 +147,7 @@ def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
     known = [
         where
         for where in _known_levels(table, columns)
-        if table.known[where[0]].family != CLEAN
+        if table.known[where.mechanism].family != CLEAN
     ]
     chance = _chance_row(columns)
     named = [reference_level(table), *named_levels(run)]
@@ -224,7 +224,9 @@ def short_table(table: Headline) -> Table:
     ]
     names = make.text_column(
         "shared",
-        lambda where: mechanism_name(find_family(table.known, where[0]), where[1]),
+        lambda where: mechanism_name(
+            find_family(table.known, where.mechanism), where.level
+        ),
     )
     return make.build_table("screen", "", levels, [names, *cells])
 
@@ -248,7 +250,7 @@ def _estimated(table: Headline, column: HeadlineColumn, where: Where) -> make.Ce
 
 def _label(table: Headline, where: Where) -> str:
     """Return the name of a level in the first column."""
-    name = short_mechanism_name(find_family(table.known, where[0]), where[1])
+    name = short_mechanism_name(find_family(table.known, where.mechanism), where.level)
     return shorten_name(name, room=_LABEL_WIDTH)
 
 
@@ -262,7 +264,7 @@ def _legend(labels: Sequence[str]) -> list[str]:
 def _level_line(table: Headline) -> str:
     """Return the level of the sentences, with the meaning of its abbreviation."""
     where = reference_level(table)
-    meaning = " (Fisher information density)" if "fid" in where[0] else ""
+    meaning = " (Fisher information density)" if "fid" in where.mechanism else ""
     return f"With {level_phrase(table, where)}{meaning}:"
 
 
@@ -297,22 +299,23 @@ def screen_levels(
     paper gives numbers for. Independent noise comes last if the same noise has a row
     under the other adding rule.
     """
-    without_level = [where for where in known if where[1] is None]
+    without_level = [where for where in known if where.level is None]
     lead: dict[str, Where] = {}
     for where in known:
-        if (table.known[where[0]].name, where[1]) in HEADLINE:
-            lead.setdefault(where[0], where)
+        if (table.known[where.mechanism].name, where.level) in HEADLINE:
+            lead.setdefault(where.mechanism, where)
     candidates = dict.fromkeys(
         [*without_level, *named, *lead.values(), *choose_levels(table)]
     )
     wanted = [where for where in candidates if where in known]
     always = [*without_level, *named]
     first = {
-        (table.known[where[0]].name, where[1]): where for where in reversed(wanted)
+        (table.known[where.mechanism].name, where.level): where
+        for where in reversed(wanted)
     }
 
     def repeats_noise(where: Where) -> bool:
-        same_noise = table.known[where[0]].name, where[1]
+        same_noise = table.known[where.mechanism].name, where.level
         return where not in always and first[same_noise] != where
 
     wanted.sort(key=repeats_noise)  # Sorting keeps the order of equals.
@@ -322,8 +325,8 @@ def screen_levels(
 def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
     """Return the sort key of a level: families as in the run, both rules together."""
     families = list(dict.fromkeys(family.family for family in table.known.values()))
-    family = table.known[where[0]]
-    level = -math.inf if where[1] is None else where[1]
+    family = table.known[where.mechanism]
+    level = -math.inf if where.level is None else where.level
     return families.index(family.family), family.name, level, family.mechanism
 
 

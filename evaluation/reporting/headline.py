@@ -11,8 +11,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.bounds import Gap, gaps
-from evaluation.estimates.families import CLEAN, SWEPT, Family, families_in
-from evaluation.estimates.keys import Where, row_worlds
+from evaluation.estimates.families import CLEAN, FID, SWEPT, Family, families_in
+from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import (
     ASSIGNED,
     EXPOSURE,
@@ -30,7 +30,7 @@ from evaluation.estimates.strongest import (
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.presets import BASELINE
 from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, World
 from evaluation.reporting import table as make
@@ -156,7 +156,7 @@ class Headline:
 
     def name(self, where: Where) -> str:
         """Return the plain name of a level."""
-        return mechanism_name(find_family(self.known, where[0]), where[1])
+        return mechanism_name(find_family(self.known, where.mechanism), where.level)
 
 
 def headline(
@@ -214,7 +214,7 @@ def headline(
         linked=_linked(attacks, numbers, linkability),
         horizon_s=horizon_s,
         later=later,
-        wheres=sorted(wheres, key=lambda where: known[where[0]].family == CLEAN),
+        wheres=sorted(wheres, key=lambda where: known[where.mechanism].family == CLEAN),
         epsilon_m=epsilon_m,
     )
 
@@ -280,8 +280,8 @@ def _own_strongest(
                 continue
             best, headline = against_each(blocks), replace(attacks[task], task=task)
             for where, metric in product(blocks, metrics):
-                is_usual = known[where[0]].family in (*SWEPT, CLEAN)
-                source = headline if is_usual else best.get(where[0], headline)
+                is_usual = known[where.mechanism].family in (*SWEPT, CLEAN)
+                source = headline if is_usual else best.get(where.mechanism, headline)
                 rule = rules.get(source, SUCCESS) if metric == SUCCESS else metric
                 if (key := source.at(*where, rule)) in numbers:
                     own[headline.at(*where, metric)] = numbers[key]
@@ -346,15 +346,17 @@ def choose_levels(
     if len(table.wheres) <= most:
         return [*first, *rest]
     cost = {where: missed.value for where in rest if (missed := table.cost(where))}
-    strict = table.cost(("fid", 1.0))
+    strict = table.cost(Where(FID, 1.0))
     target = strict.value if strict else max(cost.values(), default=0.0)
     others = [where for where in rest if where in named]
     first = first[: max(1, most - len(others[:1]))]
     shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
         family = table.known[name].name
-        usual = [(name, level) for mechanism, level in HEADLINE if mechanism == family]
-        levels = [where for where in rest if where[0] == name]
+        usual = [
+            Where(name, level) for mechanism, level in HEADLINE if mechanism == family
+        ]
+        levels = [where for where in rest if where.mechanism == name]
         closest = min(levels, key=lambda where: abs(cost.get(where, math.inf) - target))
         others.append(next((where for where in usual if where in levels), closest))
     room = max(0, most - len(first))

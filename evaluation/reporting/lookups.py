@@ -7,17 +7,18 @@ import pandas as pd
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import row_addresses
+from evaluation.plan.address import Where
 
 if TYPE_CHECKING:
     from evaluation.plan.address import Address
     from isac_track.intervals import Estimate
 
 HEADLINE: Final = (
-    ("raw", None),
-    ("fid", 1.0),
-    ("fid", 1000.0),
-    ("fixed", 0.7),
-    ("fixed", 1.0),
+    Where("raw"),
+    Where("fid", 1.0),
+    Where("fid", 1000.0),
+    Where("fixed", 0.7),
+    Where("fixed", 1.0),
 )
 """The few main levels: mechanism without its adding rule, and level."""
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.

@@ -105,7 +105,7 @@ def few_people(dataset: Mapping[str, Any]) -> str:
 
 
 def plan_notices(
-    ready: Plan, *, slow_costs: Sequence[tuple[str, int, float]]
+    plan: Plan, *, slow_costs: Sequence[tuple[str, int, float]]
 ) -> list[str]:
     """Return notices on the parts that a plan leaves out and on slow parts.
 
@@ -120,7 +120,7 @@ def plan_notices(
     )
 
     texts = []
-    settings, dataset = ready.settings, ready.dataset
+    settings, dataset = plan.settings, plan.dataset
     if settings.pilot_half_width is not None:
         texts.append(
             f"Missed conflicts are wanted to ±{settings.precision:g}. A pilot of"
@@ -129,28 +129,28 @@ def plan_notices(
     if dataset.notice:
         texts.append(f"notice: {dataset.notice}")
     if dataset.name not in KNOWN:  # Of a known recording docs/how-to/data.md tells.
-        texts += [f"notice: {text}" for text in data_notices(describe_data(ready))]
-    texts += [f"notice: left out: {reason}" for reason in ready.axes.skipped.values()]
-    texts += _gallery_notices(ready)
+        texts += [f"notice: {text}" for text in data_notices(describe_data(plan))]
+    texts += [f"notice: left out: {reason}" for reason in plan.axes.skipped.values()]
+    texts += _gallery_notices(plan)
     texts += [
         f"notice: the attack {spec} is slow: {cost_text(cost_s)} for"
-        f" {counted(n, 'adversary', 'adversaries')} at {len(ready.axes.mechanisms)}"
+        f" {counted(n, 'adversary', 'adversaries')} at {len(plan.axes.mechanisms)}"
         " levels in one process. It runs on one release of each source track."
         for spec, n, cost_s in slow_costs
     ]
     return texts
 
 
-def _gallery_notices(ready: Plan) -> list[str]:
+def _gallery_notices(plan: Plan) -> list[str]:
     """Return which tasks have so many people that all pairs take long."""
     sizes = {
         session.task.name: max(
             Counter(session.gallery.search.tolist()).values(), default=0
         )
-        for session in ready.sessions
+        for session in plan.sessions
     }
     large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
-    if not large or ready.settings.stages.linkage.candidates:
+    if not large or plan.settings.stages.linkage.candidates:
         return []
     text = (
         f"notice: {listed(large)}: galleries of up to {max(sizes.values()):,} people."

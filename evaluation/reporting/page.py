@@ -105,6 +105,6 @@ def title(run: Results) -> str:
 def level_names(table: Headline) -> dict[str, str]:
     """Return the plain name of each level by its SPEC, as `gallery.parquet` has it."""
     return {
-        spec_text(table.known[mechanism], level): level_name(table, (mechanism, level))
-        for mechanism, level in table.wheres
+        spec_text(table.known[where.mechanism], where.level): level_name(table, where)
+        for where in table.wheres
     }

@@ -7,9 +7,8 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import MISSED_RATE
-from evaluation.plan.address import parse_consumer
+from evaluation.plan.address import Where, parse_consumer
 from evaluation.reporting import takeaways
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
@@ -201,17 +200,20 @@ def _levels(
         series["after attack, isotropic errors"] = isotropic
     looks = dict(zip(series, _SERIES, strict=False))
     chart = rows_chart(
-        [short_mechanism_name(table.known[where[0]], where[1]) for where in levels],
+        [
+            short_mechanism_name(table.known[where.mechanism], where.level)
+            for where in levels
+        ],
         {name: (look, series[name]) for name, look in looks.items()},
         x_label=x_label,
         across=[
             (look, shown[name].chance) for name, look in looks.items() if name in shown
         ],
     )
-    families = {where: table.known[where[0]] for where in levels}
+    families = {where: table.known[where.mechanism] for where in levels}
     chart.hints = {
         text: (
-            f"{spec_text(families[where], where[1])}:"
+            f"{spec_text(families[where], where.level)}:"
             f" {definition(families[where].family)}"
         )
         for (_, text), where in zip(chart.y_ticks, levels, strict=True)
@@ -232,13 +234,13 @@ def _curves(
 
     `among` are the levels to draw, by default all.
     """
-    ordered = sorted(among or table.wheres, key=lambda where: where[1] or 0.0)
+    ordered = sorted(among or table.wheres, key=lambda where: where.level or 0.0)
     curves = list[list[Point]]()
     for mechanism, look in mechanism_looks(table.known.values()).items():
         points = []
         for where in ordered:
             x_value, y_value = table.at(where, x), table.at(where, y)
-            if where[0] == mechanism and x_value and y_value:
+            if where.mechanism == mechanism and x_value and y_value:
                 points.append(Point(look, level_name(table, where), x_value, y_value))
         if points:
             curves.append(points)

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from attacks.tasks.task_list import TASKS
-from evaluation.estimates.families import RAW
-from evaluation.estimates.keys import Where
+from evaluation.estimates.families import AT_RAW
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import counted, listed, sentence_case
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import share_text
@@ -23,7 +23,6 @@ from evaluation.reporting.takeaways import level_name
 OPINION: Final = (
     "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
 )
-_RAW: Final[Where] = (RAW, None)
 # Tasks whose second log isolates a known walk.
 _SAME_STEPS: Final = ("rerelease", "rerelease-framed")
 _MOST_NAMED: Final = 6
@@ -114,7 +113,7 @@ def _reidentified(
     """Return the share of people that the strongest attack links in each task."""
     sentences = []
     for task in tasks:
-        linked, raw = table.at(where, task), table.at(_RAW, task)
+        linked, raw = table.at(where, task), table.at(AT_RAW, task)
         if linked is None:
             continue
         phrase = task_phrase(task.measure.source.task)
@@ -123,7 +122,7 @@ def _reidentified(
             f"{level_name(table, where)}: {share_text(linked)} of people linked"
             f" {phrase}{among}"
         )
-        beside = f"; raw positions {share_text(raw)}" if raw and where != _RAW else ""
+        beside = f"; raw positions {share_text(raw)}" if raw and where != AT_RAW else ""
         sentences.append(
             f"{sentence_case(text)}{beside}. {_against_chance(task, linked.ci_low)}"
         )

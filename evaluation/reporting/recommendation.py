@@ -4,9 +4,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
 from evaluation.estimates.strongest import BEYOND
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -83,7 +83,7 @@ def epsilon_m(manifest: Mapping[str, Any]) -> float:
 
 def level_name(offer: Offer) -> str:
     """Return a level in the middle of a sentence."""
-    return mechanism_phrase(offer.family, offer.where[1])
+    return mechanism_phrase(offer.family, offer.where.level)
 
 
 def levels_text(offers: Sequence[Offer]) -> str:

@@ -26,7 +26,7 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import table as make
@@ -339,7 +339,7 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
         *_control_notes(task),
         "Cells without a mark link people, by the ranks of all mates.",
     ]
-    if (CLEAN, None) in wheres:
+    if Where(CLEAN) in wheres:
         notes.append("clean: no error at all, the ceiling.")
     return make.build_table(
         f"linkage-{task.name}",
@@ -407,7 +407,7 @@ def strength_table(run: Results) -> Table:
         by_level = estimates_by_level(source_rows(run.ours, source))
         for where in representative_levels(by_level, run.families, controls=False):
             row = _strength_cells(by_level[where][source])
-            row |= {"mechanism": where[0], "level": where[1]}
+            row |= {"mechanism": where.mechanism, "level": where.level}
             records.append(row | {"task": task, "linker": attack.label})
     columns = [
         make.text_column("task"),

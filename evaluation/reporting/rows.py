@@ -19,11 +19,18 @@ from evaluation.estimates.families import (
     FIXED,
     LEVEL_UNITS,
     Family,
+    entry_families,
     families_in,
 )
-from evaluation.estimates.keys import Where, level_text
+from evaluation.estimates.keys import level_text
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
-from evaluation.plan.address import Address, parse_consumer, parse_dataset, plugin_name
+from evaluation.plan.address import (
+    Address,
+    Where,
+    parse_consumer,
+    parse_dataset,
+    plugin_name,
+)
 from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
 from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family
@@ -396,7 +403,7 @@ class Results:
     def families(self) -> dict[str, Family]:
         """The mechanisms of the run by name; the manifest knows which protect."""
         families = families_in(self.without_policy)
-        for name, declared in families_in(self.manifest.get("cells", ())).items():
+        for name, declared in entry_families(self.manifest.get("cells", ())).items():
             if name in families:
                 families[name] = replace(families[name], protects=declared.protects)
         return families
@@ -544,7 +551,9 @@ def representative_levels(
         return 1 + rules.index(family.adding) if family.is_added else 0
 
     return [
-        (name, level) for name in sorted(chosen, key=rank) for level in chosen[name]
+        Where(name, level)
+        for name in sorted(chosen, key=rank)
+        for level in chosen[name]
     ]
 
 

@@ -212,7 +212,7 @@ def _linkage(summary: pd.DataFrame) -> Table:
     ]
     records: dict[Address, dict[str, Any]] = {}
     for where in representative_levels(numbers, known, controls=False):
-        heading = mechanism_name(known[where[0]], where[1])
+        heading = mechanism_name(known[where.mechanism], where.level)
         columns.append(cell_column(heading, f"{where}"))
         for source, metrics in numbers[where].items():
             keys: dict[str, Any] = {

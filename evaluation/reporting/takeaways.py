@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from evaluation.estimates.families import RAW
+from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.frontier import front
-from evaluation.estimates.keys import Where
+from evaluation.plan.address import Where
 from evaluation.reporting.amounts import bare_percent, round_percent
 from evaluation.reporting.charts import PERCENT, Point
 from evaluation.reporting.headline import Headline
@@ -16,12 +16,11 @@ from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase
 
 NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
-_RAW: Final[Where] = (RAW, None)
 
 
 def level_name(table: Headline, where: Where) -> str:
     """Return the plain name of a level of a run."""
-    return mechanism_name(find_family(table.known, where[0]), where[1])
+    return mechanism_name(find_family(table.known, where.mechanism), where.level)
 
 
 def missed(table: Headline, where: Where) -> str:
@@ -30,11 +29,11 @@ def missed(table: Headline, where: Where) -> str:
         return ""
     robot = table.robots[0]
     subject = robot_subject(robot.measure.consumer)
-    rate, raw = table.at(where, robot), table.at(_RAW, robot)
+    rate, raw = table.at(where, robot), table.at(AT_RAW, robot)
     if rate is None:
         return ""
     beside = (
-        f", {bare_percent(raw)} with raw positions" if raw and where != _RAW else ""
+        f", {bare_percent(raw)} with raw positions" if raw and where != AT_RAW else ""
     )
     name = level_name(table, where)
     return f"With {name}, {subject} misses {bare_percent(rate)} of conflicts{beside}."

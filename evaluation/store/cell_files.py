@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -37,7 +37,6 @@ from evaluation.store.files import (
     GALLERY,
     checked_files,
     checksummed_files,
-    entry_label,
     open_regular,
     write_whole,
 )
@@ -47,6 +46,8 @@ from isac_track.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from evaluation.store.entries import Entry
 
 _INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
@@ -258,7 +259,7 @@ def cell_places(files: Mapping[str, FileIndex]) -> dict[tuple[str, str], str]:
 
 def read_rows(
     out: Path,
-    entry: Mapping[str, Any],
+    entry: Entry,
     *,
     columns: Sequence[str],
     beside: Collection[str] = (),
@@ -288,9 +289,9 @@ def check_columns(rows: pa.Table, columns: Iterable[str], *, path: Path) -> None
             )
 
 
-def consumer_tables(file: CellFile, entry: Mapping[str, Any]) -> ConsumerTables:
+def consumer_tables(file: CellFile, entry: Entry) -> ConsumerTables:
     """Return the tables of an entry's consumer; DataError if the file has none."""
-    label = entry_label(entry)
+    label = entry.label
     if label not in file.index.consumers:
         raise DataError(
             f"{file.path} has no rows of {label}; delete it and run the matrix again"
@@ -299,11 +300,11 @@ def consumer_tables(file: CellFile, entry: Mapping[str, Any]) -> ConsumerTables:
 
 
 def open_files(
-    out: Path, entry: Mapping[str, Any], columns: Collection[str] | None
+    out: Path, entry: Entry, columns: Collection[str] | None
 ) -> list[CellFile]:
     """Return the files of a cell: some columns, or all but raw scores."""
     stamped = []
-    for name in entry["files"]:
+    for name in entry.files:
         path = out / FOLDER / name
         with readable(path):
             stat = path.stat()

@@ -25,13 +25,12 @@ import re
 import secrets
 import shlex
 import stat
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, TYPE_CHECKING, Any, Final
 
-from evaluation.plan.address import parse_row
 from isac_track.errors import DataError, SettingsError
 
 if TYPE_CHECKING:  # workers write files, too, and need no pandas: 40 MB each
@@ -209,11 +208,6 @@ def _escape_formula(value: object) -> object:
     except ValueError:
         return f"'{value}"
     return value  # a number in a column of names
-
-
-def entry_label(entry: Mapping[str, Any]) -> str:
-    """Return the label of the consumer of an entry of a manifest."""
-    return parse_row(entry).cell_label
 
 
 def is_temporary(name: str) -> bool:

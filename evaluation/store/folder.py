@@ -9,6 +9,7 @@ from evaluation.plan.fingerprint import has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
 from evaluation.store.cell_files import FileIndex, sound_files
+from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
     CELL_NAME,
     checked_manifest,
@@ -141,16 +142,16 @@ def _drop_other_code(
             if all(digests.get(module, was) == was for module, was in code.items()):
                 current.add((name, label))
 
-    def is_current(entry: Mapping[str, Any]) -> bool:
-        label = files.entry_label(entry)
+    def is_current(entry: Entry) -> bool:
+        label = entry.label
         return all(
             (name, label) in current or name not in index_by_file
-            for name in entry["files"]
+            for name in entry.files
         )
 
     cells = [entry for entry in manifest["cells"] if is_current(entry)]
-    before = sum(len(entry["files"]) for entry in manifest["cells"])
-    after = sum(len(entry["files"]) for entry in cells)
+    before = sum(len(entry.files) for entry in manifest["cells"])
+    after = sum(len(entry.files) for entry in cells)
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
     for name in index_by_file.keys() - {name for name, _ in current}:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import groupby
-from operator import itemgetter
+from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -28,7 +28,6 @@ from evaluation.compute.link_scores import (
 )
 from evaluation.compute.link_setup import linkage_weights
 from evaluation.compute.tables import ROWS
-from evaluation.plan.address import parse_row
 from evaluation.store.cell_files import (
     check_columns,
     consumer_tables,
@@ -42,6 +41,8 @@ from isac_track.types import Floats, Ints
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from evaluation.store.entries import Entry
 
 _COUNTED: Final = ("above", "tied", "chance", *COMPANIONS)
 _OUTCOME: Final = (
@@ -96,7 +97,7 @@ class LinkageOutcome:
 
 def read_outcomes(
     out: Path,
-    entries: Iterable[Mapping[str, Any]],
+    entries: Iterable[Entry],
     *,
     drawn: Collection[str] | None = None,
 ) -> list[LinkageOutcome]:
@@ -111,7 +112,7 @@ def read_outcomes(
     # The weights of a task, shared by its hundreds of cells; they end with this call.
     weights = lru_cache(maxsize=16)(_linkage_weights)
     outcomes: list[LinkageOutcome] = []
-    for _, group in groupby(entries, key=itemgetter("files")):
+    for _, group in groupby(entries, key=attrgetter("files")):
         file_entries = list(group)
         (file,) = open_files(out, file_entries[0], columns)
         with readable(file.path):
@@ -151,7 +152,7 @@ class _Coded(NamedTuple):
 
 def _outcomes(
     table: pa.Table,
-    entries: Sequence[Mapping[str, Any]],
+    entries: Sequence[Entry],
     tables: Sequence[Mapping[str, tuple[int, int]]],
     drawn: Collection[str] | None,
     labels: Mapping[str, str],
@@ -168,10 +169,14 @@ def _outcomes(
     by_draws: defaultdict[tuple[Any, ...], list[_StoredOutcome]] = defaultdict(list)
     for entry, places in zip(entries, tables, strict=True):
         outcome = _stored_outcome(table, places, stored)
-        about = outcome.about
-        if drawn is None or (drawn and (entry["knowledge"] or entry.get("world"))):
-            task = parse_row(entry).task
-            drawn_as = tuple(about["drawn_as"]), about["n_groups"], task, about["seed"]
+        about, address = outcome.about, entry.address
+        if drawn is None or (drawn and (address.adversary or address.world)):
+            drawn_as = (
+                tuple(about["drawn_as"]),
+                about["n_groups"],
+                address.task,
+                about["seed"],
+            )
             clusters = tuple(labels.get(name, name) for name in about["clusters"])
             by_draws[clusters, drawn_as].append(outcome)
         outcomes.append(outcome)

@@ -1,8 +1,9 @@
 """The manifest of a run: its code, settings and data, its cells, and its failures.
 
-Within the program `cells` is a list of flat entries, one for each consumer at each
-level. In the file an entry stands for all consumers of a level that share their files,
-and sets of consumers that many levels have are written once, in `consumers`. `sizes`
+Within the program `cells` and `failed` are lists of records (`store.entries`), one for
+each consumer at each level. In the file an entry stands for all consumers of a level
+that share their files, and sets of consumers that many levels have are written once, in
+`consumers`. `sizes`
 has the bytes of each file of a finished run: it tells without reading them that a copy
 of the folder is whole. A seal over all of it shows damage, and files of other layouts:
 readers need not check every value. It does not show a forgery.
@@ -21,24 +22,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from itertools import groupby
-from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 
 import numpy as np
 
 import isac_track
-from evaluation.plan.address import parse_row
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES, patrol_values
-from evaluation.store.files import (
-    FOLDER,
-    MANIFEST,
-    entry_label,
-    read_regular_file,
-    write_whole,
+from evaluation.store.entries import (
+    Entry,
+    make_entry,
+    other_entries,
+    parse_entries,
+    parse_failed,
 )
+from evaluation.store.files import FOLDER, MANIFEST, read_regular_file, write_whole
 from evaluation.store.people import (
     id_labels,
     public_path,
@@ -49,27 +49,15 @@ from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
-    from evaluation.plan.axes import Consumer
     from evaluation.plan.plan import Plan, Unit
     from evaluation.plan.settings import Settings
     from evaluation.store.cell_files import FileIndex
-    from isac_track.plugins import Kind, Plugin
+    from isac_track.plugins import Kind
     from isac_track.types import Tracks
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 # The number changes whenever a reader of another would miss or mistake a value.
 LAYOUT: Final = 4
-FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
-_LEVEL_FIELDS: Final = (
-    "mechanism",
-    "level",
-    "family",
-    "adding",
-    "protects",
-    "spec",
-    "files",
-)
-_CONSUMER_FIELDS: Final = ("kind", "consumer", "knowledge", "slow", "world", "policy")
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -85,18 +73,14 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
     """Write the manifest, whole or not at all."""
     consumers: list[list[dict[str, Any]]] = []
     cells = []
-
-    def level_fields(entry: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: entry[name] for name in _LEVEL_FIELDS}
-
-    for level, entries in groupby(manifest["cells"], key=level_fields):
-        level_consumers = [
-            {name: entry.get(name) for name in _CONSUMER_FIELDS} for entry in entries
-        ]
+    for level, entries in groupby(manifest["cells"], key=Entry.level_fields):
+        level_consumers = [entry.consumer_fields() for entry in entries]
         if level_consumers not in consumers:
             consumers.append(level_consumers)
         cells.append(level | {"consumers": consumers.index(level_consumers)})
     folded = {**manifest, "cells": cells, "consumers": consumers}
+    if "failed" in manifest:
+        folded["failed"] = [entry.fields() for entry in manifest["failed"]]
     folded["sizes"] = _file_sizes(out, manifest)
     sealed = folded | {"seal": digest([LAYOUT, folded])}
     text = json.dumps(sealed, indent=1, ensure_ascii=False) + "\n"
@@ -105,7 +89,7 @@ def write_manifest(out: Path, manifest: Mapping[str, Any]) -> None:
 
 def file_names(manifest: Mapping[str, Any]) -> list[str]:
     """Return the names of the files of a manifest's cells, each once."""
-    names = (name for entry in manifest["cells"] for name in entry["files"])
+    names = (name for entry in manifest["cells"] for name in entry.files)
     return list(dict.fromkeys(names))
 
 
@@ -151,41 +135,25 @@ def checked_manifest(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
             f"{out} was written by another version, or its {MANIFEST} is damaged; "
             "run the matrix again with --fresh or another --out"
         )
-    consumers = content.pop("consumers")
-    content["cells"] = [
-        {name: value for name, value in level.items() if name != "consumers"} | consumer
-        for level in content["cells"]
-        for consumer in consumers[level["consumers"]]
-    ]
+    content["cells"] = parse_entries(content["cells"], content.pop("consumers"))
+    if "failed" in content:
+        content["failed"] = parse_failed(content["failed"])
     return content
 
 
-def other_entries(
-    entries: Iterable[dict[str, Any]], *, than: Iterable[dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Return the entries of other consumers at other levels."""
-    known_cells = {(entry["spec"], entry_label(entry)) for entry in than}
-    return [
-        entry
-        for entry in entries
-        if (entry["spec"], entry_label(entry)) not in known_cells
-    ]
-
-
-def with_ceiling(entries: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def with_ceiling(entries: list[Entry]) -> list[Entry]:
     """Return the entries without linkage attacks that have no ceiling.
 
     The ceiling decides what an attack without success means; in other worlds an attack
     is compared with the optimum instead.
     """
-    adversary = itemgetter("consumer", "knowledge")
-    ceilings = {adversary(entry) for entry in entries if entry["spec"] == "clean"}
+    ceilings = {entry.address.source for entry in entries if entry.spec == "clean"}
     return [
         entry
         for entry in entries
-        if entry["kind"] != "linkage"
-        or entry.get("world")
-        or adversary(entry) in ceilings
+        if entry.kind != "linkage"
+        or entry.address.world
+        or entry.address.source in ceilings
     ]
 
 
@@ -226,7 +194,7 @@ def named_values(settings: Settings, axis: str) -> list[str] | None:
     return texts
 
 
-def describe_data(ready: Plan) -> dict[str, Any]:
+def describe_data(plan: Plan) -> dict[str, Any]:
     """Return a description of the data: its source, repairs, and tracks left out.
 
     It has advice if too few people are left.
@@ -236,7 +204,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
         recording_advice,
     )
 
-    tracks, dataset = ready.tracks, ready.dataset
+    tracks, dataset = plan.tracks, plan.dataset
     own = ("name", "sha256", "format", "simulated")
     notice = dataset.notice and without_folders(dataset.notice, dataset)
     data = {
@@ -255,7 +223,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
         ],
     }
     if tracks.n_replaced:
-        most_m = ready.settings.stages.resample.max_overshoot_m
+        most_m = plan.settings.stages.resample.max_overshoot_m
         detail = (
             f"pieces where a spline leaves the chord by over {most_m:g} m or runs;"
             " straighter"
@@ -266,7 +234,7 @@ def describe_data(ready: Plan) -> dict[str, Any]:
     if dataset.sessions:
         data["sessions"] = [public_path(session) for session in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
-        stages, used = ready.settings.stages, len(tracks)
+        stages, used = plan.settings.stages, len(tracks)
         data["would_help"] = recording_advice(
             dataset.tracks, settings=stages, used=used
         )
@@ -279,15 +247,15 @@ def _person_s(tracks: Tracks) -> float:
     return float((tracks.t[last] - tracks.t[first]).sum())
 
 
-def describe(ready: Plan) -> dict[str, Any]:
+def describe(plan: Plan) -> dict[str, Any]:
     """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
     from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
         mean_interval_s,
     )
 
-    tracks, settings, axes = ready.tracks, ready.settings, ready.axes
-    labels = id_labels(ready)
+    tracks, settings, axes = plan.tracks, plan.settings, plan.axes
+    labels = id_labels(plan)
     without_rule = {
         plugin.family
         for plugin in axes.mechanisms
@@ -300,9 +268,7 @@ def describe(ready: Plan) -> dict[str, Any]:
             "tracks_used": n_used,
             "no_future": len(tracks) - n_used,
         }
-    tasks = {
-        sessions.task.name: _describe_task(sessions) for sessions in ready.sessions
-    }
+    tasks = {sessions.task.name: _describe_task(sessions) for sessions in plan.sessions}
     return {
         "environment": {
             "isac_track": isac_track.__version__,
@@ -314,8 +280,8 @@ def describe(ready: Plan) -> dict[str, Any]:
                 str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
-        "code": ready.code,
-        "settings": _describe_settings(ready),
+        "code": plan.code,
+        "settings": _describe_settings(plan),
         "own_plugins": list_user_plugins(axes),
         "granted": {
             plugin.spec: sorted(item.name for item in plugin.instance.requires)
@@ -323,10 +289,10 @@ def describe(ready: Plan) -> dict[str, Any]:
             if plugin.instance.requires
         },
         "without_rule": sorted(without_rule),
-        "dataset": describe_data(ready),
+        "dataset": describe_data(plan),
         "geometry": asdict(
             geometry(
-                ready.recorded, settings=settings.stages.sensing, seed=settings.seed
+                plan.recorded, settings=settings.stages.sensing, seed=settings.seed
             )
         ),
         "history": {
@@ -341,9 +307,9 @@ def describe(ready: Plan) -> dict[str, Any]:
     }
 
 
-def _describe_settings(ready: Plan) -> dict[str, Any]:
+def _describe_settings(plan: Plan) -> dict[str, Any]:
     """Return the settings of a run, with the axes that they expand to."""
-    settings, axes = ready.settings, ready.axes
+    settings, axes = plan.settings, plan.axes
     linkers = dict.fromkeys(link.spec for _, link in axes.links)
     named = {axis: named_values(settings, axis) for axis in AXES}
     described: dict[str, Any] = {
@@ -393,7 +359,7 @@ class _CellLoss(NamedTuple):
     spec: str
 
 
-def candidate_losses(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, Any]:
+def candidate_losses(out: Path, entries: Iterable[Entry]) -> dict[str, Any]:
     """Return the loss of rank 1 by `linkage.candidates`, by task, as cells measured it.
 
     Of each task: the number of `cells` of attacks; the number of `probes` of each (the
@@ -406,14 +372,13 @@ def candidate_losses(out: Path, entries: Iterable[dict[str, Any]]) -> dict[str, 
     )
 
     losses_by_task: dict[str, list[_CellLoss]] = defaultdict(list)
-    linked = [entry for entry in entries if entry["kind"] == "linkage"]
+    linked = [entry for entry in entries if entry.kind == "linkage"]
     outcomes = read_outcomes(out, linked, drawn=())
     for entry, outcome in zip(linked, outcomes, strict=True):
         if n_checked := outcome.numbers.get("n_checked"):
-            task = parse_row(entry).task
             rank1_loss = outcome.numbers["rank1_loss"]
-            losses_by_task[task].append(
-                _CellLoss(rank1_loss, n_checked, entry_label(entry), entry["spec"])
+            losses_by_task[entry.address.task].append(
+                _CellLoss(rank1_loss, n_checked, entry.label, entry.spec)
             )
     summary = {}
     for task, losses in losses_by_task.items():
@@ -439,58 +404,34 @@ def _git_commit() -> str | None:
     return answer.stdout.strip() or None
 
 
-def consumer_fields(mechanism: Plugin, consumer: Consumer) -> dict[str, str]:
-    """Return the fields of an entry that name its mechanism and consumer."""
-    address = consumer.address
-    return {
-        "spec": mechanism.spec,
-        "consumer": address.consumer,
-        "kind": consumer.kind,
-        "knowledge": address.adversary,
-        "world": address.world.text,
-        "policy": address.policy,
-    }
-
-
 def cell_entries(
-    ready: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
-) -> list[dict[str, Any]]:
+    plan: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
+) -> list[Entry]:
     """Return the entries of a run's cells, whose files are in `places` or to come."""
     files_by_cell = {
         (unit.key, key): unit.file for unit in missing for key in unit.consumers
     } | {**places}
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for unit in ready.units:  # block by block
+    for unit in plan.units:  # block by block
         for key, consumer in unit.consumers.items():
             files[unit.mechanism.spec, consumer.label].append(
                 files_by_cell[unit.key, key]
             )
     return [
-        {
-            "mechanism": mechanism.name,
-            **{
-                name: getattr(mechanism, name)
-                for name in ("level", "family", "adding", "protects")
-            },
-            **consumer_fields(mechanism, consumer),
-            "slow": consumer.is_slow,
-            "files": files[mechanism.spec, consumer.label],
-        }
-        for mechanism, consumer in ready.pairs
+        make_entry(mechanism, consumer, files=files[mechanism.spec, consumer.label])
+        for mechanism, consumer in plan.pairs
     ]
 
 
-def without_other_patrols(
-    manifest: Mapping[str, Any], ready: Plan
-) -> list[dict[str, Any]]:
+def without_other_patrols(manifest: Mapping[str, Any], plan: Plan) -> list[Entry]:
     """Return the entries of a manifest, without patrols of other settings than a plan's.
 
     Their files stay: with the earlier settings a run finds them again.
     """
     earlier = manifest.get("settings", {}).get("stages", {})
-    ours = patrol_values(ready.settings.stages.flat())
+    ours = patrol_values(plan.settings.stages.flat())
     is_same = patrol_values(earlier) == ours
-    return [entry for entry in manifest["cells"] if is_same or not entry.get("policy")]
+    return [entry for entry in manifest["cells"] if is_same or not entry.address.policy]
 
 
 def merged_plugins(
@@ -504,11 +445,8 @@ def merged_plugins(
 
 
 def merged_cells(
-    earlier: Iterable[dict[str, Any]],
-    entries: list[dict[str, Any]],
-    *,
-    held: Mapping[str, FileIndex],
-) -> list[dict[str, Any]]:
+    earlier: Iterable[Entry], entries: list[Entry], *, held: Mapping[str, FileIndex]
+) -> list[Entry]:
     """Return the entries of this run's cells, and of finished cells of earlier axes.
 
     An earlier level that was never finished (interrupted, or a plug-in that failed) is
@@ -518,8 +456,7 @@ def merged_cells(
         entry
         for entry in earlier
         if all(
-            name in held and entry_label(entry) in held[name].consumers
-            for name in entry["files"]
+            name in held and entry.label in held[name].consumers for name in entry.files
         )
     ]
     return with_ceiling(entries + other_entries(finished, than=entries))

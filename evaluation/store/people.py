@@ -40,19 +40,19 @@ def in_first_half(name: str) -> bool:
     return hashlib.sha256(name.encode()).digest()[0] % 2 == 0
 
 
-def id_labels(ready: Plan) -> dict[str, str]:
+def id_labels(plan: Plan) -> dict[str, str]:
     """Return the label of every id of a run: labels sort as the ids do in every run.
 
     The label of a recorded id is its place in the sorted ids. Simulated people of a
     crowd stand between them, by name.
     """
-    tracks = ready.dataset.tracks
+    tracks = plan.dataset.tracks
     own = sorted(
-        {*tracks.source, *tracks.group, *ready.tracks.source, *ready.tracks.group}
+        {*tracks.source, *tracks.group, *plan.tracks.source, *plan.tracks.group}
     )
     place_by_name = {name: place for place, name in enumerate(own, start=1)}
     task_names: set[str] = set()
-    for sessions in (*ready.sessions, *ready.model_sessions):
+    for sessions in (*plan.sessions, *plan.model_sessions):
         task_names.update(sessions.source, sessions.group)
     labels = {}
     for name in own:
@@ -68,13 +68,13 @@ def _half(name: str) -> str:
     return _HALVES[hashlib.sha256(name.encode()).digest()[0] % 2]
 
 
-def prepare_names(ready: Plan, *, is_continued: bool) -> dict[str, str]:
+def prepare_names(plan: Plan, *, is_continued: bool) -> dict[str, str]:
     """Write the two files of names of a run; return the name of every id in its files.
 
     Raises DataError for a run that is continued without its key, and if a file cannot
     be written.
     """
-    out, labels = ready.out, id_labels(ready)
+    out, labels = plan.out, id_labels(plan)
     private = _private(out)
     if is_continued and "key" not in private:
         raise DataError(
@@ -83,10 +83,10 @@ def prepare_names(ready: Plan, *, is_continued: bool) -> dict[str, str]:
             " another --out"
         )
     key = str(private.get("key") or secrets.token_hex(32))
-    paths = [str(Path(session).absolute()) for session in ready.dataset.sessions]
-    recording = {"path": str(Path(ready.dataset.path).absolute()), "sessions": paths}
+    paths = [str(Path(session).absolute()) for session in plan.dataset.sessions]
+    recording = {"path": str(Path(plan.dataset.path).absolute()), "sessions": paths}
     _write_private(out, {"key": key, **recording})
-    keeps = ready.settings.keep_ids
+    keeps = plan.settings.keep_ids
     name_by_id = {name: name if keeps else pseudonym(name, key) for name in labels}
     earlier = _people(out) if is_continued else {}
     rows = earlier | {name_by_id[name]: label for name, label in labels.items()}

@@ -17,7 +17,6 @@ import pandas as pd
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.families import ADDING_RULES, RAW, Family
-from evaluation.estimates.keys import Where
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     EQUAL_ALARMS,
@@ -34,7 +33,7 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import BEYOND
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
-from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_row
+from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer, parse_row
 from evaluation.plan.world import World
 from isac_track.errors import SettingsError, did_you_mean
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate

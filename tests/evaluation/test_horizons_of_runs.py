@@ -66,8 +66,8 @@ def test_nothing_of_the_papers_horizon_changes(made):
 def test_rates_are_those_that_counting_gives(made, world):
     run = made["both"]
     name = f"{run.dataset}:{world}" if world else run.dataset
-    entries = [entry for entry in run.manifest["cells"] if entry["kind"] == "predictor"]
-    entries = [entry for entry in entries if (entry["world"] or "") == world]
+    entries = [entry for entry in run.manifest["cells"] if entry.kind == "predictor"]
+    entries = [entry for entry in entries if entry.address.world.text == world]
     assert len(entries) == 6 * len(ROBOTS)
     for entry in entries:
         columns = [
@@ -84,9 +84,9 @@ def test_rates_are_those_that_counting_gives(made, world):
         assert (rows["conflict"] == (rows["separation_m"] < 0.9)).all()
         to_come = rows[rows["conflict"] & ~rows["inside_now"]]
         summary = run.summary[run.summary["dataset"] == name]
-        summary = summary[summary["consumer"] == entry["consumer"]]
-        summary = summary[summary["mechanism"] == entry["mechanism"]]
-        level = np.nan if entry["level"] is None else entry["level"]
+        summary = summary[summary["consumer"] == entry.address.consumer]
+        summary = summary[summary["mechanism"] == entry.address.mechanism]
+        level = np.nan if entry.address.level is None else entry.address.level
         summary = summary[np.isclose(summary["level"], level, equal_nan=True)]
         values = summary.set_index("metric")["value"]
         conflicts = rows[rows["conflict"]]
@@ -98,12 +98,12 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
     run = made["both"]
     shares = {}
     for entry in run.manifest["cells"]:
-        if entry["kind"] == "predictor" and entry["mechanism"] == "raw":
+        if entry.kind == "predictor" and entry.address.mechanism == "raw":
             rows = read_rows(
                 run.out, entry, columns=["conflict", "inside_now"]
             ).to_pandas()
             inside = rows.loc[rows["conflict"], "inside_now"]
-            shares.setdefault(entry["world"] or "", set()).add(inside.mean())
+            shares.setdefault(entry.address.world.text, set()).add(inside.mean())
     assert all(
         len(robot_rows) == 1 for robot_rows in shares.values()
     )  # whoever foresees
@@ -113,7 +113,7 @@ def test_a_longer_horizon_has_more_conflicts_to_come(made):
 def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     run = made["both"]
     entry = next(
-        entry for entry in run.manifest["cells"] if entry.get("world") == WORLD
+        entry for entry in run.manifest["cells"] if entry.address.world.text == WORLD
     )
     columns = ["group", "conflict", "inside_now", "predicted_separation_m"]
     table = read_rows(run.out, entry, columns=columns)
@@ -128,7 +128,7 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     )
     shown = run.decisions[run.decisions["dataset"] == f"{run.dataset}:{WORLD}"]
     shown = shown[
-        (shown["mechanism"] == "raw") & (shown["consumer"] == entry["consumer"])
+        (shown["mechanism"] == "raw") & (shown["consumer"] == entry.address.consumer)
     ].iloc[0]
     at = np.full(1001, shown["false_alarm_rate"])
     assert shown["missed_future_rate"] == pytest.approx(scene_rows.missed_at(at)[0])
@@ -205,7 +205,7 @@ class TestTimesToConflict:
             entry = next(
                 entry
                 for entry in run.manifest["cells"]
-                if entry["kind"] == "predictor" and (entry.get("world") or "") == world
+                if entry.kind == "predictor" and entry.address.world.text == world
             )
             times = read_rows(
                 run.out, entry, columns=["time_to_conflict_s"]

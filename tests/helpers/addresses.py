@@ -1,6 +1,7 @@
 """Addresses of numbers, from the columns of a row."""
 
 from evaluation.plan.address import Address, parse_consumer
+from evaluation.store.entries import Entry
 
 
 def address_at(
@@ -12,3 +13,10 @@ def address_at(
 ) -> Address:
     """Return the address of a metric of a consumer at a level."""
     return parse_consumer(consumer, knowledge).measured(metric).at(mechanism, level)
+
+
+def entry_at(consumer, knowledge="", *, kind="shared", where=("raw", None), **fields):
+    """An entry of a manifest: a consumer at a mechanism and level."""
+    mechanism, level = where
+    address = parse_consumer(consumer, knowledge).at(mechanism, level)
+    return Entry(address, kind, **{"spec": mechanism} | fields)

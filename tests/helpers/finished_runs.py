@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from helpers.addresses import entry_at
 
 from evaluation.estimates import (
     by_speed,
@@ -32,8 +33,8 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.plan.address import parse_consumer
 from evaluation.reporting.rows import Results
+from evaluation.store.entries import FAILED_COLUMNS
 from evaluation.store.files import FRAMES
-from evaluation.store.manifest import FAILED_COLUMNS
 from isac_track.config import StageSettings
 
 MADE = json.loads(
@@ -443,5 +444,8 @@ def everything():
     run.manifest["linkage"]["tasks"] = {
         "handover-2s": {"people": 275, "too_short": 0, "not_drawn": 0}
     }
-    run.manifest["cells"] = [{"consumer": "radial_rts", "slow": True}, {}]
+    run.manifest["cells"] = [
+        entry_at("radial_rts", is_slow=True),
+        entry_at("shared"),
+    ]
     return run

@@ -16,8 +16,8 @@ def cell_entry(out, spec, consumer, knowledge=""):
     (entry,) = [
         cell
         for cell in cells
-        if (cell["spec"], cell["consumer"], cell["knowledge"]) == wanted
-        and not cell["world"]
+        if (cell.spec, cell.address.consumer, cell.address.adversary) == wanted
+        and not cell.address.world
     ]
     return entry
 

@@ -173,6 +173,12 @@ def write_run(out, levels=USUAL, **dataset):
     return out
 
 
+def change_first_cell(manifest, **fields):
+    """Give the first entry of a manifest's cells other fields."""
+    first, *others = manifest["cells"]
+    manifest["cells"] = [replace(first, **fields), *others]
+
+
 def edit_manifest(out, change):
     """Change the manifest of a run, in place, as if it had been written so."""
     manifest = read_manifest(out)

@@ -7,9 +7,8 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.families import ADDING_RULES, RAW
-from evaluation.estimates.keys import Where
-from evaluation.plan.address import parse_row
+from evaluation.estimates.families import ADDING_RULES, AT_RAW, RAW
+from evaluation.plan.address import Where, parse_row
 from evaluation.reporting.charts import (
     LOOKS,
     PERCENT,
@@ -42,13 +41,13 @@ def figures(run: Results) -> Iterator[Figure]:
         wheres = [
             where
             for where in curves
-            if rule in find_family(run.families, where[0]).rules
+            if rule in find_family(run.families, where.mechanism).rules
         ]
         drawn = [
             _curve(looks[_name(run, where)], _name(run, where), curves[where])
             for where in wheres
         ]
-        if any(where[0] != RAW for where in wheres):
+        if any(where.mechanism != RAW for where in wheres):
             if not label_room(drawn):
                 key |= {curve.label: curve.look for curve in drawn}
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
@@ -67,13 +66,13 @@ def figures(run: Results) -> Iterator[Figure]:
 
 def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
     """Tell attacked PLR of the slowest and fastest people at the noisiest level."""
-    added = [where for where in curves if where[0] != RAW]
+    added = [where for where in curves if where.mechanism != RAW]
     if not added:
         return ""
     where = min(added, key=lambda level: curves[level]["value"].mean())
     rows = curves[where].sort_values("speed_mps")
     slow, fast = rows.iloc[0], rows.iloc[-1]
-    name = mechanism_name(find_family(run.families, where[0]), where[1])
+    name = mechanism_name(find_family(run.families, where.mechanism), where.level)
     return (
         f"With {name}, PLR after attack is {PERCENT * slow['value']:.0f} % at "
         f"{slow['speed_mps']:.1f} m/s and {PERCENT * fast['value']:.0f} % at "
@@ -84,7 +83,7 @@ def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
 def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
     """Return the rows of each level."""
     levels = rows["level"].astype(object).where(rows["level"].notna(), None)
-    wheres = list(zip(rows["mechanism"], levels, strict=True))
+    wheres = list(map(Where, rows["mechanism"], levels))
     places: dict[Where, list[int]] = {}
     for place, where in enumerate(wheres):
         places.setdefault(where, []).append(place)
@@ -93,16 +92,18 @@ def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
 
 def _looks(run: Results, wheres: Iterable[Where]) -> dict[str, Look]:
     """Return the look of each level under both adding rules; raw is a star."""
-    names = dict.fromkeys(_name(run, where) for where in wheres if where[0] != RAW)
+    names = dict.fromkeys(
+        _name(run, where) for where in wheres if where.mechanism != RAW
+    )
     looks = {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
-    raw = {_name(run, (RAW, None)): Look(LOOKS - 1)} if (RAW, None) in wheres else {}
+    raw = {_name(run, AT_RAW): Look(LOOKS - 1)} if AT_RAW in wheres else {}
     return raw | looks
 
 
 def _name(run: Results, where: Where) -> str:
     """Return the plain name of a level, whatever its adding rule."""
-    family = find_family(run.families, where[0])
-    return mechanism_name(replace(family, mechanism=family.name), where[1])
+    family = find_family(run.families, where.mechanism)
+    return mechanism_name(replace(family, mechanism=family.name), where.level)
 
 
 def _curve(look: Look, name: str, rows: pd.DataFrame) -> Curve:

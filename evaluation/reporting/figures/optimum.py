@@ -52,7 +52,9 @@ def figures(run: Results) -> Iterator[Figure]:
 
 def _level(run: Results, gap: Gap) -> str:
     """Return the plain name of the level of a gap."""
-    return short_mechanism_name(find_family(run.families, gap.where[0]), gap.where[1])
+    return short_mechanism_name(
+        find_family(run.families, gap.where.mechanism), gap.where.level
+    )
 
 
 def _caption(gaps: Sequence[Gap]) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from helpers.addresses import entry_at
 from helpers.bad_plugins import spoilt
 from helpers.cells import (
     STAGES,
@@ -414,11 +415,9 @@ def written(out, task, *, control="", keep_scores=False):
         [(consumer.label, "key", {}, tables)], unit="", code={}
     )
     (out / "cells" / "one.parquet").write_bytes(content)
-    where = {
-        "consumer": consumer.spec,
-        "knowledge": consumer.knowledge,
-        "files": ["one.parquet"],
-    }
+    where = entry_at(
+        consumer.spec, consumer.knowledge, kind=consumer.kind, files=("one.parquet",)
+    )
     return result, level.setup, tables, where
 
 
@@ -501,7 +500,7 @@ class TestCells:
         (tmp_path / "cells").mkdir()
         if content is not None:
             (tmp_path / "cells" / "cell.parquet").write_bytes(content)
-        entry = {"files": ["cell.parquet"], "consumer": "split/x", "knowledge": "blind"}
+        entry = entry_at("split/x", "blind", kind="linkage", files=("cell.parquet",))
         read_rows = partial(cell_files.read_rows, columns=["source"])
         for read in (
             lambda out, manifest_entry: linkage_outcomes.read_outcomes(
@@ -592,13 +591,15 @@ class TestRuns:
         self, finished
     ):
         entries = [
-            cell for cell in finished.manifest["cells"] if cell["kind"] == "windows"
+            cell for cell in finished.manifest["cells"] if cell.kind == "windows"
         ]
         mean = {}
         for entry in entries:
-            assert entry["knowledge"] == ""
+            assert entry.address.adversary == ""
             rows = cell_files.read_rows(finished.out, entry, columns=["n_samples"])
-            mean[entry["consumer"], entry["spec"]] = rows["n_samples"].to_numpy().mean()
+            mean[entry.address.consumer, entry.spec] = (
+                rows["n_samples"].to_numpy().mean()
+            )
         assert len(mean) == len(entries) == 2 * 4
         for task in ("rerelease", "handover-2s"):
             clean, raw, few = (
@@ -776,13 +777,8 @@ def entry(consumer, mechanism, p_value, low=1.0):
         int, p_value=p_value, p_value_low=low, gallery_sizes=[5, 5, 5.0]
     )
     kind, knowledge = ("control", "") if "control" in consumer else ("linkage", "blind")
-    where = {
-        "consumer": consumer,
-        "mechanism": mechanism,
-        "spec": mechanism,
-        "kind": kind,
-    }
-    where |= {"knowledge": knowledge, "level": 1.0 if mechanism == "fixed" else None}
+    level = 1.0 if mechanism == "fixed" else None
+    where = entry_at(consumer, knowledge, kind=kind, where=(mechanism, level))
     return where, linkage_outcomes.LinkageOutcome(
         {"rank1": result, "chance": result}, numbers, cohorts={}
     )

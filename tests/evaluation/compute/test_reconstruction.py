@@ -599,15 +599,14 @@ class TestRuns:
         numbers = ["value", "ci_low", "ci_high", "n"]
         assert len(shared) == 3 * 7
         assert attacked.loc[shared.index, numbers].equals(shared[numbers])
-        entries = [
-            cell for cell in results.manifest["cells"] if cell["kind"] == "attack"
-        ]
+        entries = [cell for cell in results.manifest["cells"] if cell.kind == "attack"]
         assert len(entries) == 3 * (1 + 3 + 1)
         for entry in entries:
+            address = entry.address
             rows = stored_rows(
-                results.out, entry["spec"], entry["consumer"], entry["knowledge"]
+                results.out, entry.spec, address.consumer, address.adversary
             )
-            said = table[entry["mechanism"], entry["consumer"], entry["knowledge"]]
+            said = table[address.mechanism, address.consumer, address.adversary]
             mse, plr = (
                 rows[item].sum() / rows[f"benchmark_{item}"].sum() for item in METRICS
             )

@@ -6,19 +6,19 @@ import pyarrow as pa
 import pytest
 
 from evaluation.compute import sample_tracks
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.store import cell_files as gallery_file
 from isac_track import plugins
 from isac_track.errors import DataError
 
 
-def gallery_table(ready, *specs):
+def gallery_table(plan, *specs):
     mechanisms = plugins.parse_all("mechanisms", specs)
     options = {
-        "tracks": ready.tracks,
+        "tracks": plan.tracks,
         "attacks": (),
-        "stages": ready.settings.stages,
+        "stages": plan.settings.stages,
         "seed": 0,
     }
     rows = [
@@ -29,15 +29,15 @@ def gallery_table(ready, *specs):
 
 
 @pytest.fixture(scope="module")
-def gallery(ready):
+def gallery(plan):
     return gallery_table(
-        ready, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8"
+        plan, "raw", "fid:1", "fid:100", "fixed:0.2", "fixed:0.8"
     ).to_pandas()
 
 
 @pytest.fixture(scope="module")
-def ready():
-    return plan(
+def plan():
+    return make_plan(
         Settings(preset="smoke", dataset="plaza", scenes=2, attacks=(), tasks=())
     )
 
@@ -66,10 +66,10 @@ class TestTheGallery:
         assert fid["leaked_shared"].mean() < raw["leaked_shared"].mean()
 
     def test_without_any_error_everything_leaks_and_what_is_not_shared_is_not_shown(
-        self, ready
+        self, plan
     ):
         whole, thin = (
-            gallery_table(ready, spec).to_pandas() for spec in ("clean", "thin:4")
+            gallery_table(plan, spec).to_pandas() for spec in ("clean", "thin:4")
         )
         assert whole["leaked_shared"].all()
         np.testing.assert_array_equal(whole["x_shared"], whole["x_true"])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from helpers.addresses import address_at
+from helpers.addresses import address_at, entry_at
 
 from evaluation.estimates.best_robot import BEST, best_robots
 from evaluation.estimates.decisions import curve
@@ -39,7 +39,7 @@ def planted(noises, *, n_people, rng, scenes_each=6, levels=LEVELS):
                 "predicted": foreseen < 0.9,
                 "predicted_separation_m": foreseen,
             }
-            entry = {"mechanism": mechanism, "level": level, "consumer": name}
+            entry = entry_at(name, kind="predictor", where=(mechanism, level))
             scored.append(Scored(entry, cluster, columns))
     return scored
 
@@ -51,9 +51,9 @@ def at(best, consumer, metric, where=LEVELS[1]):
 def missed_by_hand(scored, name, people, weight, where, *, future=False):
     """Misses of a robot by some people at the false-alarm rate that it has at raw."""
     by_where = {
-        (robot.entry["mechanism"], robot.entry["level"]): robot
+        robot.entry.address.where: robot
         for robot in scored
-        if robot.entry["consumer"] == name
+        if robot.entry.address.consumer == name
     }
     _, cluster, raw = by_where["raw", None]
     free = ~raw["conflict"] & people[cluster]
@@ -160,7 +160,7 @@ def test_the_robot_that_is_clearly_better_is_chosen_by_both_halves():
     good = next(
         robot.columns
         for robot in scored
-        if robot.entry["consumer"] == "good" and robot.entry["level"] == 0.4
+        if robot.entry.address.consumer == "good" and robot.entry.address.level == 0.4
     )
     is_free = ~good["conflict"]
     false_alarm = (good["predicted"] & is_free).sum() / is_free.sum()

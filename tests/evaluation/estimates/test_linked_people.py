@@ -7,7 +7,7 @@ from helpers.runs import stored_rows
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
-from evaluation.estimates.families import families_in
+from evaluation.estimates.families import entry_families
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster, read_probes
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.strongest import first_half
@@ -48,7 +48,7 @@ def run(tmp_path_factory):
         for row in results.summary.fillna({"knowledge": ""}).itertuples()
     }
     manifest = read_manifest(settings.out)
-    sweeps = Sweeps(result, families_in(manifest["cells"]))
+    sweeps = Sweeps(result, entry_families(manifest["cells"]))
     return (
         result,
         settings.out,
@@ -145,7 +145,7 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
 def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
     numbers, out, _ = run
     manifest = read_manifest(out)
-    sweeps = Sweeps(numbers, families_in(manifest["cells"]))
+    sweeps = Sweeps(numbers, entry_families(manifest["cells"]))
     linker, other = TASKS["rerelease"], parse_consumer("rerelease/profile", "blind")
     pair = [linker.measured("rank1"), other.measured("rank1_assigned")]
     choices = {("rerelease", ""): {"rank1": pair}}

@@ -22,7 +22,6 @@ from evaluation.plan.address import (
     plugin_name,
 )
 from evaluation.plan.world import OWN_WORLD, WORLDS, World, parse_world
-from evaluation.store.files import entry_label
 from isac_track.protocols import ADVERSARIES
 
 CONSUMERS = {
@@ -193,10 +192,7 @@ def test_every_row_and_cell_of_a_run_has_an_address_that_gives_its_columns(tmp_p
     worlds_seen = {parse_row(row).world for row in made.summary.to_dict("records")}
     assert worlds_seen == {OWN_WORLD, World(horizon_s=3.0)}
     for entry in made.manifest["cells"]:
-        address = parse_row(entry)
+        address = entry.address
         reader = replace(address, mechanism="", level=None)
-        assert parse_label(entry_label(entry)) == reader
-        assert (address.world.text, address.consumer) == (
-            entry["world"],
-            entry["consumer"],
-        )
+        assert parse_label(entry.label) == reader
+        assert parse_row(entry.level_fields() | entry.consumer_fields()) == address

@@ -6,7 +6,7 @@ import pytest
 from helpers.small_runs import smoke
 
 from evaluation.plan.fingerprint import PATROL
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
 from isac_track.errors import SettingsError
@@ -14,25 +14,25 @@ from isac_track.errors import SettingsError
 
 def patrolled(csv_recording, **changes):
     """Every mechanism, policy and reader of the patrols of a run."""
-    ready = plan(smoke(csv_recording, **changes))
+    plan = make_plan(smoke(csv_recording, **changes))
     return {
         (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.knowledge)
-        for unit in ready.units
+        for unit in plan.units
         if unit.stage == PATROL
         for consumer in unit.consumers.values()
     }
 
 
-def keys(ready):
+def keys(plan):
     """Keys of the units of a plan: those of patrols, and all others."""
-    patrols = {unit.key for unit in ready.units if unit.stage == PATROL}
-    return patrols, {unit.key for unit in ready.units} - patrols
+    patrols = {unit.key for unit in plan.units if unit.stage == PATROL}
+    return patrols, {unit.key for unit in plan.units} - patrols
 
 
 def test_settings_of_patrols_are_in_the_keys_of_patrols_alone(csv_recording):
     axes = {"policies": ("near:3",), "mechanisms": ("raw",)}
     usual, other = (
-        keys(plan(smoke(csv_recording, stages={"patrol.robots": n}, **axes)))
+        keys(make_plan(smoke(csv_recording, stages={"patrol.robots": n}, **axes)))
         for n in (1, 2)
     )
     assert usual[1] == other[1]
@@ -42,11 +42,11 @@ def test_settings_of_patrols_are_in_the_keys_of_patrols_alone(csv_recording):
 def test_a_preset_has_its_patrols_and_a_user_others(csv_recording):
     settings = Settings(dataset=str(csv_recording), scenes=8, attacks=(), tasks=())
     for preset in ("quick", "paper"):
-        ready = plan(settings.changed(preset=preset))
-        assert ready.settings.stages.patrol.fleets == PRESETS[preset].fleets
-        assert ready.settings.stages.patrol.segment_s == PRESETS[preset].patrolled_s
+        plan = make_plan(settings.changed(preset=preset))
+        assert plan.settings.stages.patrol.fleets == PRESETS[preset].fleets
+        assert plan.settings.stages.patrol.segment_s == PRESETS[preset].patrolled_s
     named = {"patrol.fleets": 20, "patrol.segment_s": math.inf}
-    changed = plan(settings.changed(stages=settings.stages.changed(named)))
+    changed = make_plan(settings.changed(stages=settings.stages.changed(named)))
     assert changed.settings.stages.patrol.fleets == 20
     assert changed.settings.stages.patrol.segment_s == math.inf
 
@@ -80,4 +80,4 @@ def test_without_policies_there_are_no_patrols(csv_recording):
 )
 def test_a_wrong_policy_is_refused(csv_recording, policy, message):
     with pytest.raises(SettingsError, match=message):
-        plan(smoke(csv_recording, policies=(policy,)))
+        make_plan(smoke(csv_recording, policies=(policy,)))

@@ -24,7 +24,7 @@ from evaluation.compute.current_cell import Failure
 from evaluation.compute.linkage import view_key
 from evaluation.compute.work import Block, LinkWork
 from evaluation.plan.axes import Consumer
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import dask as on_cluster
 from evaluation.pool.execute import FailedCellsWarning
@@ -463,8 +463,8 @@ def test_a_piece_for_a_cluster_is_behind_one_reconstruction_and_no_cell_is_lost(
         "mechanisms": ("raw", "fixed:0.7"),
     }
     walks = write_walks(tmp_path / "walks.csv")
-    ready = plan(smoke(walks, tmp_path / "run", **axes))
-    works = deque(cut_work(ready.units, ready))
+    plan = make_plan(smoke(walks, tmp_path / "run", **axes))
+    works = deque(cut_work(plan.units, plan))
     before = sorted(cell_name(cell) for work in works for cell in planned_cells(work))
     cut_for_cluster(works)
     assert (

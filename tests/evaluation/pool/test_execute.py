@@ -14,7 +14,7 @@ from helpers.small_runs import smoke
 import evaluation
 from evaluation.estimates import summary
 from evaluation.plan.axes import Consumer
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import DEFAULT, PRESETS
 from evaluation.plan.settings import Settings
 from evaluation.pool.execute import FailedCellsWarning
@@ -209,7 +209,7 @@ class TestWhatARunLeaves:
     def test_the_manifest_is_enough_to_run_it_again(self, finished):
         manifest = read_manifest(finished.out)
         assert manifest["state"] == "finished"
-        assert manifest["dataset"]["sha256"] == plan(finished).dataset.sha256
+        assert manifest["dataset"]["sha256"] == make_plan(finished).dataset.sha256
         assert manifest["dataset"]["tracks"] == 12
         known = manifest["settings"]
         assert known["mechanisms"] == ["raw", "fid:1000", "fixed:0.7"]
@@ -273,7 +273,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         10,
     ]
     for entry in message["cells"]:
-        place = entry["spec"], entry["consumer"], entry["knowledge"]
+        address = entry.address
+        place = entry.spec, address.consumer, address.adversary
         more, first = (stored_rows(tmp_path / name, *place) for name in ("more", "few"))
         assert set(more["scene"]) == set(range(10 if place[1] in predictors[:2] else 4))
         attacked = more[more["scene"] < 4].reset_index(drop=True)

@@ -11,7 +11,7 @@ from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
 from evaluation.pool.duration import expected_s, in_words, measured_rates, rate_name
@@ -52,7 +52,7 @@ class Copies:
 
 @pytest.fixture(scope="module")
 def usual():
-    return plan(Settings(preset="smoke", dataset="plaza", jobs=2))
+    return make_plan(Settings(preset="smoke", dataset="plaza", jobs=2))
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ class TestHowLong:
 
     def test_more_work_takes_longer_and_more_workers_less(self, usual):
         result = replace(usual, jobs=1)
-        many = plan(Settings(preset="smoke", dataset="plaza", jobs=2, scenes=1000))
+        many = make_plan(Settings(preset="smoke", dataset="plaza", jobs=2, scenes=1000))
         assert expected_s(usual) < expected_s(result)
         assert expected_s(usual) < expected_s(many)
 

@@ -68,7 +68,7 @@ def test_a_run_takes_options_over_settings_and_says_what_it_is_about(made):
         ({"scene": 40}, "did you mean 'scenes'?"),
         ({"mechanisms": ["rw"]}, "did you mean 'raw'?"),
         ({"stages": {"privacy.epsilon": 1}}, "did you mean privacy.epsilon_m?"),
-        ({"ready": object(), "scenes": 40}, "leave out all others"),
+        ({"plan": object(), "scenes": 40}, "leave out all others"),
     ],
 )
 def test_wrong_options_are_refused_as_on_the_command_line(options, message):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import expected_s
 from evaluation.reporting.paper_hint import paper_hint
@@ -40,11 +40,11 @@ def test_the_command_is_that_of_the_run_with_the_other_preset(words, rest):
 
 
 def test_the_time_is_the_estimate_of_a_dry_run():
-    ready = plan(Settings(preset="paper", dataset="plaza", jobs=2, fresh=True))
-    described = describe(ready) | {"identity": ready.identity}
+    plan = make_plan(Settings(preset="paper", dataset="plaza", jobs=2, fresh=True))
+    described = describe(plan) | {"identity": plan.identity}
     described["environment"]["command"] = ["matrix.py", "--jobs", "2"]
     described["settings"]["preset"] = "quick"
-    assert paper_hint(described).seconds == pytest.approx(expected_s(ready), rel=0.05)
+    assert paper_hint(described).seconds == pytest.approx(expected_s(plan), rel=0.05)
 
 
 def test_more_people_and_fewer_workers_take_longer():

@@ -57,7 +57,10 @@ def test_marks_stand_where_their_numbers_are_and_the_numbers_are_those_of_the_ru
 def test_rows_and_marks_are_those_of_the_first_table(table):
     lost = pictures(table)[0].chart
     levels = choose_levels(table)
-    names = [short_mechanism_name(table.known[where[0]], where[1]) for where in levels]
+    names = [
+        short_mechanism_name(table.known[where.mechanism], where.level)
+        for where in levels
+    ]
     assert [text for _, text in lost.y_ticks] == names
     assert set(lost.hints) == set(names)
     assert len(lost.marks) == len(levels) * len(table.robots)

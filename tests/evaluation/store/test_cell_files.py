@@ -6,6 +6,7 @@ import json
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from helpers.addresses import entry_at
 
 from evaluation.compute.tables import ROWS
 from evaluation.store import cell_files
@@ -13,7 +14,7 @@ from evaluation.store.cell_files import pack_cells, read_index, read_rows
 from isac_track.errors import DataError
 
 VALUES = [1.5 * number for number in range(1000)]
-ENTRY = {"consumer": "shared", "knowledge": "", "files": ["cell.parquet"]}
+ENTRY = entry_at("shared", files=("cell.parquet",))
 
 
 @pytest.fixture

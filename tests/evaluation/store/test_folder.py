@@ -15,13 +15,13 @@ import pytest
 from helpers.commands import assert_refused
 from helpers.runs import change_code
 from helpers.small_runs import smoke, write_walks
-from helpers.summaries import edit_manifest
+from helpers.summaries import change_first_cell, edit_manifest
 
 import evaluation
 from evaluation import matrix, report
 from evaluation.api import rebuild
 from evaluation.plan.fingerprint import digest
-from evaluation.plan.plan import plan
+from evaluation.plan.plan import make_plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.store import folder as store
 from evaluation.store.files import locked
@@ -123,11 +123,11 @@ class TestWhereTheFolderCannotBeUsed:
 
     def test_somebody_elses_folder_is_named(self, tmp_path, tiny):
         out = tmp_path / "run"
-        ready = plan(replace(tiny, out=out))
+        plan = make_plan(replace(tiny, out=out))
         with forbidden(tmp_path):
             for look in (
-                lambda: [*plan_lines(ready)],
-                lambda: evaluation.run(ready=ready),
+                lambda: [*plan_lines(plan)],
+                lambda: evaluation.run(plan=plan),
             ):
                 with pytest.raises(
                     SettingsError, match="Permission denied; choose another"
@@ -141,11 +141,11 @@ class TestWhereTheFolderCannotBeUsed:
         self, name, finished, everybodys, tiny
     ):
         out = Path(shutil.copytree(finished, everybodys / "run"))
-        ready = plan(replace(tiny, out=out))
+        plan = make_plan(replace(tiny, out=out))
         with forbidden(out, name):
             for look in (
-                lambda: [*plan_lines(ready)],
-                lambda: evaluation.run(ready=ready),
+                lambda: [*plan_lines(plan)],
+                lambda: evaluation.run(plan=plan),
             ):
                 with pytest.raises(IsacTrackError, match=f"{out}.*Permission denied"):
                     look()
@@ -236,7 +236,7 @@ class TestManifest:
         "name", ["../manifest.json", "raw_00000_0.parquet", "/etc/passwd"]
     )
     def test_that_names_a_file_elsewhere_is_refused_whoever_sealed_it(self, name, out):
-        edit_manifest(out, lambda entry: entry["cells"][0].update(files=[name]))
+        edit_manifest(out, lambda run: change_first_cell(run, files=(name,)))
         with pytest.raises(DataError, match="is damaged"):
             store.open_run(out, identity={}, fresh=False)
 
@@ -268,11 +268,11 @@ class TestManifest:
         self, tmp_path, ran, tiny
     ):
         out = tmp_path / "run"
-        ready = plan(replace(tiny, out=out))
-        manifest, _, _ = store.open_run(out, identity=ready.identity, fresh=False)
-        write_manifest(out, manifest | {"code": ready.code, "state": "running"})
+        plan = make_plan(replace(tiny, out=out))
+        manifest, _, _ = store.open_run(out, identity=plan.identity, fresh=False)
+        write_manifest(out, manifest | {"code": plan.code, "state": "running"})
         assert_refused(ran(report, out), f"{out} holds a run that never started")
-        assert len(evaluation.run(ready=ready, pictures=False).failed) == 0
+        assert len(evaluation.run(plan=plan, pictures=False).failed) == 0
 
     def test_of_a_run_without_a_finished_cell_has_no_report(self, out, ran):
         edit_manifest(out, lambda cell: cell.update(cells=[]))
@@ -283,7 +283,7 @@ class TestManifest:
     def test_that_takes_one_kind_of_cell_for_another_is_told_by_its_columns(
         self, out, ran
     ):
-        edit_manifest(out, lambda entry: entry["cells"][0].update(kind="predictor"))
+        edit_manifest(out, lambda run: change_first_cell(run, kind="predictor"))
         assert_refused(
             ran(report, out), "has no column conflict: it is no cell of the kind"
         )

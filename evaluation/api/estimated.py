@@ -1,0 +1,238 @@
+"""The estimates of a finished run: of scenes, of linkage, and the strongest attacks."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from evaluation.estimates import linkability, summary
+from evaluation.estimates.best_robot import BestRobots, best_robots
+from evaluation.estimates.bounds import linked_gaps
+from evaluation.estimates.decisions import decisions
+from evaluation.estimates.families import RAW, Family, entry_families
+from evaluation.estimates.galleries import TPR
+from evaluation.estimates.levels import levels
+from evaluation.estimates.linked_people import Choices
+from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.metrics import (
+    ACHIEVED,
+    ASSIGNED,
+    EXPOSURE,
+    SUCCESS,
+    SUCCESS_OF_100,
+)
+from evaluation.estimates.strongest import (
+    HEADLINE,
+    CrossFitted,
+    cross_fitted,
+    strongest,
+)
+from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.plan.address import Address
+from evaluation.plan.world import OWN_WORLD, WORLDS, World
+from evaluation.store.entries import horizons_in
+from evaluation.store.linkage_outcomes import ClusterSums
+from isac_track.intervals import Estimate
+
+_DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
+"""Metrics of linkers that are compared, and so have replicates."""
+_PEOPLE_METRICS: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)
+"""Metrics of the tables about linked people."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkEstimates:
+    """Estimates from the cells of linkage."""
+
+    estimates: dict[Address, Estimate]
+    sums: dict[Address, ClusterSums]
+    table: pd.DataFrame  # `linkability.csv`
+
+
+def link_estimates(out: Path, manifest: Mapping[str, Any]) -> LinkEstimates:
+    """Return the estimates of linkage; DataError if a cell cannot be read."""
+    cards = linkability.cards(out, manifest, drawn=_DRAWN)
+    return LinkEstimates(
+        estimates=summary.linkage_estimates(cards),
+        sums=summary.linkage_sums(cards),
+        table=linkability.linkability(cards, dataset=manifest["dataset"]["name"]),
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Judged:
+    """Robots judged at a horizon: their metrics, and misses against false alarms."""
+
+    estimates: Mapping[Address, Estimate]
+    at_raw_alarms: Mapping[Address, Estimate]
+    best: BestRobots  # Over the levels that a site may choose, and raw.
+    curves: pd.DataFrame
+    decided: pd.DataFrame
+
+    @property
+    def all_estimates(self) -> dict[Address, Estimate]:
+        """All estimates, those at raw's false-alarm rate among them."""
+        return {**self.estimates, **self.at_raw_alarms}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneEstimates:
+    """Estimates from the cells of scenes."""
+
+    estimates: Mapping[Address, Estimate]
+    attacked: dict[Address, ClusterSums]
+    worlds: Mapping[
+        World, Mapping[Address, Estimate]
+    ]  # Others, further horizons among them.
+    own: _Judged  # At the run's own horizon.
+    later: Mapping[float, _Judged]  # At further horizons, s, ascending.
+
+    @property
+    def estimates_later(self) -> dict[float, Mapping[Address, Estimate]]:
+        """The metrics at further horizons."""
+        return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
+
+    @property
+    def decided(self) -> pd.DataFrame:
+        """The robots at every horizon, the run's own first: `decisions.csv`."""
+        robots = (self.own, *self.later.values())
+        return pd.concat([judged.decided for judged in robots], ignore_index=True)
+
+    @property
+    def curves(self) -> pd.DataFrame:
+        """Their misses over false alarms: `curves.csv`."""
+        robots = (self.own, *self.later.values())
+        return pd.concat([judged.curves for judged in robots], ignore_index=True)
+
+
+def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
+    """Return the estimates of scenes in all worlds; DataError as above."""
+    estimates, scored, attacked = summary.estimates(out, manifest)
+    dataset = manifest["dataset"]["name"]
+    own = _judged(scored, manifest, estimates, dataset=dataset)
+    later = dict[float, _Judged]()
+    worlds: dict[World, Mapping[Address, Estimate]] = {}
+    for horizon_s in horizons_in(manifest["cells"]):
+        world = World(horizon_s=horizon_s)
+        worlds[world], scored, _ = summary.estimates(out, manifest, world=world)
+        name = Address(recording=dataset, world=world).dataset
+        later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
+    for world in WORLDS:
+        cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
+        in_world = summary.estimates(out, manifest, world=world)[0]
+        in_world |= linked_gaps(summary.linkage_estimates(cards))
+        # Without replicates, as large as a run's own: no comparison pairs with them.
+        worlds[world] = {
+            key: replace(estimate, replicates=np.zeros(0))
+            for key, estimate in in_world.items()
+        }
+    return SceneEstimates(estimates, attacked, worlds, own, later)
+
+
+def _judged(
+    scored: Sequence[summary.Scored],
+    manifest: Mapping[str, Any],
+    estimates: Mapping[Address, Estimate],
+    *,
+    dataset: str,
+) -> _Judged:
+    curves, decided, at_raw_alarms = decisions(
+        scored, manifest, estimates, dataset=dataset
+    )
+    candidates = {
+        name
+        for name, family in entry_families(manifest["cells"]).items()
+        if family.protects or family.family == RAW
+    }
+    best = best_robots(
+        scored, manifest, {**estimates, **at_raw_alarms}, among=candidates
+    )
+    return _Judged(estimates, at_raw_alarms, best, curves, decided)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Compared:
+    """All estimates of a run, and the strongest attacks among them."""
+
+    sweeps: Sweeps
+    families: Mapping[str, Family]  # The mechanisms of the run, by name.
+    sums: Mapping[Address, ClusterSums]  # Of attacks.
+    best: Mapping[str, Address]  # The strongest linker by task; a reconstruction as "".
+    crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
+    by_mechanism: tuple[Strongest, ...]
+
+    @property
+    def choices(self) -> dict[tuple[str, str], Choices]:
+        """Choices of the strongest linkers, by task and mechanism; "": of all."""
+        choices: dict[tuple[str, str], Choices] = {
+            (task, ""): crossed.choices
+            for task, crossed in self.crossed.items()
+            if task
+        }
+        for attack in self.by_mechanism:
+            if attack.source.task and attack.among == HEADLINE:
+                key = attack.source.task, attack.mechanism
+                choices[key] = attack.crossed.choices
+        return choices
+
+    def people_sweeps(self) -> Sweeps:
+        """Return the sweeps of the metrics that linked people are described by."""
+        estimates = {
+            key: estimate
+            for key, estimate in self.sweeps.estimates.items()
+            if key.metric in _PEOPLE_METRICS
+        }
+        return Sweeps(estimates, self.families)
+
+    def judged_sweeps(self) -> Sweeps:
+        """Return all sweeps, with cross-fitted estimates of the strongest attacks."""
+        estimates = {**self.sweeps.estimates}
+        for crossed in self.crossed.values():
+            estimates |= crossed.estimates
+        return Sweeps(estimates, self.families)
+
+
+def compare_attacks(
+    scenes: SceneEstimates, links: LinkEstimates, families: Mapping[str, Family]
+) -> Compared:
+    """Find the strongest attacks of a run, at all levels and against each mechanism."""
+    sums = links.sums | scenes.attacked
+    estimates = {
+        **scenes.estimates,
+        **scenes.own.at_raw_alarms,
+        **links.estimates,
+    }
+    sweeps = Sweeps(estimates, families)
+    best = strongest(sweeps.estimates, families)
+    crossed = {
+        task: cross_fitted(sums, families, source, by=SUCCESS if task else EXPOSURE)
+        for task, source in best.items()
+    }
+    by_mechanism = strongest_on_each(sweeps.estimates, sums, families)
+    return Compared(sweeps, families, sums, best, crossed, by_mechanism)
+
+
+def level_table(
+    manifest: Mapping[str, Any],
+    scenes: SceneEstimates,
+    links: LinkEstimates,
+    *,
+    attacks: Sequence[Strongest],
+) -> pd.DataFrame:
+    """Return privacy and utility of a site at each level: `levels.csv`."""
+    later = {
+        World(horizon_s=horizon_s): robots for horizon_s, robots in scenes.later.items()
+    }
+    return levels(
+        {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
+        attacks=attacks,
+        horizons={world: robots.all_estimates for world, robots in later.items()},
+        best={OWN_WORLD: scenes.own.best}
+        | {world: robots.best for world, robots in later.items()},
+        linked=links.table,
+        families=entry_families(manifest["cells"]),
+        dataset=manifest["dataset"]["name"],
+    )
