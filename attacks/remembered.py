@@ -1,7 +1,10 @@
-"""Memoise what is computed from a release, across attacks and adversaries.
+"""Memoise what is computed from a release, and note where a release comes from.
 
-Several attacks smooth the same release, and several adversaries run one attack. Each
-result is held for as long as its release is alive; nobody has to empty anything.
+Several attacks smooth the same release, and several adversaries run one attack:
+`memoised` shares their results. Two notes lead from a release to another: `find_origin`
+from some tracks to the release that they were selected from, `as_shared` from smoothed
+positions to the shared ones. Results and notes live as long as their release; nobody
+has to empty anything.
 """
 
 from collections.abc import Callable
@@ -82,8 +85,8 @@ def record_shared(release: Release, shared: Release) -> Release:
 def as_shared(release: Release) -> Release:
     """Return a release with its positions as shared: itself, if nothing smoothed it.
 
-    An adversary who smooths positions still has the shared ones. A smoother takes out
-    the noise, and with it how much noise there was.
+    An adversary who smooths positions still has the shared ones. Only these show how
+    much noise was added: a smoother removes it.
     """
     origin, rows = find_origin(release)
     shared = _SHARED.get(origin)
@@ -97,8 +100,9 @@ def memoised_by_track(
 ) -> Callable[[_Function], _Function]:
     """Memoise a function that treats every track by itself.
 
-    For a part of a release, compute the result of the whole release once, and let
-    `take` select the rows of the part from it.
+    For a part of a release, compute the result of the whole release once.
+    ``take(result, rows)`` selects the part's tracks from it; by default these are the
+    rows of an array.
     """
 
     def decorate(function: _Function) -> _Function:

@@ -3,8 +3,8 @@
 The compiled kernels of `isac_track.kalman` give the same numbers much faster;
 ``kalman_cv:engine=filterpy`` runs this instead. This code avoids traps of filterpy
 2.0.0: F, Q and H are written out, H is set once, x stays one-dimensional, Q is that of
-continuous white noise (which composes over steps), M is row-stochastic, and a rejected
-sample never reaches `update`.
+continuous white noise (which composes over steps), and a rejected sample never reaches
+`update`. M, the probabilities of a change of mode, has rows that sum to 1.
 """
 
 from collections.abc import Iterator
@@ -24,15 +24,16 @@ from isac_track.types import Floats
 def last_states(
     batch: Batch, *, q: float, gate: float, error: SlowError | None = None
 ) -> tuple[Floats, Floats]:
-    """Return the last state of every track: mean (N, 2, d), covariance (N, d, d).
+    """Return the last state of every track: mean (N, 2, D), covariance (N, D, D).
 
-    Parameters are those of `isac_track.kalman.kalman_last`. A slow `error` is a further
-    state, the last one.
+    Parameters are those of `isac_track.kalman.kalman_last`, whose d states per axis are
+    the first of D. A slow `error` is a further state, the last of them.
     """
-    n, d = len(batch), len(batch.prior_std) + (error is not None)
-    mean, cov = np.empty((n, 2, d)), np.empty((n, d, d))
+    n, n_states = len(batch), len(batch.prior_std) + (error is not None)
+    mean, cov = np.empty((n, 2, n_states)), np.empty((n, n_states, n_states))
     for track, (kf, _) in enumerate(_run_filters(batch, (q,), gate, error=error)):
-        mean[track], cov[track] = kf.x.reshape(2, d), kf.P[:d, :d]
+        mean[track] = kf.x.reshape(2, n_states)
+        cov[track] = kf.P[:n_states, :n_states]  # The other axis has the same.
     return mean, cov
 
 
@@ -68,6 +69,7 @@ def _run_filters(
     """
     for lo, hi in pairwise(batch.offsets):
         modes = [_make_filter(batch.xy[lo], batch.prior_std, error) for _ in q]
+        # The time from each sample to the next: 0 after the last.
         steps = np.diff(batch.t[lo:hi], append=batch.t[hi - 1])
         tracker = modes[0]
         if moods:
@@ -104,7 +106,7 @@ def _run_filters(
 def _transition(
     dt: float, q: float, d: int, error: SlowError | None
 ) -> tuple[Floats, Floats]:
-    """Return F and Q of a step of both axes."""
+    """Return F and Q of a step of both axes: d states of motion each, and the error."""
     motion = np.array([[1.0, dt, 0.5 * dt**2], [0.0, 1.0, dt], [0.0, 0.0, 1.0]])[:d, :d]
     noise = Q_continuous_white_noise(dim=d, dt=dt, spectral_density=q)
     if error:

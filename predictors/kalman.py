@@ -83,6 +83,7 @@ class KalmanCV:
             mean, cov = last.mean, last.cov
         # Leave out the last state, the error: predict the true position.
         mean, cov = mean[..., : self.states], cov[..., : self.states, : self.states]
+        # The axes are independent with the same covariance: (N, 2, d, 2, d).
         planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(
@@ -109,7 +110,7 @@ class KalmanCV:
         error = self._slow_error
         if error is None:
             return kalman_last(batch, q=self.q, gate=self.gate)
-        return filter_tracks(batch, error, q=self.q, gate=self.gate)[0]
+        return filter_tracks(batch, error, q=self.q, gate=self.gate).last
 
     @property
     def track(self) -> Callable[[Release], Floats] | None:
@@ -123,14 +124,15 @@ class KalmanCV:
     def _track_samples(self, release: Release) -> Floats:
         error = self._slow_error or SlowError(0.0, 0.0)
         batch = self.batch(release, is_causal=True)
-        return filter_tracks(batch, error, q=self.q, gate=self.gate)[1]
+        return filter_tracks(batch, error, q=self.q, gate=self.gate).causal_xy
 
     def batch(self, release: Release, *, is_causal: bool = False) -> Batch:
-        """Return the last `window` samples of every track for the filters.
+        """Return the samples of every track that the filters read, with their noise.
 
-        The clock of each track is 0 at its last sample, so that late clocks lose no
-        precision. With a slow error, or if it `is_causal`, all samples are returned; if
-        causal, each with the noise estimated by then.
+        These are the last `window` samples of a track, or all of them behind a slow
+        error or if the batch `is_causal`. In a causal batch the variance of a sample is
+        estimated from the samples up to it, else from the whole track. The clock of
+        each track is 0 at its last sample, so that late clocks lose no precision.
         """
         last, sizes = release.offsets[1:], np.diff(release.offsets)
         error = self._slow_error
@@ -184,8 +186,8 @@ class KalmanIMM(KalmanCV):
 
     q: float = 0.001  # m^2/s^3 while walking on, from ``python -m benchmarks.tune``
     q_turn: float = 0.12  # m^2/s^3 while stopping or turning, likewise
-    # Mean durations of the modes; set by hand, since by likelihood whole tracks would
-    # become modes.
+    # Mean durations of the modes. They are set by hand: the most likely durations are
+    # as long as tracks.
     walk_s: float = 4.0
     turn_s: float = 1.5
 
@@ -240,6 +242,7 @@ def _extrapolate(
     d = mean.shape[-1]
     # Taylor terms of the motion: position after tau is sum_k tau^k / k! times
     # derivative k.
+    # `tau` gets further axes of length 1, those of a position, then of a covariance.
     factorial, tau = np.array([1.0, 1.0, 2.0])[:d], elapsed_s[..., None]
     terms = mean / factorial
     position = terms[..., None, :, d - 1]

@@ -1,12 +1,13 @@
 """Join pieces of a log to chains, by the most probable assignment.
 
 Every piece has at most one successor and at most one predecessor. Among all such sets
-of links the assignment takes that with the largest product of odds against *she does
-not come back*. It uses Jonker and Volgenant's algorithm on the sparse graph of
-candidates.
+of links the assignment takes the one with the largest product of odds. The odds of a
+link are its probability over the probability that the piece is the last of its person.
+The algorithm is Jonker and Volgenant's on the sparse graph of candidates.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -19,16 +20,18 @@ from attacks.following.links import Links, learn_weights, probabilities, true_li
 from attacks.following.pieces import Pieces
 from isac_track.types import Bools, Floats, Ints
 
+_SMALLEST: Final = 1e-300  # In place of a probability of 0 below the odds.
+
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Followed:
-    """The chains that an adversary makes of the pieces of a log."""
+class Chains:
+    """The chains that an adversary makes of the K pieces of a log, by C links."""
 
     chain: Ints  # (K,) number of the chain of each piece.
     probability: Floats  # (C,) of each candidate link.
 
 
-def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
+def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Chains:
     """Return the chains of a log.
 
     Weights for the pieces of one half of the people are learnt on the other half:
@@ -39,9 +42,9 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Followed:
     probability = np.zeros(links.before.size)
     for half in (is_first_half, ~is_first_half):
         weights = learn_weights(links, is_next, learn_from=~half)
-        ours = half[links.before]
-        probability[ours] = probabilities(links, weights)[ours]
-    return Followed(join(links, probability), probability)
+        in_half = half[links.before]
+        probability[in_half] = probabilities(links, weights)[in_half]
+    return Chains(join(links, probability), probability)
 
 
 def join(links: Links, probability: Floats) -> Ints:
@@ -49,11 +52,11 @@ def join(links: Links, probability: Floats) -> Ints:
     stop_probability = 1.0 - np.bincount(
         links.before, weights=probability, minlength=links.n_pieces
     )
-    with np.errstate(divide="ignore"):
-        odds = np.log(probability) - np.log(
-            np.maximum(stop_probability[links.before], 1e-300)
+    with np.errstate(divide="ignore"):  # a link of probability 0 is never chosen
+        log_odds = np.log(probability) - np.log(
+            np.maximum(stop_probability[links.before], _SMALLEST)
         )
-    chosen = _assigned(links, odds)
+    chosen = _assigned(links, log_odds)
     graph = coo_array(
         (np.ones(chosen.size), (links.before[chosen], links.after[chosen])),
         shape=(links.n_pieces, links.n_pieces),
@@ -62,22 +65,22 @@ def join(links: Links, probability: Floats) -> Ints:
     return np.asarray(chain, dtype=np.int64)
 
 
-def _assigned(links: Links, odds: Floats) -> Ints:
+def _assigned(links: Links, log_odds: Floats) -> Ints:
     """Return the numbers of the links of the best assignment.
 
-    A link of log odds below 0 is never chosen.
+    A link whose log odds are not above 0 is never chosen.
     """
-    useful = np.flatnonzero(odds > 0.0)
+    useful = np.flatnonzero(log_odds > 0.0)
     if not useful.size:
         return useful
     n_pieces = links.n_pieces
-    # Each piece may also have no successor: a column of its own. A constant added to
-    # every link of a row shifts all full matchings by the same cost. It keeps explicit
-    # weights of 0 distinct from missing links.
-    most = float(odds[useful].max()) + 1.0
+    # Each piece may also have no successor: a column of its own. Costs are `most` less
+    # the log odds. In a full matching each piece has exactly one cost, so that `most`
+    # changes no comparison; it keeps costs positive, as a sparse 0 is a missing link.
+    most = float(log_odds[useful].max()) + 1.0
     rows = np.concatenate([links.before[useful], np.arange(n_pieces)])
     columns = np.concatenate([links.after[useful], n_pieces + np.arange(n_pieces)])
-    costs = np.concatenate([most - odds[useful], np.full(n_pieces, most)])
+    costs = np.concatenate([most - log_odds[useful], np.full(n_pieces, most)])
     # The oldest supported scipy takes indices of 32 bits only.
     places = rows.astype(np.int32), columns.astype(np.int32)
     graph = coo_array((costs, places), shape=(n_pieces, 2 * n_pieces)).tocsr()

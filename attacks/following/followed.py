@@ -1,5 +1,7 @@
 """The metrics of being followed, each a number with its two-way interval.
 
+A two-way interval draws both the people and the routes of the fleets anew.
+
 References
 ----------
 Hoh, Gruteser, Xiong, Alrabady, "Preserving privacy in GPS traces via uncertainty-aware
@@ -7,7 +9,7 @@ path cloaking", CCS 2007 (time to confusion). Kaplan, Meier, JASA 53, 1958.
 """
 
 from collections.abc import Callable
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -25,11 +27,19 @@ from isac_track.patrols.intervals import (
     two_way_ratio,
     two_way_weights,
 )
-from isac_track.types import Floats, Ints
+from isac_track.types import Bools, Floats, Ints
 
 LONGEST_S: Final = 30.0  # Times to confusion are averaged up to here.
 _QUANTILE: Final = 0.9
 _AT_A_TIME: Final = 200  # Replicates, of some megabytes each.
+
+
+class _Ratio(NamedTuple):
+    """A metric that is a ratio of sums over N people and F fleets."""
+
+    numerator: Floats | Ints | Bools  # (N, F)
+    denominator: Floats | Bools  # (N, F)
+    is_share: bool  # Whether it lies in 0..1.
 
 
 def following_metrics(
@@ -53,24 +63,28 @@ def following_metrics(
     n_people, n_fleets = following.followed_s.shape
     everybody = np.ones((n_people, n_fleets))
     seen = following.ending != Ending.UNSEEN
+    instants = following.instants[:, None] * everybody
     ratios = {
-        "known_share": (following.known, following.instants[:, None] * everybody, True),
-        "followed_s": (following.followed_s, everybody, False),
-        "followed_ceiling_s": (following.ceiling_s, everybody, False),
-        "confident_wrong_share": (following.ending == Ending.WRONG, seen, True),
+        "known_share": _Ratio(following.known, instants, is_share=True),
+        "followed_s": _Ratio(following.followed_s, everybody, is_share=False),
+        "followed_ceiling_s": _Ratio(following.ceiling_s, everybody, is_share=False),
+        "confident_wrong_share": _Ratio(
+            following.ending == Ending.WRONG, seen, is_share=True
+        ),
     }
     for limit_s in (10, 30):
-        present = (following.present_s[:, None] >= limit_s) & (everybody > 0)
+        is_present = following.present_s[:, None] >= limit_s
+        present = np.broadcast_to(is_present, everybody.shape)
         reached = present & (following.followed_s >= limit_s)
-        ratios[f"followed_{limit_s}s"] = (reached, present, True)
+        ratios[f"followed_{limit_s}s"] = _Ratio(reached, present, is_share=True)
     metrics = {
         name: two_way_ratio(
-            numerator=sum_clusters(top, cluster),
-            denominator=sum_clusters(bottom, cluster),
+            numerator=sum_clusters(ratio.numerator, cluster),
+            denominator=sum_clusters(ratio.denominator, cluster),
             seed=seed,
-            is_share=is_share,
+            is_share=ratio.is_share,
         )
-        for name, (top, bottom, is_share) in ratios.items()
+        for name, ratio in ratios.items()
     }
     metrics["followed_90_s"] = _weighted_statistic(
         lambda weights: _weighted_quantile(following.followed_s.ravel(), weights),
@@ -104,11 +118,12 @@ def _weighted_statistic(
     parts = []
     for first in range(0, len(people), _AT_A_TIME):
         rows = slice(first, first + _AT_A_TIME)
-        drawn = people[rows][:, cluster, None] * routes[rows][:, None, :] * counted
-        parts.append(statistic(drawn.reshape(len(drawn), -1)))
+        weights = people[rows][:, cluster, None] * routes[rows][:, None, :] * counted
+        parts.append(statistic(weights.reshape(len(weights), -1)))
     drawn = np.concatenate(parts)
     effective = effective_clusters(sizes.sum(axis=1))
     n = int((sizes.sum(axis=1) > 0).sum())
+    # Too few routes or people: their replicates show too little spread for an interval.
     if (sizes.sum(axis=0) > 0).sum() < FEWEST_ROUTES or effective < LEAST_CLUSTERS:
         return Estimate(float(drawn[0]), n=n, replicates=drawn[1:], effective=effective)
     return estimate_from_replicates(drawn, n=n, effective=effective)
@@ -123,15 +138,13 @@ def _weighted_quantile(values: Floats, weights: Floats) -> Floats:
     return np.asarray(values[order][(share >= _QUANTILE).argmax(axis=1)])
 
 
-def restricted_mean_s(
-    until_s: Floats, is_event: Floats | Ints, weights: Floats
-) -> Floats:
-    """Return the mean time to an event under each row of weights, (B,) s.
+def restricted_mean_s(until_s: Floats, is_event: Bools, weights: Floats) -> Floats:
+    """Return the mean time to an event under each row of weights, (B, K) -> (B,) s.
 
-    It is the area under Kaplan and Meier's curve up to `LONGEST_S`; times without an
-    event, (K,), are censored. It is NaN where all weights are 0.
+    It is the area under Kaplan and Meier's curve up to `LONGEST_S`. Of the K times
+    `until_s`, those without an event are censored. NaN where all weights are 0.
     """
-    # Events before censoring.
+    # At equal times, events come before censored times.
     order = np.lexsort((~np.asarray(is_event, dtype=bool), until_s))
     times, events = until_s[order], np.asarray(is_event, dtype=np.float64)[order]
     drawn = weights[:, order]
@@ -140,11 +153,9 @@ def restricted_mean_s(
         survival = np.cumprod(
             np.where(at_risk > 0.0, 1.0 - drawn * events / at_risk, 1.0), axis=1
         )
-    before = np.column_stack([np.ones(len(drawn)), survival])
-    ends = np.minimum(np.append(times, LONGEST_S), LONGEST_S)
-    length = np.diff(ends, prepend=0.0)
-    length[-1] = max(
-        LONGEST_S - float(np.minimum(times.max(initial=0.0), LONGEST_S)), 0.0
-    )
-    area = before @ length
+    # The curve is a step function: its height up to each time, and from the last time
+    # to `LONGEST_S`.
+    height = np.column_stack([np.ones(len(drawn)), survival])
+    ends_s = np.minimum(np.append(times, LONGEST_S), LONGEST_S)
+    area = height @ np.diff(ends_s, prepend=0.0)
     return np.where(drawn.sum(axis=1) > 0.0, area, np.nan)

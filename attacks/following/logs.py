@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from attacks.following.absence import contradictions
-from attacks.following.chains import Followed, follow
+from attacks.following.chains import Chains, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
 from attacks.following.pieces import Pieces, collect_pieces
 from isac_track.noise import MIN_VARIANCE_M2
@@ -128,7 +128,7 @@ def _follow_fleet(
     pieces = collect_pieces(network, disclosure, robots=robots)
     rng = stream(seed, "following", "shuffled")
     begins = rng.permutation(len(pieces)) if shuffled else None
-    links, followed = _follow_log(
+    links, chains = _follow_log(
         network.patrol,
         pieces,
         begins=begins,
@@ -140,15 +140,15 @@ def _follow_fleet(
         network,
         disclosure,
         pieces,
-        followed,
+        chains,
         estimator=estimator,
         guesses=guesses,
         epsilon_m=epsilon_m,
     )
     n_people = known.size
-    ceiling_s, followed_s = _pure_chains(pieces, followed.chain, n_people=n_people)
+    ceiling_s, followed_s = _pure_chains(pieces, chains.chain, n_people=n_people)
     until_s, ending = _until_confused(
-        pieces, links, followed.probability, n_people=n_people
+        pieces, links, chains.probability, n_people=n_people
     )
     return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
 
@@ -170,14 +170,14 @@ def _follow_log(
     robots: Ints,
     policy: Policy | None,
     seed: int,
-) -> tuple[Links, Followed]:
+) -> tuple[Links, Chains]:
     """Return the candidate links of a log and the adversary's chains."""
     half = first_half(patrol.people.group)[pieces.person]
     links = candidate_links(pieces, begins=begins)
-    followed = follow(pieces, links, is_first_half=half)
+    chains = follow(pieces, links, is_first_half=half)
     if policy is None:
-        return links, followed
-    links = links[followed.probability >= _LEAST_PROBABILITY]
+        return links, chains
+    links = links[chains.probability >= _LEAST_PROBABILITY]
     absent = contradictions(
         pieces, links, patrol=patrol, policy=policy, robots=robots, seed=seed
     )
@@ -256,7 +256,7 @@ def _known_by_chains(
     network: Network,
     disclosure: Disclosure,
     pieces: Pieces,
-    followed: Followed,
+    chains: Chains,
     *,
     estimator: str,
     guesses: Floats,
@@ -270,9 +270,9 @@ def _known_by_chains(
     grid = network.patrol.grid
     stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     if len(pieces):
-        log = _chain_log(network, disclosure, pieces, followed.chain)
+        log = _chain_log(network, disclosure, pieces, chains.chain)
         row, chain = _instants_of_chains(
-            network.patrol, log, _owners(pieces, followed.chain)
+            network.patrol, log, _owners(pieces, chains.chain)
         )
         order = np.lexsort((row, chain))
         row, chain = row[order], chain[order]

@@ -304,7 +304,7 @@ def fit_slow_error(release: Release, q: float) -> tuple[float, float]:
         batch = Batch(
             sample.t, sample.xy, _rest_m2(sample, error), sample.offsets, PRIOR_STD
         )
-        return float(filter_tracks(batch, error, q=q)[0].log_likelihood.sum())
+        return float(filter_tracks(batch, error, q=q).last.log_likelihood.sum())
 
     best = max(product(_STD_M, _TAU_S), key=likelihood)
     for factor in _STEPS:

@@ -4,6 +4,7 @@ import hashlib
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,9 +25,9 @@ from isac_track.plugins import Plugin
 from isac_track.scenes import Cut, cut, with_horizons
 from isac_track.types import Tracks
 
-# Options of a file that belong to the identity where they are given.
-_ASKED = ("columns", "on_duplicate", "crs", "drop_frozen")
-_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids", *_ASKED)
+# Options that change how a file is read: part of the identity where they are given.
+_READING_OPTIONS = ("columns", "on_duplicate", "crs", "drop_frozen")
+_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,11 +97,13 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     check_threads()
     settings = _with_patrols(settings)
     crossed = axes(settings)
-    reading = {name: getattr(settings, name) for name in _HOW_TO_READ}
+    options = (*_HOW_TO_READ, *_READING_OPTIONS)
+    reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
     tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     if crossed.horizons_s:
+        # Horizons for which the recording has too few long tracks are left out.
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
         crossed = replace(crossed, horizons_s=tuple(tracks.further))
     identity = _identity(settings, dataset)
@@ -202,13 +205,14 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
     # patrols change those of patrols alone.
     for name in patrol_values(settings.stages.flat()):
         del identity[name]
+    # Only what differs from the default: an option that is new keeps earlier folders.
     if settings.unit is not None:
         identity["unit"] = settings.unit
     if settings.keep_ids:
         identity["ids"] = "kept"
     if settings.persistent_ids:
         identity["persistent_ids"] = True
-    identity |= asked_of_file(settings)
+    identity |= changed_reading(settings)
     if settings.n_utility_scenes != settings.n_scenes:
         identity["scenes_utility"] = settings.n_utility_scenes
     return identity
@@ -224,23 +228,29 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     breakers: tuple[str, ...] = ()
     if not settings.choice("attacks").replaces:
         breakers = PRESETS[settings.preset].breakers
-    mechanisms = tuple(
-        level for level in plan.axes.mechanisms if level.spec in wanted and breakers
+    if not breakers:
+        wanted = set()
+    crossed = Axes(
+        mechanisms=tuple(
+            level for level in plan.axes.mechanisms if level.spec in wanted
+        ),
+        predictors=(),
+        attacks=(plugins.parse("attacks", BREAKER)[0],),
+        adversaries=breakers,
+        only_stronger=True,
     )
-    attacks = (plugins.parse("attacks", BREAKER)[0],)
-    crossed = Axes(mechanisms, (), attacks, adversaries=breakers, only_stronger=True)
     units, code_digests = _units(crossed, settings, identity=plan.identity)
     return replace(
         plan, axes=crossed, units=units, code_digests=code_digests, sessions=()
     )
 
 
-def asked_of_file(settings: Settings) -> dict[str, Any]:
-    """Return the options of a file that a user has changed from the defaults."""
+def changed_reading(settings: Settings) -> dict[str, Any]:
+    """Return the options of reading a file that differ from their defaults."""
     usual = Settings()
-    asked = {name: getattr(settings, name) for name in _ASKED}
+    values = {name: getattr(settings, name) for name in _READING_OPTIONS}
     return {
-        name: value for name, value in asked.items() if value != getattr(usual, name)
+        name: value for name, value in values.items() if value != getattr(usual, name)
     }
 
 
@@ -266,23 +276,23 @@ def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
     """Return all that a run crosses: scenes and tasks, in its world and in others."""
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
-    attacked, every = range(n_attacked), range(n_blocks)
+    attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
     utility = tuple(
         consumer for consumer in crossed.consumers if consumer.spec in crossed.utility
     )
     crossings = [
-        _Crossing(crossed.mechanisms, crossed.consumers, attacked),
-        _Crossing(crossed.mechanisms, utility, every[n_attacked:]),
+        _Crossing(crossed.mechanisms, crossed.consumers, attacked_blocks),
+        _Crossing(crossed.mechanisms, utility, all_blocks[n_attacked:]),
     ]
     for task in crossed.tasks:
         readers = crossed.readers(task)
         crossings.append(_Crossing(crossed.linked_mechanisms, readers, (0,)))
     for world, mechanisms in crossed.worlds.items():
         consumers = crossed.consumers_in(world)
-        crossings.append(_Crossing(mechanisms, consumers, attacked))
+        crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
     for horizon_s in crossed.horizons_s:
         robots = crossed.robots_at(horizon_s)
-        crossings.append(_Crossing(crossed.mechanisms, robots, every))
+        crossings.append(_Crossing(crossed.mechanisms, robots, all_blocks))
     worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in crossed.horizons_s)]
     crossings += [
         _Crossing(crossed.patrolled, crossed.patrol_readers(world), (0,))
@@ -301,42 +311,52 @@ def _units(
 ) -> tuple[tuple[Unit, ...], dict[str, str]]:
     """Return the units of work, and the digest of every module that they depend on."""
     digests: dict[str, str] = {}
-
-    def code(stage: str, *plugins: Plugin) -> dict[str, str]:
-        modules = fingerprint.sources(stage, *plugins)
-        for module in modules:
-            if module not in digests:
-                digests[module] = fingerprint.source_digest(module)[:16]
-        return {module: digests[module] for module in modules}
-
     units = []
     patrols = patrol_values(settings.stages.flat())
     for mechanisms, consumers, blocks in _crossings(crossed, settings):
-        by_stage: dict[str, dict[str, Consumer]] = {}
-        for consumer in consumers:
-            key = fingerprint.consumer_key(
-                consumer,
-                code=code("", *consumer.plugins).values(),
-                keep_scores=settings.keep_scores,
-            )
-            by_stage.setdefault(_stage(consumer), {})[key] = consumer
-        for mechanism in mechanisms:
+        by_stage = _consumers_by_stage(consumers, settings, digests)
+        for mechanism, stage in product(mechanisms, by_stage):
+            code = _code(stage, mechanism, digests=digests)
+            readers = {
+                key: consumer
+                for key, consumer in by_stage[stage].items()
+                if crossed.meets(consumer, mechanism)
+            }
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
-            for stage, stage_consumers in by_stage.items():
-                readers = {
-                    key: consumer
-                    for key, consumer in stage_consumers.items()
-                    if crossed.meets(consumer, mechanism)
-                }
-                unit_code = code(stage, mechanism)
-                further = [patrols] if stage == fingerprint.PATROL else []
-                for block in blocks if readers else ():
-                    key = fingerprint.digest(
-                        [identity, stage, block, *about, *unit_code.values(), *further]
-                    )
-                    units.append(Unit(stage, block, mechanism, key, unit_code, readers))
+            about += code.values()
+            about += [patrols] if stage == fingerprint.PATROL else []
+            for block in blocks if readers else ():
+                key = fingerprint.digest([identity, stage, block, *about])
+                units.append(Unit(stage, block, mechanism, key, code, readers))
     return tuple(units), digests
+
+
+def _consumers_by_stage(
+    consumers: Iterable[Consumer], settings: Settings, digests: dict[str, str]
+) -> dict[str, dict[str, Consumer]]:
+    """Return consumers by stage and by their keys; `digests` as of `_code`."""
+    by_stage: dict[str, dict[str, Consumer]] = {}
+    for consumer in consumers:
+        key = fingerprint.consumer_key(
+            consumer,
+            code=_code("", *consumer.plugins, digests=digests).values(),
+            keep_scores=settings.keep_scores,
+        )
+        by_stage.setdefault(_stage(consumer), {})[key] = consumer
+    return by_stage
+
+
+def _code(stage: str, *used: Plugin, digests: dict[str, str]) -> dict[str, str]:
+    """Return the digests of the modules of a stage and of plug-ins, by module.
+
+    `digests` holds those that are known by now; new ones are added to it.
+    """
+    modules = fingerprint.sources(stage, *used)
+    for module in modules:
+        if module not in digests:
+            digests[module] = fingerprint.source_digest(module)[:16]
+    return {module: digests[module] for module in modules}
 
 
 def _stage(consumer: Consumer) -> str:

@@ -1,7 +1,7 @@
 """Compiled loops of `isac_track.kalman`: interacting constant-velocity models.
 
 The state is (x, vx, y, vy). Mixing couples the axes, hence the full 4 x 4 covariance
-per mode.
+per mode. A mode is either of the two models, 0 or 1; the moods are their parameters.
 """
 
 from math import exp, log, pi, sqrt
@@ -19,7 +19,10 @@ from isac_track.compiling import (
 from isac_track.types import Floats, Ints
 
 _Batch: TypeAlias = tuple[Floats, Floats, Floats, Ints, Floats]
-"""Times, positions, variances, offsets, variances of the prior."""
+"""`isac_track.kalman.Batch.arrays`: t, xy, variance of a measurement, offsets, prior.
+
+The prior is (variance of a position, variance of a velocity) per axis.
+"""
 _Moods: TypeAlias = tuple[Floats, Floats, Floats]
 """Spectral densities, probabilities, and transition probabilities, (M, 2, 2).
 
@@ -29,9 +32,11 @@ before.
 _LOG_2PI = log(2 * pi)
 _BIG = 1e100
 _STATES = 4
+# Types of these tuples for the compiler. `_OUT` is mean, covariance and probability of
+# either mode for each row, and the log-likelihood of each track.
 _BATCH = together(read(1), read(2), read(1), read(1, "int64"), read(1))
 _MOODS = together(read(1), read(1), read(3))
-_LAST = together(written(3), written(4), written(2), written(1))
+_OUT = together(written(3), written(4), written(2), written(1))
 
 
 _State: TypeAlias = tuple[float, ...]
@@ -47,7 +52,8 @@ def _mix(w: float, v: float, first: _State, second: _State) -> _State:
     x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = first
     ox, ovx, oy, ovy, o00, o10, o11, o20, o21, o22, o30, o31, o32, o33 = second
     d0, d1, d2, d3 = x - ox, vx - ovx, y - oy, vy - ovy
-    product = w * v  # With w + v = 1 the weight of the spread of the means, d d'.
+    # The means differ by d: with w + v = 1 that adds w v d d' to the covariance.
+    product = w * v
     g0, g1, g2, g3 = product * d0, product * d1, product * d2, product * d3
     x, vx, y, vy = w * x + v * ox, w * vx + v * ovx, w * y + v * oy, w * vy + v * ovy
     p00, p10 = w * p00 + v * o00 + g0 * d0, w * p10 + v * o10 + g1 * d0
@@ -66,9 +72,11 @@ def _predict(dt: float, q: float, state: _State) -> _State:
     p20 += dt * (p30 + y_vx)
     p21, p30 = y_vx, p30 + dt * p31
     x_vx, y_vy = p10 + dt * p11, p32 + dt * p33
-    speed, place = q * dt * dt / 2, q * dt * dt * dt / 3
-    p00, p22 = p00 + dt * (p10 + x_vx) + place, p22 + dt * (p32 + y_vy) + place
-    p10, p32, p11, p33 = x_vx + speed, y_vy + speed, p11 + q * dt, p33 + q * dt
+    # Entries of Q per axis: position with velocity, and position with itself.
+    q_cross, q_position = q * dt * dt / 2, q * dt * dt * dt / 3
+    p00 = p00 + dt * (p10 + x_vx) + q_position
+    p22 = p22 + dt * (p32 + y_vy) + q_position
+    p10, p32, p11, p33 = x_vx + q_cross, y_vy + q_cross, p11 + q * dt, p33 + q * dt
     x, y = x + dt * vx, y + dt * vy
     return x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33
 
@@ -77,7 +85,8 @@ def _predict(dt: float, q: float, state: _State) -> _State:
 def _update(zx: float, zy: float, r: float, state: _State) -> _State:
     """Return the state of a mode after a measurement, x first, then y.
 
-    The entries of the measured position shrink by a factor: nothing is subtracted.
+    Entries of the measured position are multiplied by r / (p + r), which equals 1 - p /
+    (p + r): a difference of nearly equal numbers would lose digits.
     """
     x, vx, y, vy, p00, p10, p11, p20, p21, p22, p30, p31, p32, p33 = state
     inverse = 1 / (p00 + r)
@@ -102,7 +111,7 @@ def _update(zx: float, zy: float, r: float, state: _State) -> _State:
 
 @part_of_loop
 def _surprise(zx: float, zy: float, r: float, state: _State) -> tuple[float, float]:
-    """Return the determinant and the normalised square of the innovation."""
+    """Return the innovation's covariance determinant and normalised square."""
     s00, s01, s11 = state[4] + r, state[7], state[9] + r
     e0, e1 = zx - state[0], zy - state[2]
     det = s00 * s11 - s01 * s01
@@ -131,19 +140,22 @@ def _filter(
 ) -> float:
     """Filter a track and return its log-likelihood.
 
-    Mean, covariance and probability are written for every sample, or, if `out` has a
-    single row, for the last sample only.
+    A sample whose innovation exceeds the `gate` in both modes is rejected, unless
+    `patience` samples in a row before it were. Mean, covariance and probability are
+    written for every sample, or, if `out` has a single row, for the last sample only.
     """
     t, xy, variance, offsets, prior = batch
     (q, probability, chances), (x, p, mu) = moods, out
     first = offsets[i]
-    a, c = prior[0], prior[1]
+    a, c = prior[0], prior[1]  # Of position and velocity; the track starts at rest.
     x0, y0 = xy[first, 0], xy[first, 1]
     state_0: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
     state_1 = state_0
     mu_0, mu_1 = probability[0], probability[1]
     misses, log_likelihood = 0, 0.0
-    scale = 1.0  # Of the squared likelihood: one logarithm serves many samples.
+    # A factor of the squared likelihood that is not yet in the logarithm: to take the
+    # logarithm once for many samples saves time.
+    scale = 1.0
     for k in range(first, offsets[i + 1]):
         if k > first:
             dt = t[k] - t[k - 1]
@@ -178,6 +190,7 @@ def _filter(
             if scale > _BIG or scale < 1 / _BIG:
                 log_likelihood += log(scale) / 2
                 scale = 1.0
+        # With a single row for the track only its last sample is written, to row 0.
         row = min(k - first, mu.shape[0] - 1)
         if row == k - first or k + 1 == offsets[i + 1]:
             _write(state_0, x[row, 0], p[row, 0])
@@ -186,7 +199,7 @@ def _filter(
     return log_likelihood + log(scale) / 2
 
 
-@compiled(_BATCH, _MOODS, FLOAT, INT, _LAST)
+@compiled(_BATCH, _MOODS, FLOAT, INT, _OUT)
 def imm_last(
     batch: _Batch, moods: _Moods, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> None:
@@ -197,7 +210,7 @@ def imm_last(
         log_likelihood[i] = _filter(i, batch, moods, gate, patience, only)
 
 
-@compiled(_BATCH, _MOODS, FLOAT, INT, _LAST)
+@compiled(_BATCH, _MOODS, FLOAT, INT, _OUT)
 def imm_states(
     batch: _Batch, moods: _Moods, gate: float, patience: int, out: tuple[Floats, ...]
 ) -> None:

@@ -16,6 +16,7 @@ Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 
 
 from dataclasses import dataclass
 from importlib import import_module
+from typing import NamedTuple
 
 import numpy as np
 
@@ -92,16 +93,22 @@ def added_error(mechanism: object) -> tuple[float, float]:
     return std_m * (1.0 if isotropic else np.sqrt(0.5)), parameters["tau_s"]
 
 
+class FilteredTracks(NamedTuple):
+    """N filtered tracks of M samples."""
+
+    last: LastState  # (p, v, e) after the last sample of each track.
+    causal_xy: Floats  # (M, 2) m, position p after each sample, from those up to it.
+
+
 def filter_tracks(
     batch: Batch, error: SlowError, *, q: float, gate: float = np.inf
-) -> tuple[LastState, Floats]:
-    """Filter to the last state (p, v, e) of every track; return all positions, too.
+) -> FilteredTracks:
+    """Filter tracks behind a slow error: their last states, and all positions.
 
-    Positions p, (M, 2) m, are those after each sample. Parameters and errors are those
-    of `isac_track.kalman.kalman_last`. `batch` has a prior of two states; the prior of
-    the error is its stationary law.
+    Parameters and errors are those of `isac_track.kalman.kalman_last`. `batch` has a
+    prior of two states; the prior of the error is its stationary law.
     """
-    n, causal = len(batch), np.empty((batch.t.size, 2))
+    n, causal_xy = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
     import_module("isac_track.kalman._error_loops").filter_tracks(
         error.arrays(batch),
@@ -109,9 +116,9 @@ def filter_tracks(
         positive("q", q),
         positive("gate", gate, finite=False),
         MAX_REJECTIONS,
-        (out.mean, out.cov, out.log_likelihood, causal),
+        (out.mean, out.cov, out.log_likelihood, causal_xy),
     )
-    return out, causal
+    return FilteredTracks(out, causal_xy)
 
 
 def smooth_tracks(

@@ -324,7 +324,7 @@ def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
         prior_std=_PRIOR_STD,
     )
     if is_causal:
-        _, positions = filter_tracks(batch, SlowError(0.0, 0.0), q=_Q)
+        positions = filter_tracks(batch, SlowError(0.0, 0.0), q=_Q).causal_xy
     else:
         positions, _ = smooth_positions(batch, q=_Q)
     unsorted = np.empty_like(positions)

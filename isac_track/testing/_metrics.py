@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -73,24 +73,29 @@ class Metrics:
     fid_d_sigma: Callable[[Floats, float, float, float], Floats] | None = None
 
 
+class _Exposures(NamedTuple):
+    """PLR, AEL and MEL of N trajectories."""
+
+    plr: Floats  # (N,) 0..1
+    ael_s: Floats  # (N,) s
+    mel_s: Floats  # (N,) s
+
+
 def _exposure(
     shared_xy: Floats, true_xy: Floats, t: Floats, offsets: Ints, epsilon_m: float
-) -> tuple[Floats, Floats, Floats]:
+) -> _Exposures:
     leaked = privacy.leakage_indicator(
         shared_xy=shared_xy, true_xy=true_xy, epsilon_m=epsilon_m
     )
-    segments = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
-    return segments.plr, segments.ael_s, segments.mel_s
+    exposure = privacy.exposure(leaked=leaked, t=t, offsets=offsets)
+    return _Exposures(exposure.plr, exposure.ael_s, exposure.mel_s)
 
 
 def _exposure_alone(
     shared_xy: Floats, true_xy: Floats, t: Floats, epsilon_m: float
-) -> list[float]:
-    offsets = np.array([0, len(t)])
-    return [
-        float(values[0])
-        for values in _exposure(shared_xy, true_xy, t, offsets, epsilon_m)
-    ]
+) -> _Exposures:
+    """Return the exposure of a single trajectory."""
+    return _exposure(shared_xy, true_xy, t, np.array([0, len(t)]), epsilon_m)
 
 
 def _by_position(function: Function) -> Function:
@@ -101,11 +106,11 @@ def _by_position(function: Function) -> Function:
 
 OWN = Metrics(
     # Any clock: PLR counts samples.
-    plr=lambda shared, true, eps: _exposure_alone(
-        shared, true, np.arange(1.0 * len(true)), eps
-    )[0],
-    ael_s=lambda *walk: _exposure_alone(*walk)[1],
-    mel_s=lambda *walk: _exposure_alone(*walk)[2],
+    plr=lambda shared, true, eps: float(
+        _exposure_alone(shared, true, np.arange(1.0 * len(true)), eps).plr[0]
+    ),
+    ael_s=lambda *walk: float(_exposure_alone(*walk).ael_s[0]),
+    mel_s=lambda *walk: float(_exposure_alone(*walk).mel_s[0]),
     exposure=_exposure,
     prediction_grid=lambda t, window, horizon_steps: conflict.prediction_grid(
         t=t, offsets=np.array([0, len(t)]), window=window, horizon_steps=horizon_steps
@@ -137,15 +142,17 @@ def check(
     statement: str = "",
     needs: tuple[str, ...] = (),
 ) -> Callable[..., None]:
-    """Register a check, whose parameters name the functions that it receives, guarded.
+    """Register a check.
 
-    A check with a further parameter `rng` runs on `DRAWS` random streams of its own.
+    The parameters of `body` name the functions of `Metrics` that it receives, each
+    guarded (`_guarded`). A body with other parameters names its functions in `needs`.
+    With a further parameter `rng` it runs on `DRAWS` random streams of its own.
     """
     parameters = tuple(inspect.signature(body).parameters)
     name, statement = name or body.__name__, statement or read_statement(body)
     needs = needs or tuple(need for need in parameters if need != "rng")
 
-    def run_offered(metrics: Metrics) -> None:
+    def run_check(metrics: Metrics) -> None:
         functions = [_guarded(need, getattr(metrics, need)) for need in needs]
         if "rng" not in parameters:
             body(*functions)
@@ -153,7 +160,7 @@ def check(
         for index in range(DRAWS):
             body(*functions, rng=stream(0, "testing", name, index))
 
-    CHECKS[name] = Check(name=name, statement=statement, body=run_offered, needs=needs)
+    CHECKS[name] = Check(name=name, statement=statement, body=run_check, needs=needs)
     return body
 
 
@@ -204,7 +211,7 @@ def _guarded(name: str, function: Function) -> Function:
         case = _call(name, arguments)
         try:
             result = function(*copies)
-        except (Exception, SystemExit) as error:
+        except (Exception, SystemExit) as error:  # a user's code may call sys.exit
             raise AssertionError(
                 f"{name} raised {error_text(error)}; {case}"
             ) from error

@@ -10,7 +10,7 @@ from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.plan.axes import axes
-from evaluation.plan.plan import asked_of_file
+from evaluation.plan.plan import changed_reading
 from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
 from evaluation.store.files import to_csv
@@ -328,5 +328,5 @@ drop_frozen = 3
         "on_duplicate": "mean",
         "crs": "degrees",
     }
-    assert asked_of_file(typed) == {**expected, "drop_frozen": 3.0}
-    assert asked_of_file(parse_settings()) == {}
+    assert changed_reading(typed) == {**expected, "drop_frozen": 3.0}
+    assert changed_reading(parse_settings()) == {}
