@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.datasets.recording import Label, Place, Repair, Rows, listed
+from isac_track.datasets.recording import Label, Place, Repair, Rows
 from isac_track.errors import DataError
 from isac_track.types import Ints, Tracks
 
@@ -168,14 +168,18 @@ def check_labels(rows: Rows) -> list[Repair]:
                 f" {unit} {first.line}; spell a person in one way"
             )
     detail = f"{path}: labels name the people of {len(rows.people):,} passages"
-    notes = [Repair(KIND, len(spelt), detail)]
-    if without := sorted(ids - rows.people.keys(), key=lambda name: (len(name), name)):
-        detail = (
-            f"{path}: passages without a label ({listed(without)}); kept, of people who"
-            " come back in no other passage"
-        )
-        notes.append(Repair("unlabelled", len(without), detail))
-    return notes
+    _, first_rows = np.unique(rows.person, return_index=True)
+    # By line, not by id: ids may be names of people, and manifests are published.
+    unlabelled = [
+        row
+        for row in first_rows.tolist()
+        if rows.ids[rows.person[row]] not in rows.people
+    ]
+    text = "a passage without a label; kept, of a person who is in no other passage"
+    return [
+        Repair(KIND, len(spelt), detail),
+        *rows.place.note_rows("unlabelled", np.array(unlabelled, dtype=np.int64), text),
+    ]
 
 
 def refuse_two_spellings(parts: Sequence[tuple[str, Tracks]]) -> None:
