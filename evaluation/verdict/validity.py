@@ -109,8 +109,8 @@ def validity(
                 half, half.drawn(weights), panel, others=panel.others, fid=panel.fid
             )
             halves.append(Tested(panel, "", half_contrasts))
-    section = spread.together([item.contrasts for item in tested])
-    control_section = spread.together([item.contrasts for item in halves])
+    section = spread.furthest_together([item.contrasts for item in tested])
+    control_section = spread.furthest_together([item.contrasts for item in halves])
     return {
         "items": [_item(item, section) for item in tested],
         "controls": [_control(item, control_section) for item in halves],
@@ -215,7 +215,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
     kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
     families = [panel.families[place] for place in panel.compared]
-    answers = spread.answers(own, wide, families)
+    answers = spread.answer_probabilities(own, wide, families)
     needed = None if is_flat else spread.clusters_needed(own, wide, tested.n)
     why = ""
     if decision == rules.NOT_TESTABLE:
