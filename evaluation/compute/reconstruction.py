@@ -242,14 +242,7 @@ def attacked_level(
         repeats = _share_again(mechanism, release, block)
     companions: tuple[Release, ...] = ()
     if Knowledge.COMPANIONS in granted:
-        shared = companion_release(
-            mechanism,
-            block.scenes,
-            tracks=block.tracks,
-            stages=block.stages,
-            seed=block.seed,
-        )
-        companions = (shared,)
+        companions = (_companions(mechanism, block),)
     sensed = sharing.restricted(block.sensed, samples)
     return AttackedLevel(
         mechanism=mechanism,
@@ -268,16 +261,34 @@ def attacked_level(
             mechanism=mechanism,
             epsilon_m=block.stages.privacy.epsilon_m,
         ),
-        bound=genie_plr(
-            mechanism,
-            release,
-            scenes=block.scenes,
-            sensed=sensed,
-            tracks=block.tracks,
-            is_model=block.is_model,
-            epsilon_m=block.stages.privacy.epsilon_m,
-            seed=block.seed,
-        ),
+        bound=_bound(mechanism, release, sensed, block),
+    )
+
+
+def _companions(mechanism: Plugin, block: AttackedBlock) -> Release:
+    """Return the shared walk of the companion of each track of a block."""
+    return companion_release(
+        mechanism,
+        block.scenes,
+        tracks=block.tracks,
+        stages=block.stages,
+        seed=block.seed,
+    )
+
+
+def _bound(
+    mechanism: Plugin, release: Release, sensed: Sensed, block: AttackedBlock
+) -> Rows:
+    """Return the genie's PLR of each track of a block; `sensed` are its samples."""
+    return genie_plr(
+        mechanism,
+        release,
+        scenes=block.scenes,
+        sensed=sensed,
+        tracks=block.tracks,
+        is_model=block.is_model,
+        epsilon_m=block.stages.privacy.epsilon_m,
+        seed=block.seed,
     )
 
 

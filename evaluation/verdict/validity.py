@@ -20,6 +20,7 @@ from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import (
     Panel,
+    Rates,
     Sums,
     build_panel,
     contrasts,
@@ -122,7 +123,7 @@ def _tested(
     panel: Panel,
     name: str,
     sums: Sums,
-    rates: tuple[Floats, Floats],
+    rates: Rates,
     *,
     errors: Errors,
 ) -> Tested:
@@ -159,7 +160,7 @@ def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
     )
 
 
-def _errors(panel: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
+def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
     """Return the squared prediction error of a descriptor, and that without one."""
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
