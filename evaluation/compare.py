@@ -12,7 +12,7 @@ from evaluation.store.files import to_csv
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError
 
-_EXIT = """\
+_EPILOG = """\
 exit codes: 0 done, 1 a headline number differs (with --fail-on-change), 2 wrong usage or data
 
 examples:
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = Parser(
         prog="python -m evaluation.compare",
         description="Compare two runs: what changed, and which numbers differ.",
-        epilog=_EXIT,
+        epilog=_EPILOG,
     )
     add = command.add_argument
     add("out_a", type=Path, metavar="OUT_A", help="folder of the first run")

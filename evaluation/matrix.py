@@ -7,10 +7,15 @@ import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, TypeAlias
 
 from evaluation.plan.presets import DEFAULT, PRESETS
-from evaluation.plan.settings import OPTIONS, USUAL_STAGES, Settings
+from evaluation.plan.settings import (
+    OPTIONS,
+    USUAL_STAGES,
+    Settings,
+    typed_stage_values,
+)
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
@@ -19,8 +24,11 @@ from isac_track.protocols import ADVERSARIES, USUAL
 
 if TYPE_CHECKING:
     from evaluation.plan.plan import Plan
+    from evaluation.reporting.rows import Results
 
-_EXIT = """\
+_Progress: TypeAlias = Callable[[int, int | None, str], None]
+"""Called with the finished cells of a run, all of its cells, and the current step."""
+_EPILOG = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
 130 interrupted (finished cells are kept; the same command continues)
 
@@ -67,60 +75,72 @@ _PRECISION = (
     "half-width of the intervals of missed conflicts (0.01: ±1 point); 250 scenes"
     " computed first tell how many scenes that takes; not with --scenes"
 )
-# By key of --config: type, metavar, and text of --help.
-_OPTIONS: Final[dict[str, tuple[type, str, str]]] = {
-    "preset": (str, "NAME", f"{_PRESETS} (default: {DEFAULT})"),
-    "dataset": (str, "NAME|PATH", _DATA),
-    "format": (str, "NAME", "format of your own file; see docs/how-to/data.md"),
-    "fps": (float, "N", "frames per second of your own file"),
-    "unit": (
+
+
+class _Option(NamedTuple):
+    """An option with a value, which a file may set, too."""
+
+    kind: type  # A list: the option is repeatable, and its values are texts.
+    metavar: str
+    about: str  # Text of --help.
+
+
+# By key of --config.
+_OPTIONS: Final = {
+    "preset": _Option(str, "NAME", f"{_PRESETS} (default: {DEFAULT})"),
+    "dataset": _Option(str, "NAME|PATH", _DATA),
+    "format": _Option(str, "NAME", "format of your own file; see docs/how-to/data.md"),
+    "fps": _Option(float, "N", "frames per second of your own file"),
+    "unit": _Option(
         str,
         "m|cm|mm",
         "unit of lengths in your own file (default: its header's, else m)",
     ),
-    "columns": (
+    "columns": _Option(
         str,
         "t=NAME,...",
         "your columns for t, id, x, y, group: t=time[ms],x=pos_x[cm]",
     ),
-    "on_duplicate": (
+    "on_duplicate": _Option(
         str,
         "error|first|mean",
         "what to do with an id at two places at one time (default: error)",
     ),
-    "crs": (
+    "crs": _Option(
         str,
         "degrees",
         "x is longitude and y latitude: project them to local metres",
     ),
-    "drop_frozen": (
+    "drop_frozen": _Option(
         float,
         "S",
         "drop stretches of S seconds or more at exactly one place",
     ),
-    "session": (
+    "session": _Option(
         list,
         "FILE",
         "a file of several sessions of one recording; repeatable",
     ),
-    "scenes": (int, "N", "Monte Carlo scenes (default: the preset's)"),
-    "precision": (float, "H", _PRECISION),
-    "seed": (int, "N", "base seed of every random stream (default: 0)"),
-    "mechanism": (list, "SPEC", f"{_MECHANISM}; {_REPLACES.format('my_noise')}"),
-    "predictor": (list, "SPEC", _PREDICTOR),
-    "attack": (list, "SPEC", _ATTACK),
-    "task": (list, "NAME", _TASK),
-    "policy": (list, "SPEC", _POLICY),
-    "adversary": (list, "NAME", _ADVERSARY),
-    "jobs": (
+    "scenes": _Option(int, "N", "Monte Carlo scenes (default: the preset's)"),
+    "precision": _Option(float, "H", _PRECISION),
+    "seed": _Option(int, "N", "base seed of every random stream (default: 0)"),
+    "mechanism": _Option(list, "SPEC", f"{_MECHANISM}; {_REPLACES.format('my_noise')}"),
+    "predictor": _Option(list, "SPEC", _PREDICTOR),
+    "attack": _Option(list, "SPEC", _ATTACK),
+    "task": _Option(list, "NAME", _TASK),
+    "policy": _Option(list, "SPEC", _POLICY),
+    "adversary": _Option(list, "NAME", _ADVERSARY),
+    "jobs": _Option(
         int,
         "N",
         "worker processes (default: the cores, at most 8; 1 for little work)",
     ),
-    "cell_timeout": (float, "S", _TIMEOUT),
-    "executor": (str, "local|dask", _EXECUTOR),
-    "scheduler": (str, "ADDRESS", "address of the Dask cluster, as tcp://host:8786"),
-    "out": (str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
+    "cell_timeout": _Option(float, "S", _TIMEOUT),
+    "executor": _Option(str, "local|dask", _EXECUTOR),
+    "scheduler": _Option(
+        str, "ADDRESS", "address of the Dask cluster, as tcp://host:8786"
+    ),
+    "out": _Option(str, "DIR", "run folder (default: runs/DATASET-PRESET-SEED)"),
 }
 # Flags that a file may set, too.
 _RUN_FLAGS: Final = ("persistent_ids", "keep_scores", "keep_ids", "fresh")
@@ -134,16 +154,19 @@ def parser() -> argparse.ArgumentParser:
         description=(
             "Evaluate sharing mechanisms: what a robot can still foresee, what leaks."
         ),
-        epilog=_EXIT,
+        epilog=_EPILOG,
     )
     add = command.add_argument
-    for key, (kind, metavar, about) in _OPTIONS.items():
-        parsing = {"action": "append"} if kind is list else {"type": kind}
-        add(f"--{key.replace('_', '-')}", metavar=metavar, help=about, **parsing)
+    for key, option in _OPTIONS.items():
+        parsing: dict[str, Any] = {"type": option.kind}
+        if option.kind is list:
+            parsing = {"action": "append"}
+        name = f"--{key.replace('_', '-')}"
+        add(name, metavar=option.metavar, help=option.about, **parsing)
     about = "change a stage setting, such as privacy.epsilon_m=0.5; --list names all"
     add("--set", action="append", metavar="STAGE.KEY=VALUE", default=[], help=about)
     add("--config", type=Path, metavar="FILE.toml", help="the same keys from a file")
-    for option, about in {
+    for flag, about in {
         "--persistent-ids": "ids are the same people in all sessions",
         "--keep-scores": (
             "also keep the raw scores of all linkage attacks: some hundred MB"
@@ -159,7 +182,7 @@ def parser() -> argparse.ArgumentParser:
             "say what would be computed and how long it takes, or what is wrong; stop"
         ),
     }.items():
-        add(option, action="store_true", help=about)
+        add(flag, action="store_true", help=about)
     return command
 
 
@@ -173,11 +196,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
     if options.config:
         values = _given_values(_read_config(options.config, stage_values))
     values |= _given_values(options)
-    for text in options.set:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
-        stage_values[name.strip()] = value.strip()
+    stage_values |= typed_stage_values(options.set)
     for key in ("fps", "format", "unit", "columns", "crs"):
         if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(
@@ -227,18 +246,17 @@ def _command(arguments: Sequence[str] | None) -> int:
         sys.stderr.writelines(f"{line}\n" for line in listing.broken_plugins())
         return DONE
     settings = settings_from(options)
-    from evaluation.pool.workers import start_workers_early  # noqa: PLC0415 - as said below
-    from evaluation.reporting.progress import (  # noqa: PLC0415 - as said below
-        progress_bar,
-    )
+    # Heavy imports only now: --help, --list and a typing error answer at once.
+    from evaluation.pool.workers import start_workers_early  # noqa: PLC0415 - as said
+    from evaluation.reporting.progress import progress_bar  # noqa: PLC0415 - as said
 
+    # Lines above the results on the screen; the progress bar adds those that it leaves.
     heading: list[str] = []
     shows_all = options.verbose or options.dry_run
     with (
         progress_bar(heading) as update,
         start_workers_early(0 if options.dry_run else _n_workers(settings)),
     ):
-        update(0, None, "reading the recording")
         plan = _plan(settings, update, is_dry=options.dry_run)
         rehearsal = _rehearse(plan) if options.dry_run else []
         first, *others = announcements.plan_lines(plan)
@@ -249,22 +267,9 @@ def _command(arguments: Sequence[str] | None) -> int:
         print(*heading, *rehearsal, sep="\n", file=sys.stderr)
         if options.dry_run:
             return DONE
-        # Heavier imports still, now that the user has seen the plan.
-        from evaluation.api import run  # noqa: PLC0415 - as said
-        from evaluation.pool.execute import (  # noqa: PLC0415 - as said
-            FailedCellsWarning,
-        )
-        from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
+        results = _run_planned(plan, update, pictures=not options.no_pictures)
+    from evaluation.reporting.tables import show  # noqa: PLC0415 - as said
 
-        # Imported objects stay: without this the garbage collector takes a second.
-        gc.freeze()
-        try:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
-                shows = not options.no_pictures
-                results = run(plan=plan, progress=update, pictures=shows, walks=shows)
-        finally:
-            gc.unfreeze()  # as a caller in the same process had it
     lines = _notice_lines(results.manifest, shows_all=shows_all)
     sys.stderr.writelines(f"{line}\n" for line in lines)
     # One line more: loops may have been compiled.
@@ -272,15 +277,13 @@ def _command(arguments: Sequence[str] | None) -> int:
     return FAILED_CELLS if len(results.failed) else DONE
 
 
-def _plan(
-    settings: Settings, update: Callable[[int, int | None, str], None], *, is_dry: bool
-) -> "Plan":
-    """Return the plan of a run, with the number of scenes that its precision takes."""
-    # Heavy imports only now: --help, --list and a typing error answer at once.
-    from evaluation.plan.plan import make_plan  # noqa: PLC0415 - as said
+def _plan(settings: Settings, update: _Progress, *, is_dry: bool) -> "Plan":
+    """Return the plan of a run; with a precision, compute first how many scenes."""
+    update(0, None, "reading the recording")
+    from evaluation.plan.plan import make_plan  # noqa: PLC0415 - heavy
 
     if settings.precision is not None:
-        from evaluation.api import sized  # noqa: PLC0415 - as said
+        from evaluation.api import sized  # noqa: PLC0415 - heavy
 
         if is_dry:
             raise SettingsError(
@@ -288,6 +291,22 @@ def _plan(
             )
         settings = sized(settings, progress=update)
     return make_plan(settings)
+
+
+def _run_planned(plan: "Plan", update: _Progress, *, pictures: bool) -> "Results":
+    """Return the results of a run, whose plan the user has seen by now."""
+    # Heavier imports still, now that the user has seen the plan.
+    from evaluation.api import run  # noqa: PLC0415 - as said
+    from evaluation.pool.execute import FailedCellsWarning  # noqa: PLC0415 - as said
+
+    # Imported objects stay: without this the garbage collector takes a second.
+    gc.freeze()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
+            return run(plan=plan, progress=update, pictures=pictures, walks=pictures)
+    finally:
+        gc.unfreeze()  # as a caller in the same process had it
 
 
 def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:
@@ -377,7 +396,7 @@ def _option_words(key: str, value: Any) -> list[str]:  # noqa: ANN401 - of TOML
             f"unknown key {key!r}; known: {known} and tables of stage settings"
         )
     several = value if isinstance(value, list) else [value]
-    if isinstance(value, list) and _OPTIONS[key][0] is not list:
+    if isinstance(value, list) and _OPTIONS[key].kind is not list:
         raise SettingsError(f"{key} takes one value, not a list: got {quoted(value)}")
     if any(isinstance(single, list | dict) for single in several):
         raise SettingsError(f"{key} takes numbers or text, got {quoted(value)}")

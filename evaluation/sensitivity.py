@@ -24,7 +24,7 @@ from isac_track.command_line import (
 )
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
-_EXIT = """\
+_EPILOG = """\
 exit codes: 0 done, 2 wrong usage or data, 3 a variant failed (the others are done), 130 interrupted
 
 examples:
@@ -39,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = Parser(
         prog="python -m evaluation.sensitivity",
         description="Repeat the verdict of a finished run under other assumptions.",
-        epilog=_EXIT,
+        epilog=_EPILOG,
     )
     add = command.add_argument
     add("out", type=Path, metavar="OUT", nargs="?", help="folder of a finished run")

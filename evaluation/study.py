@@ -13,14 +13,14 @@ from operator import attrgetter
 from pathlib import Path
 
 from evaluation.plan.presets import DEFAULT, PRESETS
-from evaluation.plan.settings import Settings
+from evaluation.plan.settings import Settings, typed_stage_values
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 
 LAWS = ("radial", "isotropic")
 _LAW = "sensing.law"
-_EXIT = """\
+_EPILOG = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
 130 interrupted (finished runs are kept; the same command continues)
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "Run the matrix over several recordings, seeds and laws; answer them as"
             " one."
         ),
-        epilog=_EXIT,
+        epilog=_EPILOG,
     )
     add = command.add_argument
     about = "a recording; repeatable"
@@ -81,22 +81,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
 
 
-def settings_typed(texts: Sequence[str]) -> dict[str, str]:
-    """Return the values of settings, typed as STAGE.KEY=VALUE, by STAGE.KEY.
-
-    Raises SettingsError for another form.
-    """
-    values = {}
-    for text in texts:
-        name, equals, value = text.partition("=")
-        if not equals:
-            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
-        values[name.strip()] = value.strip()
-    return values
-
-
 def _study(options: argparse.Namespace) -> int:
-    axes = options.dataset, options.seed or [0], options.law or LAWS[:1]
+    """Run all combinations of recording, seed and law, and print the answers."""
+    lists = options.dataset, options.seed or [0], options.law or LAWS[:1]
     same = {
         name: getattr(options, name)
         for name in ("preset", "jobs", "executor", "scheduler")
@@ -104,12 +91,12 @@ def _study(options: argparse.Namespace) -> int:
     for name in ("columns", "on_duplicate", "crs", "drop_frozen"):
         if getattr(options, name) is not None:
             same[name] = getattr(options, name)
-    changed = settings_typed(options.set)
+    changed = typed_stage_values(options.set)
     if _LAW in changed:
         raise SettingsError(f"--set {_LAW}: the laws of a study are named by --law")
     asked = []
     # Each combination once; all are checked before the first run begins.
-    for dataset, seed, law in product(*map(dict.fromkeys, axes)):
+    for dataset, seed, law in product(*map(dict.fromkeys, lists)):
         out = options.out / f"{Path(dataset).stem}-{options.preset}-{seed}-{law}"
         # No question of a study is about patrols.
         stages = StageSettings().changed(changed | {_LAW: law})

@@ -50,7 +50,7 @@ def among_candidates(
     gallery: Release,
     *,
     mate: Ints,
-    first: Floats,
+    first_scores: Floats,
     n_candidates: int,
     n_checked: int,
     n_at_once: int,
@@ -59,25 +59,26 @@ def among_candidates(
     """Return the scores of a search where a linker scores some candidates per probe.
 
     `score` is the fitted linker of two releases of P and G walks. `mate`, (P,), are the
-    places of the mates, used only to measure the loss. `first`, (P, G), are the scores
+    rows of the mates, used only to measure the loss. `first_scores`, (P, G), are those
     of the first stage; ties are put in a random order. Of each probe `n_candidates` are
     scored, at most G; `n_checked` probes with a mate are searched in full, if there are
     as many. `n_at_once`, `AT_ONCE` or 1, is the number of probes per call: each of them
     is compared with the candidates of all.
     """
-    n_probes, n_gallery = first.shape
+    n_probes, n_gallery = first_scores.shape
     n_candidates = min(n_candidates, n_gallery)
     shuffled = rng.permutation(n_gallery)
     computed = np.empty((n_probes, n_candidates))
     columns = np.empty((n_probes, n_candidates), dtype=np.int64)
     # In single precision, to which linkers' scores are rounded: half the memory.
     scores: Any = np.empty((n_probes, n_gallery), dtype=np.float32)
-    falling = np.arange(1.0, n_gallery + 1.0) / n_gallery
-    similar_first = _order_by_similarity(first, rng)
+    # At first a score is the rank by the first stage, in (0, 1], best first.
+    ranks = np.arange(1.0, n_gallery + 1.0) / n_gallery
+    similar_together = _order_by_similarity(first_scores, rng)
     for start in range(0, n_probes, n_at_once):
-        rows = similar_first[start : start + n_at_once]
-        order = shuffled[np.argsort(-first[rows][:, shuffled], axis=1)]
-        scores[rows[:, None], order] = falling
+        rows = similar_together[start : start + n_at_once]
+        order = shuffled[np.argsort(-first_scores[rows][:, shuffled], axis=1)]
+        scores[rows[:, None], order] = ranks
         columns[rows] = order[:, :n_candidates]
         union, place = np.unique(columns[rows], return_inverse=True)
         union_scores = score(probe.tracks(rows), gallery.tracks(union))
@@ -87,6 +88,7 @@ def among_candidates(
     lowest = float(computed.min())
     if lowest < -np.finfo(np.float32).max / 4:  # lower scores need double precision
         scores = scores.astype(np.float64)
+    # Ranks become scores below all that were computed: better ranks less far below.
     scores *= -max(1.0, abs(lowest))
     scores += lowest
     np.put_along_axis(scores, columns, computed, axis=1)
@@ -98,12 +100,12 @@ def among_candidates(
     return Approximated(scores, exact, rank1(scores=scores[rows], mate=mate[rows]))
 
 
-def _order_by_similarity(first: Floats, rng: Generator) -> Ints:
+def _order_by_similarity(scores: Floats, rng: Generator) -> Ints:
     """Return the probes, (P,), by the first principal component of their scores."""
-    mean, axis = first.mean(axis=0), rng.standard_normal(first.shape[1])
-    component = np.zeros(len(first))
+    mean, direction = scores.mean(axis=0), rng.standard_normal(scores.shape[1])
+    component = np.zeros(len(scores))
     for _ in range(_ITERATIONS):  # power iteration
-        component = first @ axis - mean @ axis
-        axis = component @ first - component.sum() * mean
-        axis /= np.linalg.norm(axis) or 1.0
+        component = scores @ direction - mean @ direction
+        direction = component @ scores - component.sum() * mean
+        direction /= np.linalg.norm(direction) or 1.0
     return np.argsort(component, kind="stable")

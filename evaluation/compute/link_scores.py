@@ -97,7 +97,7 @@ def score_links(
     to calibrate on. `matched` has by search the probabilities of the pairs of an open
     gallery (`match_pairs`): without them an open gallery has no assignment.
     `drawn_from` is a control's own random stream, or the name of an attack, whose
-    stream is the same at all levels. With `setup.candidates` all metrics follow from
+    stream is the same at all levels. With `setup.n_candidates` all metrics follow from
     the ranks, and `losses` holds what the attack lost.
     """
     sessions = setup.sessions
@@ -105,7 +105,7 @@ def score_links(
     is_matched = sessions.task.is_open and scores.keys() <= matched.keys()
     is_assigned = is_matched or not sessions.task.is_open
     # Scores of candidates alone cannot be summed into an assignment.
-    is_assigned &= not setup.candidates
+    is_assigned &= not setup.n_candidates
     scorecard = _scorecard(
         searches,
         setup,
@@ -138,7 +138,7 @@ def _scorecard(
     n_shuffles: int,
 ) -> linkability.Scorecard:
     """Return the scorecard of all searches; `matched` has the pairs of each, if any."""
-    if setup.candidates:
+    if setup.n_candidates:
         rng = drawn_from
         if not isinstance(rng, Generator):
             rng = _stream(setup.seed, *rng)

@@ -8,6 +8,8 @@ import hashlib
 import pickle
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -36,14 +38,18 @@ class Pairing:
 
     probe: Ints  # (p,) rows of the probe side.
     gallery: Ints  # (g,) rows of the gallery side.
-    mate: Ints  # (p,) place in `gallery`, or -1.
+    mate: Ints  # (p,) number in `gallery` of the window of the same person, or -1.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Half:
-    """One fold: the people that its adversary attacks, and those it learns from."""
+class FoldPairings:
+    """The windows of a fold: those that its adversary attacks, and those it learns from.
 
-    searches: tuple[tuple[int, Pairing], ...]  # Number of the search, and its windows.
+    A fold is a half of the people, or a single person in a task of people who come
+    back.
+    """
+
+    searches: Mapping[int, Pairing]  # By number; only with probes of this fold.
     learns: Pairing
     # Searches of other people, whose scores calibrate those of this fold.
     calibrates: tuple[Pairing, ...]
@@ -59,15 +65,17 @@ class SensedSessions:
     sensed: tuple[Sensed, ...]  # Probe and gallery.
     # Frames of the walks of either side; none where the task shows the scene.
     frames: tuple[Frame, ...]
-    halves: tuple[Half, ...]
+    folds: tuple[FoldPairings, ...]
     searches: Mapping[int, Pairing]  # Every search, by number, with all of its probes.
-    drawn_as: Ints  # (C,) which cluster of the run's scenes each cluster is, or -1.
-    n_groups: int  # Clusters of the run's scenes.
+    # The C clusters of the task are walking groups. Some are also among the `n_groups`
+    # walking groups of the run's scenes.
+    drawn_as: Ints  # (C,) row of each cluster among these, or -1.
+    n_groups: int
     weights: Floats  # (B, C) bootstrap weights of the clusters.
     cluster: Ints  # (K,) cluster of each person: a column of the weights.
     privacy: PrivacySettings
     seed: int
-    candidates: int  # How many of a gallery are scored for each probe; 0: all.
+    n_candidates: int  # How many of a gallery are scored for each probe; 0: all.
 
 
 _newest: dict[bytes, SensedSessions] = {}
@@ -87,8 +95,9 @@ def sensed_sessions(
 ) -> SensedSessions:
     """Sense both sessions of a task and prepare its folds.
 
-    `groups` are the clusters of the run's scenes: the bootstrap draws a cluster of both
-    alike in both. With a `motion` people walk by that model; all else is as recorded.
+    `groups` are the walking groups of the run's scenes. The bootstrap draws a group of
+    task and scenes equally often in both. With a `motion` people walk by that model;
+    all else is as recorded.
     """
     key = hashlib.sha256(
         pickle.dumps((sessions, groups, motion, stages, seed))
@@ -100,11 +109,11 @@ def sensed_sessions(
     drawn_as = np.array([group_place.get(name, -1) for name in clusters.tolist()])
     task = sessions.task
     largest = int(np.bincount(sessions.gallery.search).max())
-    candidates = 0 if task.comes_back else stages.linkage.candidates
-    folds = np.unique(sessions.fold).tolist()
+    n_candidates = 0 if task.comes_back else stages.linkage.candidates
+    numbers = np.unique(sessions.fold).tolist()
     if task.comes_back:
-        folds = list(range(len(sessions.learns)))
-    halves = tuple(_prepare_half(sessions, fold) for fold in folds)
+        numbers = list(range(len(sessions.learns)))
+    folds = tuple(_prepare_fold(sessions, fold) for fold in numbers)
     frames: tuple[Frame, ...] = ()
     if not task.shows_scene:
         frames = tuple(_draw_frames(sessions, side, seed=seed) for side in SIDES)
@@ -114,8 +123,8 @@ def sensed_sessions(
             _sense_side(sessions, side, stages=stages, seed=seed) for side in SIDES
         ),
         frames=frames,
-        halves=halves,
-        searches=_whole_searches(search for half in halves for search in half.searches),
+        folds=folds,
+        searches=_whole_searches(fold.searches for fold in folds),
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(
@@ -124,7 +133,7 @@ def sensed_sessions(
         cluster=cluster.astype(np.int64),
         privacy=stages.privacy,
         seed=seed,
-        candidates=candidates if candidates < largest else 0,
+        n_candidates=n_candidates if n_candidates < largest else 0,
     )
     _newest.clear()
     _newest[key] = setup if motion is None else _walk_by_model(setup, motion)
@@ -141,12 +150,12 @@ def _walk_by_model(setup: SensedSessions, motion: Motion) -> SensedSessions:
     walks = np.empty((t.size, 2))
     for person, source in enumerate(setup.sessions.source):
         rng = stream(setup.seed, "model walks", "linkage", source)
-        instants, place = np.unique(t[owner == person], return_inverse=True)
+        instants, row = np.unique(t[owner == person], return_inverse=True)
         offsets, start = np.array([0, instants.size]), np.zeros((1, 2))
         walk = simulate_walks(
             t=instants, offsets=offsets, start=start, motion=motion, rng=rng
         )
-        walks[owner == person] = walk[place]
+        walks[owner == person] = walk[row]
     walks_by_side = np.split(walks, [sides[0].t.size])
     probe, gallery = (
         replace(windows, xy=xy)
@@ -160,10 +169,10 @@ def _walk_by_model(setup: SensedSessions, motion: Motion) -> SensedSessions:
     return replace(setup, sessions=sessions, sensed=sensed)
 
 
-def _whole_searches(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
+def _whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing]:
     """Return every search with all of its probes, which the folds may have split."""
     searches: dict[int, Pairing] = {}
-    for number, piece in parts:
+    for number, piece in chain.from_iterable(part.items() for part in parts):
         whole = searches.setdefault(number, piece)
         if whole is not piece:
             probe = np.concatenate([whole.probe, piece.probe])
@@ -173,7 +182,8 @@ def _whole_searches(parts: Iterable[tuple[int, Pairing]]) -> dict[int, Pairing]:
     return searches
 
 
-def _prepare_half(sessions: Sessions, fold: int) -> Half:
+def _prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
+    """Return the windows of a fold, from its own searches and those of other folds."""
     own = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
     attacked = everybody = np.ones(len(sessions.source), dtype=bool)
@@ -181,30 +191,19 @@ def _prepare_half(sessions: Sessions, fold: int) -> Half:
         own = others = np.arange(sessions.fold.size)
         attacked = np.arange(everybody.size) == fold
     learns, calibrates = sessions.learns[fold], sessions.calibrates[fold]
-
-    def part(searches: Ints, probes: Bools, candidates: Bools) -> Pairing:
-        probe = np.isin(sessions.probe.search, searches) & probes[sessions.probe.person]
-        gallery = (
-            np.isin(sessions.gallery.search, searches)
-            & candidates[sessions.gallery.person]
-        )
-        place = np.where(gallery, np.cumsum(gallery) - 1, -1)
-        mate = sessions.mate[probe]
-        return Pairing(
-            probe=np.flatnonzero(probe),
-            gallery=np.flatnonzero(gallery),
-            mate=np.where(mate >= 0, place[mate], -1),
-        )
-
-    calibrating = [part(number, calibrates, calibrates) for number in others[:, None]]
+    pair = partial(_pair_windows, sessions)
+    calibrating = [
+        pair([number], probed=calibrates, searched=calibrates)
+        for number in others.tolist()
+    ]
     has_mate = [pairing.mate >= 0 for pairing in calibrating]
     mated = np.concatenate([np.zeros(0, dtype=bool), *has_mate])
-    return Half(
-        searches=tuple(
-            (int(number[0]), part(number, attacked, everybody))
-            for number in own[:, None]
-        ),
-        learns=part(others, learns, learns),
+    return FoldPairings(
+        searches={
+            number: pair([number], probed=attacked, searched=everybody)
+            for number in own.tolist()
+        },
+        learns=pair(others, probed=learns, searched=learns),
         calibrates=tuple(
             pairing
             for pairing, is_mated in zip(calibrating, has_mate, strict=True)
@@ -214,12 +213,34 @@ def _prepare_half(sessions: Sessions, fold: int) -> Half:
     )
 
 
+def _pair_windows(
+    sessions: Sessions,
+    searches: Ints | Sequence[int],
+    *,
+    probed: Bools,
+    searched: Bools,
+) -> Pairing:
+    """Return the windows of some searches, by number, and of some of their people.
+
+    `probed` and `searched`, (K,), are masks of the people on either side.
+    """
+    probes, gallery = sessions.probe, sessions.gallery
+    in_probe = np.isin(probes.search, searches) & probed[probes.person]
+    in_gallery = np.isin(gallery.search, searches) & searched[gallery.person]
+    row_in_pairing = np.where(in_gallery, np.cumsum(in_gallery) - 1, -1)
+    mate = sessions.mate[in_probe]
+    return Pairing(
+        probe=np.flatnonzero(in_probe),
+        gallery=np.flatnonzero(in_gallery),
+        mate=np.where(mate >= 0, row_in_pairing[mate], -1),
+    )
+
+
 def linkage_weights(drawn_as: Ints, *, n_groups: int, task: str, seed: int) -> Floats:
     """Return bootstrap weights of the clusters of a linkage task, (B, C).
 
     Clusters that the run's scenes have as well are drawn as they are there; the others
-    are drawn among themselves. `drawn_as`, (C,), is the place of each among the
-    `n_groups` clusters of the run's scenes, or -1.
+    are drawn among themselves. `drawn_as` and `n_groups` as of `SensedSessions`.
     """
     # In the memory order of clusters: products with sums by cluster need no copy.
     weights = np.empty((N_REPLICATES, drawn_as.size), order="F")
@@ -245,19 +266,22 @@ def _sense_side(
     after a gap, another one when the steps are logged again or people come back.
     """
     windows, task = getattr(sessions, side), sessions.task
-    keys, sensed_walks = list[tuple[str | int, ...]](), list[tuple[str | int, ...]]()
+    # Names of the streams of each window, and of the lasting parts of its walk.
+    window_keys = list[tuple[str | int, ...]]()
+    walk_keys = list[tuple[str | int, ...]]()
     for person, search in zip(windows.person, windows.search, strict=True):
         source = sessions.source[person]
         own = ("linkage", task.family, side, source)
         # The number of a closed search is a half, which depends on the other people.
-        keys.append((*own, sessions.searches[search]) if task.is_open else own)
-        sensed_walks.append(recorded_walk(source) if task.is_one_time else own)
+        window_keys.append((*own, sessions.searches[search]) if task.is_open else own)
+        walk_keys.append(recorded_walk(source) if task.is_one_time else own)
     walked_m = windows.walked_m
     if walked_m is None:
         walked_m = walked_within(windows.xy, windows.offsets)
+    # A slow error goes on along a walk: sides that are two walks have two numbers.
     ending = () if task.is_one_walk else (side,)
     names = [("person", source, *ending) for source in sessions.source]
-    walks = np.concatenate(
+    walk_of_person = np.concatenate(
         [walk_numbers(*name, n_walks=1, seed=seed) for name in names]
     )
     return sense(
@@ -267,13 +291,13 @@ def _sense_side(
         channel=draw_walk_channel(
             walked_m=walked_m,
             offsets=windows.offsets,
-            walks=sensed_walks,
-            keys=keys,
+            walks=walk_keys,
+            keys=window_keys,
             settings=stages.sensing,
             seed=seed,
         ),
         settings=stages.sensing,
-        walk=walks[windows.person],
+        walk=walk_of_person[windows.person],
     )
 
 

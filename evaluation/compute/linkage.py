@@ -201,28 +201,29 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     if consumer.kind == "control":
         return _link_control(consumer, level)
     setup = level.setup
-    if setup.candidates:
+    if setup.n_candidates:
         return _link_candidates(consumer, level)
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     matched: dict[int, Floats] = {}
-    for fold, half in enumerate(setup.halves):
+    for fold, pairings in enumerate(setup.folds):
         score, view = _fitted_linker(consumer, level, fold)
-        for number, pairing in half.searches:
+        for number, pairing in pairings.searches.items():
             fold_scores = score(*view.pair_windows(pairing))
             earlier = scores.get(number, fold_scores[:0])
             scores[number] = np.concatenate([earlier, fold_scores])
         calibrating = [
-            (score(*view.pair_windows(pairing)), pairing) for pairing in half.calibrates
+            (score(*view.pair_windows(pairing)), pairing)
+            for pairing in pairings.calibrates
         ]
         if (fold_calibration := fit_scores(calibrating)) is not None:
             calibration[fold] = fold_calibration
         is_open = setup.sessions.task.is_open
         scale = fit_score_scale(calibrating) if is_open else None
         if scale is not None:
-            for number, _ in half.searches:
+            for number in pairings.searches:
                 matched[number] = match_pairs(
-                    scores[number], scale=scale, mate_rate=half.mate_rate
+                    scores[number], scale=scale, mate_rate=pairings.mate_rate
                 )
     return score_links(
         scores,
@@ -292,9 +293,9 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     setup, name = level.setup, (consumer.spec, consumer.knowledge)
     rng = stream(setup.seed, "linkage", "candidates", *name)
     results = {}
-    for fold, half in enumerate(setup.halves):
+    for fold, pairings in enumerate(setup.folds):
         score, view = _fitted_linker(consumer, level, fold)
-        for number, pairing in half.searches:
+        for number, pairing in pairings.searches.items():
             ranking = _score_untrained(
                 first_stage(setup.sessions.task), level, view, pairing
             )
@@ -302,8 +303,8 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
                 score,
                 *view.pair_windows(pairing),
                 mate=pairing.mate,
-                first=ranking,
-                n_candidates=setup.candidates,
+                first_scores=ranking,
+                n_candidates=setup.n_candidates,
                 n_checked=-(-CHECKED // len(setup.searches)),
                 n_at_once=AT_ONCE if consumer.is_built_in else 1,
                 rng=rng,
@@ -344,7 +345,7 @@ def _link_control(consumer: Consumer, level: LinkedLevel) -> LinkResult:
             scores[number] = score(*level.seen.pair_windows(pairing), rng)
         else:
             attack: LinkageAttack = Shape()
-            if task.shows_scene or setup.candidates:
+            if task.shows_scene or setup.n_candidates:
                 attack = first_stage(task)
             real = _score_untrained(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
@@ -397,7 +398,7 @@ def _smoothed_view(
     name, setup = f"attack {behind.spec} (behind {consumer.label})", level.setup
     granted = consumer.granted & declared(behind)
     view = level.view_for(granted)
-    learns, train = setup.halves[fold].learns, None
+    learns, train = setup.folds[fold].learns, None
     if learns.probe.size:
         samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
         truth = _true_walks(level, 0)[samples.rows]
@@ -434,7 +435,7 @@ def _fitted_linker(
     plugin, setup, name = consumer.plugin, level.setup, f"attack {consumer.label}"
     view = _linker_view(consumer, level, fold)
     granted = consumer.granted & declared(plugin)
-    learns = setup.halves[fold].learns
+    learns = setup.folds[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
         if not ((learns.mate >= 0).any() and learns.gallery.size):

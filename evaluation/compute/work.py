@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from evaluation.compute import linkage, patrols, reconstruction, sharing
+from evaluation.compute import linkage, model_walks, patrols, reconstruction, sharing
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
@@ -152,7 +152,7 @@ def _patrol_cells(
 def _linkage_cells(
     work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
-    motion = reconstruction.recording_motion(tracks) if work.world.is_model else None
+    motion = model_walks.recording_motion(tracks) if work.world.is_model else None
     setup = sensed_sessions(
         work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
@@ -167,7 +167,7 @@ def _linkage_cells(
                 last_view = linkage.view_key(consumer)
                 # Releases of the last view, and all that linkers remember of them, go.
                 level.forget_views()
-                if setup.candidates:
+                if setup.n_candidates:
                     # Thousands of people: forget all that was made of the level.
                     level = linkage.linked_level(mechanism, setup)
             sees_only_times = linkage.sees_times_alone(consumer, level)
@@ -208,7 +208,7 @@ def _scene_cells(
     scenes = make_scenes(
         tracks, order=block.order, first=block.first_scene, settings=stages, seed=seed
     )
-    scenes, sensed = reconstruction.sensed_scenes(
+    scenes, sensed = model_walks.sensed_scenes(
         scenes, tracks=tracks, is_model=is_model, stages=stages, seed=seed
     )
     attacked: reconstruction.AttackedBlock | None = None

@@ -8,7 +8,7 @@ there the genie's value is no bound, and a gap would mix errors with motion.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -67,12 +67,11 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     than it is: the closest attack is the one with the lowest upper end of its gap.
     """
     world = row_worlds(summary)
-    rows = summary.assign(world=world)[
-        world.map(lambda other: other.is_model).astype(bool)
-    ]
+    is_model = world.map(lambda row_world: row_world.is_model).astype(bool)
+    rows = summary.assign(world=world)[is_model]
     rows = rows.assign(task=[parse_consumer(name).task for name in rows["consumer"]])
     # With very few people there is no interval.
-    rows["most"] = rows["ci_high"].fillna(rows["value"])
+    rows["upper_end"] = rows["ci_high"].fillna(rows["value"])
     closest = []
     for gap_metric, metric, bound_metrics in (
         (GAP, EXPOSURE, BOUNDS),
@@ -84,32 +83,41 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
             & rows["value"].notna()
         )
         is_needed = has_gap | rows["metric"].isin([*bound_metrics, metric])
-        for place, level_rows in rows[is_needed].groupby(
-            _PLACE, sort=False, dropna=False
-        ):
-            name, mechanism, level, _ = cast("tuple[World, str, float, str]", place)
+        for _, level_rows in rows[is_needed].groupby(_PLACE, sort=False, dropna=False):
             is_gap = level_rows["metric"] == gap_metric
-            lacking = level_rows[is_gap].nsmallest(1, "most")
+            candidates = level_rows[is_gap].nsmallest(1, "upper_end")
             bounds = level_rows[level_rows["metric"].isin(bound_metrics)]
-            if lacking.empty or bounds.empty:
+            if candidates.empty or bounds.empty:
                 continue
-            best = lacking.iloc[0]
-            source = parse_consumer(best["consumer"], best["knowledge"])
-            is_own = (level_rows["consumer"] == source.consumer) & (
-                level_rows["knowledge"] == source.adversary
-            )
-            reached = level_rows.loc[is_own & (level_rows["metric"] == metric)].iloc[0]
-            is_exact = bound_metrics[0] in bounds["metric"].to_numpy()
-            is_bound = (bounds["metric"] == bound_metrics[0]) | (not is_exact)
+            by_attack = level_rows[level_rows["metric"] == metric]
             closest.append(
-                Gap(
-                    world=name,
-                    where=Where(mechanism, None if np.isnan(level) else level),
-                    attack=source,
-                    reached=Estimate(*reached[_ENDS]),
-                    gap=Estimate(*best[_ENDS]),
-                    bound=Estimate(*bounds[is_bound].iloc[0][_ENDS]),
-                    is_exact=is_exact,
-                )
+                _closest_gap(candidates.iloc[0], by_attack, bounds, bound_metrics[0])
             )
     return closest
+
+
+def _closest_gap(
+    gap: pd.Series, by_attack: pd.DataFrame, bounds: pd.DataFrame, optimum: str
+) -> Gap:
+    """Return the gap of a level from a row of the summary.
+
+    `by_attack` has what each attack reaches there. Of the `bounds` the metric `optimum`
+    counts; without it the first, a ceiling, does.
+    """
+    attack = parse_consumer(gap["consumer"], gap["knowledge"])
+    is_attack = (by_attack["consumer"] == attack.consumer) & (
+        by_attack["knowledge"] == attack.adversary
+    )
+    is_optimum = bounds["metric"] == optimum
+    is_exact = bool(is_optimum.any())
+    bound = bounds[is_optimum].iloc[0] if is_exact else bounds.iloc[0]
+    level = gap["level"]
+    return Gap(
+        world=gap["world"],
+        where=Where(gap["mechanism"], None if np.isnan(level) else level),
+        attack=attack,
+        reached=Estimate(*by_attack[is_attack].iloc[0][_ENDS]),
+        gap=Estimate(*gap[_ENDS]),
+        bound=Estimate(*bound[_ENDS]),
+        is_exact=is_exact,
+    )

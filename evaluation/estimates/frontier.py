@@ -20,6 +20,7 @@ from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     CRITERIA,
     FUTURE,
+    Places,
     Sweeps,
     interpolated,
     places,
@@ -37,7 +38,7 @@ from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_da
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
 # White noise: other mechanisms are compared with it.
@@ -189,9 +190,7 @@ class _Price:
     """Mechanisms where a robot's missed rate has risen by the targets, (P,)."""
 
     cost: Address
-    reached: Mapping[
-        str, tuple[Ints, Floats]
-    ]  # Position on the curve, (1 + B, P) each.
+    reached: Mapping[str, Places]  # Position on the curve, (1 + B, P) each.
     is_dense: Mapping[str, Bools]  # (P,) whether enough levels are near the target
     level: Mapping[str, Mapping[str, Floats]]  # (P,) columns `LEVEL_READ`
 
@@ -330,7 +329,7 @@ def _dominated(
     return is_beaten
 
 
-def _levels(levels: Sequence[float | None], position: tuple[Ints, Floats]) -> Floats:
+def _levels(levels: Sequence[float | None], position: Places) -> Floats:
     """Return the level at positions on a curve, (R, P); NaN where only raw is beyond.
 
     Raw counts as a level of zero where levels fall towards it on a linear scale; on
@@ -339,5 +338,5 @@ def _levels(levels: Sequence[float | None], position: tuple[Ints, Floats]) -> Fl
     scale = np.array(levels, dtype=float)
     is_log = bool(scale.min() > 0 and scale.max() > _LOG_SPAN * scale.min())
     raw = 0.0 if scale[0] > scale[-1] and not is_log else np.nan
-    rows = np.broadcast_to(np.append(scale, raw), (len(position[0]), scale.size + 1))
+    rows = np.broadcast_to(np.append(scale, raw), (len(position.right), scale.size + 1))
     return interpolated(position, rows, log=is_log)

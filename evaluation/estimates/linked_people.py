@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, TypeAlias
 
 import numpy as np
 import pyarrow as pa
@@ -60,6 +60,7 @@ _PROBE_COLUMNS: Final = (
     *COMPANIONS,
 )
 Choices: TypeAlias = "Mapping[str, Sequence[Address]]"
+"""By metric: the linker that the first half of the people chose, then the second."""
 _NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
 _WINDOW_COLUMNS: Final = (
     "side",
@@ -67,6 +68,13 @@ _WINDOW_COLUMNS: Final = (
     *COVARIATES,
     *_DESCRIPTOR_COLUMNS.values(),
 )
+
+
+class _Choice(NamedTuple):
+    """What a half of the people chose: a cell, and the metric that its linker has."""
+
+    cell: Entry | None  # Of the manifest; None if the run has none.
+    metric: str
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +85,7 @@ class LinkedProbes:
     level: float | None
     linker: Address
     hit: Floats  # (N,) expected share of cases in which the mate comes first
-    # (N,) the same among `GALLERY` without companions; NaN with fewer
+    # (N,) the same among `GALLERY` candidates without companions; NaN with fewer
     hit_among: Floats
     chance: Floats  # (N,) of `hit`
     cluster: Ints  # (N,) with the same numbers at all levels of a task
@@ -159,14 +167,14 @@ def read_probes(
             windows = cells.get(Address(task=task, plugin=WINDOWS).at(*where))
             if linked and windows:
                 choice = choices.get((task, "" if is_paper else mechanism), {})
-                pairs = {
+                choices_by_metric = {
                     metric: [
-                        (cells.get(measure.source.at(*where)), measure.metric)
+                        _Choice(cells.get(measure.source.at(*where)), measure.metric)
                         for measure in halves
                     ]
                     for metric, halves in choice.items()
                 }
-                probes_of_task.append(_probes(out, linked, windows, pairs))
+                probes_of_task.append(_probes(out, linked, windows, choices_by_metric))
     return probes
 
 
@@ -199,32 +207,38 @@ def _hits(probes: pa.Table, metric: str) -> Floats:
 
 def _crossed_hits(
     out: Path,
-    pair: Sequence[tuple[Entry | None, str]],
+    choices: Sequence[_Choice],
     group: Sequence[str],
 ) -> Floats | None:
-    """Return the share of hits, (N,), each half linked by the other's choice."""
-    (first, by_first), (second, by_second) = pair
-    if first is None or second is None:
+    """Return the share of hits, (N,), each half linked by the other's choice.
+
+    `choices` are those of the first and of the second half. None if a cell is missing.
+    """
+    first, second = choices
+    if first.cell is None or second.cell is None:
         return None
     clusters, cluster = np.unique(group, return_inverse=True)
     is_first = first_half(tuple(clusters.tolist()))[cluster]
-    hits = (_hits(_mated(out, second), by_second), _hits(_mated(out, first), by_first))
-    return np.where(is_first, *hits)
+    hit_by_second = _hits(_mated(out, second.cell), second.metric)
+    hit_by_first = _hits(_mated(out, first.cell), first.metric)
+    return np.where(is_first, hit_by_second, hit_by_first)
 
 
 def _probes(
     out: Path,
     linked: Entry,
     windows: Entry,
-    pairs: Mapping[str, Sequence[tuple[Entry | None, str]]],
+    choices: Mapping[str, Sequence[_Choice]],
 ) -> LinkedProbes:
     probes = _mated(out, linked)
     tracks = read_rows(out, windows, columns=_WINDOW_COLUMNS, beside=_PROBE_COLUMNS)
-    names, rows_by_side = _names(tracks), []
+    window_names, rows_by_side = _row_names(tracks), []
     for side in SIDES:
         in_side = np.flatnonzero(pc.equal(tracks["side"], side).to_numpy())
-        place = pc.index_in(_names(probes), value_set=names.take(in_side)).to_numpy()
-        rows_by_side.append(in_side[place])
+        window = pc.index_in(
+            _row_names(probes), value_set=window_names.take(in_side)
+        ).to_numpy()
+        rows_by_side.append(in_side[window])
 
     def in_both(column: str) -> Floats:
         values = tracks[column].to_numpy().astype(np.float64)
@@ -234,7 +248,9 @@ def _probes(
     clusters, cluster = np.unique(group, return_inverse=True)
     hits = {}
     for metric in (SUCCESS, SUCCESS_OF_100):
-        crossed = _crossed_hits(out, pairs[metric], group) if metric in pairs else None
+        crossed = None
+        if metric in choices:
+            crossed = _crossed_hits(out, choices[metric], group)
         hits[metric] = _hits(probes, metric) if crossed is None else crossed
     return LinkedProbes(
         mechanism=linked.address.mechanism,
@@ -253,8 +269,8 @@ def _probes(
     )
 
 
-def _names(rows: pa.Table) -> pa.ChunkedArray:
-    """Return an identifier of each row: the search and source of its track."""
+def _row_names(rows: pa.Table) -> pa.ChunkedArray:
+    """Return a name of each row: the search and source of its track."""
     search, source = (rows[name].cast(pa.string()) for name in _TRACK_NAMES)
     return pc.binary_join_element_wise(search, source, "\n")
 

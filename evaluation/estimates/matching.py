@@ -407,7 +407,14 @@ def joined(curves: Sequence[Floats], *, increasing: bool) -> list[Floats]:
     return [np.append(np.minimum(curve, raw), raw, axis=1) for curve in own]
 
 
-def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:
+class Places(NamedTuple):
+    """Places between levels, whose columns are taken from right to left, raw first."""
+
+    right: Ints  # (R, P) column right of each place, at least 1.
+    share: Floats  # (R, P) of the way from the column before; NaN out of reach.
+
+
+def places(at: Floats, change: Floats) -> Places:
     """Return the position at which each row has changed by `at` from raw, (R, P) each.
 
     A position is the level to the right (left of it is raw), and the distance from the
@@ -427,24 +434,24 @@ def places(at: Floats, change: Floats) -> tuple[Ints, Floats]:
     low, high = (np.take_along_axis(x, place, axis=1) for place in (right - 1, right))
     share = np.zeros_like(low)
     np.divide(targets - low, high - low, out=share, where=high > low)
-    return right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan)
+    return Places(right, np.where(in_reach, np.clip(share, 0.0, 1.0), np.nan))
 
 
-def nearest_places(at: Floats, scale: Floats) -> tuple[Ints, Floats]:
+def nearest_places(at: Floats, scale: Floats) -> Places:
     """Return `places` of values, (R, P), on a scale that rises to raw, clipped."""
     change = scale[:, -1:] - scale
     return places(np.clip(scale[:, -1:] - at, 0.0, change[:, :1]), change)
 
 
-def interpolated(where: tuple[Ints, Floats], values: Floats, *, log: bool) -> Floats:
+def interpolated(at: Places, values: Floats, *, log: bool) -> Floats:
     """Return the values, (R, L), of each row at its places, (R, P); NaN out of reach.
 
     If the numbers of rows differ, the first rows of both are used. With `log` the
     logarithm is interpolated: a descriptor falls about exponentially with the rate, so
     that this stays close to its curve over a wide step.
     """
-    n_rows = min(len(where[0]), len(values))
-    right, share = where[0][:n_rows], where[1][:n_rows]
+    n_rows = min(len(at.right), len(values))
+    right, share = at.right[:n_rows], at.share[:n_rows]
     y = values[:n_rows, ::-1]
     y = np.log(np.maximum(y, _SMALLEST)) if log else y
     low, high = (np.take_along_axis(y, place, axis=1) for place in (right - 1, right))

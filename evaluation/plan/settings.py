@@ -345,3 +345,17 @@ def check_threads() -> None:
         raise SettingsError(
             f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it"
         )
+
+
+def typed_stage_values(texts: Iterable[str]) -> dict[str, str]:
+    """Return the values of stage settings, typed as STAGE.KEY=VALUE, by STAGE.KEY.
+
+    Raises SettingsError for another form.
+    """
+    values = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
+        values[name.strip()] = value.strip()
+    return values

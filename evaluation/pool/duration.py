@@ -12,10 +12,10 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.compute.work import Block, LinkWork, PatrolWork
+from evaluation.compute.work import Block, PatrolWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
-from evaluation.pool.pieces import cut_work, planned_cells, unfinished
+from evaluation.pool.pieces import Work, cut_work, planned_cells, unfinished
 
 RATES: Final = "rates.json"
 """CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
@@ -56,10 +56,10 @@ def cells_cpu_s(plan: Plan, own: PluginTimes = NO_TIMES) -> float:
     return cpu_s
 
 
-def _own_s(work: Block | LinkWork | PatrolWork, plan: Plan, own: PluginTimes) -> float:
+def _own_s(work: Work, plan: Plan, own: PluginTimes) -> float:
     """Return the CPU time of a user's plug-ins in a piece of work, s."""
     n_samples = _millions_of_samples(work, plan)
-    sizes = {"linkage": work_size(work, plan)}
+    sizes = {"linkage": work_size(work, plan)}  # all others read samples, not pairs
     calls = [("mechanism", mechanism) for mechanism, _ in work.levels]
     calls += [
         ("attack" if plugin is cell.consumer.behind else cell.consumer.kind, plugin)
@@ -73,8 +73,11 @@ def _own_s(work: Block | LinkWork | PatrolWork, plan: Plan, own: PluginTimes) ->
     )
 
 
-def _millions_of_samples(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
-    """Return the millions of samples that are shared at a level of a work."""
+def _millions_of_samples(work: Work, plan: Plan) -> float:
+    """Return the millions of samples that are shared at a level of a work.
+
+    For linkage these are samples of both sides, where `work_size` counts pairs.
+    """
     if isinstance(work, Block | PatrolWork):
         return work_size(work, plan)
     sides = work.sessions.probe, work.sessions.gallery
@@ -96,7 +99,7 @@ def _rounded(seconds: float) -> float:
     return 5.0 * max(round(seconds / 5.0), 1)
 
 
-def work_size(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
+def work_size(work: Work, plan: Plan) -> float:
     """Return the millions of samples, or of pairs, that a consumer reads of a work.
 
     On a patrol each robot reads the last samples of people at each query: the
@@ -104,8 +107,8 @@ def work_size(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
     """
     if isinstance(work, PatrolWork):
         rules, tracks = plan.settings.stages.patrol, work.recorded
-        ends = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-        n_queries = float(ends.sum()) / rules.query_s
+        present_s = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+        n_queries = float(present_s.sum()) / rules.query_s
         return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, Block):
         return work.order.size * float(np.diff(plan.tracks.offsets).mean()) / 1e6
@@ -116,7 +119,7 @@ def work_size(work: Block | LinkWork | PatrolWork, plan: Plan) -> float:
     return float(probes @ gallery) / 1e6
 
 
-def setup_name(work: Block | LinkWork | PatrolWork) -> str:
+def setup_name(work: Work) -> str:
     """Return the name of the rate of all that the levels of a work share."""
     if isinstance(work, PatrolWork):
         return "setup/patrol"

@@ -26,7 +26,10 @@ class ConsumerCode(NamedTuple):
 
 
 class ExpectedFile(NamedTuple):
-    """A file of cells that is still to be computed; it names its plug-ins only."""
+    """A file of cells that is still to be computed.
+
+    It holds no plug-ins, only their digests, so that it is small to send to a worker.
+    """
 
     name: str
     unit: str  # Key of the unit of work.
@@ -50,7 +53,8 @@ def expected_files(
     for unit in units:
         consumers = {}
         for key, consumer in unit.consumers.items():
-            code = {name: digests[name] for name in sources("", *consumer.plugins)}
+            modules = sources("", *consumer.plugins)
+            code = {module: digests[module] for module in modules}
             consumers[consumer.label] = ConsumerCode(key, code)
         file = ExpectedFile(unit.file, unit.key, unit.code, consumers)
         files |= {(unit.block, unit.mechanism.spec, label): file for label in consumers}
@@ -58,7 +62,10 @@ def expected_files(
 
 
 class FileCollector:
-    """Finished cells of expected files, held until their file is whole."""
+    """Finished cells of expected files, held until their file is whole.
+
+    `files` are by cell; `names` are those of people in the files, by their ids.
+    """
 
     def __init__(
         self, files: Mapping[CellName, ExpectedFile], names: Mapping[str, str]
@@ -75,14 +82,14 @@ class FileCollector:
             return None
         del self._cells[file.name]
         block, spec, _ = name
-        whole = []
+        packed = []
         for label, (key, code) in file.consumers.items():
             finished = cells[block, spec, label]
             if finished is not None:
-                whole.append((label, key, code, finished.tables))
-        if not whole:
+                packed.append((label, key, code, finished.tables))
+        if not packed:  # all of its cells failed
             return None
-        content = pack_cells(whole, unit=file.unit, code=file.code, names=self.names)
+        content = pack_cells(packed, unit=file.unit, code=file.code, names=self.names)
         return WholeFile(file.name, content, tuple(cells))
 
     def rest(self) -> Iterator[FinishedCell]:

@@ -55,6 +55,7 @@ def serve(pipe: Any, modules: Sequence[str]) -> None:  # noqa: ANN401 - untyped
                 del message, part  # a large result must not stay in memory
             del new_function, work
             trim_memory()
+            # What has survived stays: the next collection need not search it.
             gc.freeze()
 
 
@@ -71,7 +72,7 @@ def _compute_messages(
     """Yield packed messages: each result as it comes, and the end of the work."""
     undo = _protect_process()
     try:
-        note_cell()
+        note_cell()  # no cell has begun
         for result in function(work):
             undo()
             yield pack_message("result", result)
@@ -91,9 +92,12 @@ def _compute_messages(
 
 
 def _protect_process() -> Callable[[], None]:
-    """Return a function that restores the recursion limit and the output streams."""
+    """Set numpy's handling of errors; return a function that undoes a plug-in's changes.
+
+    The function restores the recursion limit and the output streams.
+    """
     limit = sys.getrecursionlimit()
-    # As numpy begins, whatever a plug-in's module has set.
+    # As numpy itself begins, whatever a plug-in's module has set.
     np.seterr(all="warn", under="ignore")
     if not _own_streams:
         with contextlib.suppress(OSError):  # without streams

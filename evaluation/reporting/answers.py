@@ -120,15 +120,17 @@ def reference_level(table: Headline) -> Where:
     wheres = [where for where in table.wheres if table.known[where.mechanism].is_added]
     if named := [where for where in HEADLINE if where in wheres]:
         return named[0]
-    plain = min(table.wheres, key=lambda where: where.mechanism != RAW, default=AT_RAW)
     costs = {
         where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
     }
-    return max(costs, key=costs.__getitem__, default=plain)
+    if costs:
+        return max(costs, key=costs.__getitem__)
+    raw = [where for where in table.wheres if where.mechanism == RAW]
+    return next(iter([*raw, *table.wheres]), AT_RAW)
 
 
 def best_robot(run: Results) -> str:
-    """Return the robot by which levels are chosen, the first of two; empty if none."""
+    """Return the robot by which levels are chosen, or the first of several; or ""."""
     return next(iter(run.recommendation().robots), "")
 
 
@@ -306,7 +308,7 @@ def _descriptor_items(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, A
 
 
 def _leading_item(items: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
-    """Return the item of the widest spread among those with the leading decision."""
+    """Return the leading item: by its decision, then by the lower end of its spread."""
     decisions = {item["decision"] for item in items}
     lead = next(decision for decision in _LEADS if decision in decisions)
     leading = [item for item in items if item["decision"] == lead]
@@ -346,6 +348,7 @@ def _decision_sentence(
     says = "say" if several else "says"
     head = descriptor_name(item["descriptor"])
     match item["decision"]:
+        # A flat descriptor: no difference at equal values is needed to show a miss.
         case rules.DOES_NOT if (item["spread_low"] or 0.0) <= rules.SUCCESS_MARGIN:
             return (
                 f"{subject} {says_not} how linkable people are: linkage falls where the"

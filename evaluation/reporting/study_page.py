@@ -12,8 +12,13 @@ from evaluation.reporting.markup import HTML
 
 # The constants of the sensing model were fitted on it.
 SET_CONSTANTS: Final = "students03"
+# Of the picture, in its units: distance of rows, and space above and below them.
 _STEP: Final = 14.0
+_ABOVE, _BELOW = 12.0, 30.0
+_NARROWEST, _WIDEST = 10.0, 150.0  # Of the column of names.
+_POOLED: Final = "pooled"
 _PREDICTED: Final = "a further recording"
+"""Row of the interval in which the number of a further recording is expected."""
 
 
 class Forest(NamedTuple):
@@ -52,27 +57,30 @@ def render(
 def _forest(answer: Answered, simulated: frozenset[str]) -> Forest:
     """Return the chart of an answer: a row for each recording, in points."""
     rows: dict[str, list[float]] = {}
+    looks: dict[str, Look] = {}
     for row in answer.rows:
         name = row["recording"]
-        if row["recording"] in simulated:
+        is_simulated = row["recording"] in simulated
+        if is_simulated:
             name += " (simulated)"
         if row["recording"] == SET_CONSTANTS:
             name += " *"
         rows[name] = [row[end] for end in ENDS]
+        looks[name] = Look(0, hollow=is_simulated)
     if pooled := answer.pooled:
-        rows["pooled"] = [pooled.value, pooled.ci_low, pooled.ci_high]
+        rows[_POOLED] = [pooled.value, pooled.ci_low, pooled.ci_high]
         rows[_PREDICTED] = [pooled.value, pooled.predicted_low, pooled.predicted_high]
-    left = min(150.0, 10.0 + CHARACTER * max(map(len, rows)))
-    chart = Chart("points", 12.0 + _STEP * len(rows) + 30.0, left)
+        looks |= dict.fromkeys((_POOLED, _PREDICTED), Look(1))
+    chart = Chart(
+        x_label="points",
+        height=_ABOVE + _STEP * len(rows) + _BELOW,
+        left=min(_WIDEST, _NARROWEST + CHARACTER * max(map(len, rows))),
+    )
     values = PERCENT * np.array([*rows.values()], dtype=np.float64)
     to_x = chart.x_axis(values)
     chart.lines.append(("across k6", [chart.down(to_x(0.0))]))
     for place, (name, numbers) in enumerate(zip(rows, values, strict=True)):
-        y = 8.0 + _STEP * (place + 0.5)
-        look = Look(
-            1 if name in ("pooled", _PREDICTED) else 0,
-            hollow=name.endswith("(simulated)"),
-        )
+        y, look = 8.0 + _STEP * (place + 0.5), looks[name]
         chart.y_ticks.append((y, name))
         x, *ends = to_x(numbers)
         chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))

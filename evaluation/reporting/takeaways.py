@@ -23,7 +23,7 @@ def level_name(table: Headline, where: Where) -> str:
     return mechanism_name(find_family(table.known, where.mechanism), where.level)
 
 
-def missed(table: Headline, where: Where) -> str:
+def missed_conflicts(table: Headline, where: Where) -> str:
     """Tell the share of conflicts that the first robot misses, beside raw positions."""
     if not table.robots:
         return ""
@@ -39,7 +39,7 @@ def missed(table: Headline, where: Where) -> str:
     return f"With {name}, {subject} misses {bare_percent(rate)} of conflicts{beside}."
 
 
-def known(table: Headline, where: Where) -> str:
+def known_positions(table: Headline, where: Where) -> str:
     """Tell the share of positions known at a level, as sent and after an attack."""
     sent = table.at(where, table.shared)
     if sent is None:
@@ -57,7 +57,7 @@ def known(table: Headline, where: Where) -> str:
     )
 
 
-def linked(table: Headline, where: Where) -> str:
+def linked_people(table: Headline, where: Where) -> str:
     """Tell the share of people that the strongest linker finds, beside chance."""
     first = next((task for task in table.linked if table.at(where, task)), None)
     rank1 = table.at(where, first) if first else None

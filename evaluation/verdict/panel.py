@@ -7,7 +7,7 @@ prepares the numbers on which `spread` decides.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from evaluation.estimates.families import FID, FIXED, RAW, Family
 from evaluation.estimates.keys import where_text
 from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.linked_people import LinkedTask
-from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED
+from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED, Places
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
@@ -34,6 +34,37 @@ N_REPLICATES: Final = 1000
 OFFSET: Final = "offset"
 
 
+class Rates(NamedTuple):
+    """Rates of L levels under R draws of people."""
+
+    success: Floats  # (R, L)
+    descriptor: Floats  # (R, L)
+
+
+class Sizes(NamedTuple):
+    """Clusters behind each of L levels."""
+
+    effective: Floats  # (L,)
+    people: Ints  # (L,)
+
+
+class _Compared(NamedTuple):
+    """What is compared with fixed noise: K contrasts under R draws of people."""
+
+    descriptor: Floats  # (R, K)
+    success: Floats  # (R, K)
+    level_shares: Floats  # (K, L) of the levels that each contrast is read from
+
+
+class _WholeRange(NamedTuple):
+    """Fixed noise from raw to the strongest error."""
+
+    fall: Floats  # (1 + B,) of linkage
+    span: Floats  # (1 + B,) logarithm of the ratio of the descriptor
+    fall_error: float
+    span_error: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Sums:
     """Success and a descriptor at a task's levels, summed by cluster, (L, C) each."""
@@ -43,17 +74,19 @@ class Sums:
     values: Floats
     windows: Floats
 
-    def drawn(self, weights: Floats) -> tuple[Floats, Floats]:
-        """Return success and descriptor under weights, (R, L) each."""
-        success = spread.ratios(self.success, self.probes, weights)
-        return success, spread.ratios(self.values, self.windows, weights)
+    def drawn(self, weights: Floats) -> Rates:
+        """Return success and descriptor under weights, (R, C)."""
+        return Rates(
+            success=spread.ratios(self.success, self.probes, weights),
+            descriptor=spread.ratios(self.values, self.windows, weights),
+        )
 
     @property
-    def sizes(self) -> tuple[Floats, Ints]:
-        """Effective clusters and clusters of each level, (L,) each."""
+    def sizes(self) -> Sizes:
+        """Clusters of each level."""
         counts = np.stack([self.probes, self.windows])
         effective = np.apply_along_axis(effective_clusters, 2, counts)
-        return effective.min(axis=0), (counts > 0).sum(axis=2).min(axis=0)
+        return Sizes(effective.min(axis=0), (counts > 0).sum(axis=2).min(axis=0))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -181,7 +214,7 @@ def drawn_weights(
 
 def contrasts(
     sums: Sums,
-    rates: tuple[Floats, Floats],
+    rates: Rates,
     panel: Panel,
     *,
     others: Sequence[int],
@@ -191,12 +224,12 @@ def contrasts(
 
     `rates` are `Sums.drawn` of all levels.
     """
-    (success, descriptor), fixed = rates, panel.fixed
-    at, reached, own = _compared_levels(
-        rates, fixed, others=list(others), fid=list(fid)
-    )
+    fixed = panel.fixed
+    compared = _compared_levels(rates, fixed, others=list(others), fid=list(fid))
     gaps, side, position = spread.beside_fixed(
-        at, reached, (descriptor[:, fixed], success[:, fixed])
+        compared.descriptor,
+        compared.success,
+        (rates.descriptor[:, fixed], rates.success[:, fixed]),
     )
     n_drawn = 1 + N_REPLICATES
     # Too few replicates show nothing, such as when no person with a value was drawn.
@@ -206,20 +239,18 @@ def contrasts(
     gaps = _filled(gaps)
     errors = spread.standard_error(gaps[1:n_drawn], gaps[n_drawn:])
     effective, people = sums.sizes
-    rests_on = own > 0
+    shares = compared.level_shares
+    rests_on = shares > 0
     rests_on[:, fixed] = True
     degrees = np.where(rests_on, effective, np.inf).min(axis=1) - 1.0
-    discordant = _discordant(
-        sums, own - _level_shares(fixed, position, own.shape[1]), raw=fixed[-1]
-    )
+    beside = _level_shares(fixed, position, shares.shape[1])
+    discordant = _discordant(sums, shares - beside, raw=fixed[-1])
     # If all people fare alike, replicates have no spread and tell nothing of others.
-    is_still = (errors < rules.NO_SPREAD) & (discordant[2] >= rules.FEWEST_DISCORDANT)
-    is_shown = has_gap & (degrees + 1.0 >= LEAST_CLUSTERS) & ~is_still
+    has_no_spread = errors < rules.NO_SPREAD
+    has_no_spread &= discordant[2] >= rules.FEWEST_DISCORDANT
+    is_shown = has_gap & (degrees + 1.0 >= LEAST_CLUSTERS) & ~has_no_spread
     is_tested = is_shown & (degrees + 1.0 >= FEWEST_EFFECTIVE)
-    whole_range = _fall_and_span(success, descriptor, fixed)
-    fall_error, span_error = spread.standard_error(
-        whole_range[1:n_drawn], whole_range[n_drawn:]
-    )
+    whole_range = _whole_range(rates, fixed)
     decides_fid = [True] * (len(side) - len(others))
     decides_others = [not panel.is_hidden(place) for place in others]
     return Contrasts(
@@ -230,37 +261,35 @@ def contrasts(
         people=np.where(rests_on, people, people.max()).min(axis=1),
         discordant=discordant,
         decides=np.array(decides_fid + decides_others, dtype=np.bool_),
-        fall=whole_range[:n_drawn, 0],
-        span=whole_range[:n_drawn, 1],
-        fall_error=float(fall_error),
-        span_error=float(span_error),
+        fall=whole_range.fall,
+        span=whole_range.span,
+        fall_error=whole_range.fall_error,
+        span_error=whole_range.span_error,
         fall_degrees=float(effective[fixed].min()) - 1.0,
         is_whole=not panel.missing,
     )
 
 
 def _compared_levels(
-    rates: tuple[Floats, Floats],
-    fixed: Sequence[int],
-    *,
-    others: list[int],
-    fid: list[int],
-) -> tuple[Floats, Floats, Floats]:
-    """Return descriptor and success of K contrasts, (R, K), and their levels, (K, L).
-
-    The last are the shares of the levels that each contrast is read from.
-    """
+    rates: Rates, fixed: Sequence[int], *, others: list[int], fid: list[int]
+) -> _Compared:
+    """Return FID at the quartiles, if it has a sweep, and then each other level."""
     success, descriptor = rates
-    at, reached = descriptor[:, others], success[:, others]
     n_levels = descriptor.shape[1]
-    own = np.eye(n_levels)[others]
-    if fid:
-        at_fid, reached_fid, position = spread.at_quartiles(
-            descriptor[:, fid], success[:, fid], descriptor[:, fixed]
-        )
-        at, reached = np.hstack([at_fid, at]), np.hstack([reached_fid, reached])
-        own = np.vstack([_level_shares(fid, position, n_levels), own])
-    return at, reached, own
+    compared = _Compared(
+        descriptor[:, others], success[:, others], np.eye(n_levels)[others]
+    )
+    if not fid:
+        return compared
+    at_fid, reached_fid, position = spread.at_quartiles(
+        descriptor[:, fid], success[:, fid], descriptor[:, fixed]
+    )
+    fid_shares = _level_shares(fid, position, n_levels)
+    return _Compared(
+        descriptor=np.hstack([at_fid, compared.descriptor]),
+        success=np.hstack([reached_fid, compared.success]),
+        level_shares=np.vstack([fid_shares, compared.level_shares]),
+    )
 
 
 def _discordant(sums: Sums, shares: Floats, *, raw: int) -> Floats:
@@ -276,20 +305,24 @@ def _discordant(sums: Sums, shares: Floats, *, raw: int) -> Floats:
     return np.array([more, fewer, np.abs(apart).sum(axis=1)])
 
 
-def _fall_and_span(success: Floats, descriptor: Floats, fixed: Sequence[int]) -> Floats:
-    """Return the fall of linkage and the log ratio of the descriptor, (R, 2).
-
-    Both are from raw to the strongest fixed error. `success` and `descriptor` are
-    (R, L).
-    """
-    least, raw = fixed[0], fixed[-1]
+def _whole_range(rates: Rates, fixed: Sequence[int]) -> _WholeRange:
+    """Return fall and span of fixed noise, whose rates have a row for each draw."""
+    (success, descriptor), least, raw = rates, fixed[0], fixed[-1]
     floor = np.maximum(
         spread.LEAST_SHARE * np.nan_to_num(descriptor[0, raw]), rules.NO_SPREAD
     )
-    ratio = np.log(
+    span = np.log(
         np.maximum(descriptor[:, raw], floor) / np.maximum(descriptor[:, least], floor)
     )
-    return _filled(np.column_stack([success[:, raw] - success[:, least], ratio]))
+    fall = success[:, raw] - success[:, least]
+    drawn, n_drawn = _filled(np.column_stack([fall, span])), 1 + N_REPLICATES
+    errors = spread.standard_error(drawn[1:n_drawn], drawn[n_drawn:])
+    return _WholeRange(
+        fall=drawn[:n_drawn, 0],
+        span=drawn[:n_drawn, 1],
+        fall_error=float(errors[0]),
+        span_error=float(errors[1]),
+    )
 
 
 def _filled(values: Floats) -> Floats:
@@ -297,9 +330,7 @@ def _filled(values: Floats) -> Floats:
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 
-def _level_shares(
-    levels: Sequence[int], position: tuple[Ints, Floats], n_levels: int
-) -> Floats:
+def _level_shares(levels: Sequence[int], position: Places, n_levels: int) -> Floats:
     """Return the shares of all levels of a task that a sweep is read from, (K, L)."""
     shares = spread.mixture(position, len(levels))
     all_shares = np.zeros((len(shares), n_levels))

@@ -11,12 +11,17 @@ are draws of people (the estimate first), columns are contrasts.
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
 
-from evaluation.estimates.matching import interpolated, nearest_places, rising
+from evaluation.estimates.matching import (
+    Places,
+    interpolated,
+    nearest_places,
+    rising,
+)
 from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 from isac_track.types import Bools, Floats, Ints
@@ -26,6 +31,7 @@ QUARTILES: Final = (0.25, 0.5, 0.75)
 BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # Testable sides of a contrast.
 ANSWERS: Final = (rules.NOT_TESTABLE, rules.DOES_NOT, rules.TRACKS, rules.BETWEEN)
 """Answers in the order of the codes of `decided`."""
+_NOT_TESTABLE, _DOES_NOT, _TRACKS, _BETWEEN = range(len(ANSWERS))
 _TAIL: Final = 0.5 + CONFIDENCE / 2
 EQUAL: Final = "all equal"
 # Truths with a difference.
@@ -82,6 +88,14 @@ class Widths:
     span: float
 
 
+class Decided(NamedTuple):
+    """Answers of R draws, and the ends of the spread."""
+
+    codes: Ints  # (R,) rows of `ANSWERS`
+    low: Floats  # (R,) at least 0
+    high: Floats  # (R,) at most 1
+
+
 def ratios(sums: Floats, counts: Floats, weights: Floats) -> Floats:
     """Return ratios of sums to counts, (L, C) each, under cluster weights, (R, L)."""
     over, under = weights @ sums.T, weights @ counts.T
@@ -106,7 +120,7 @@ def standard_error(drawn: Floats, left_out: Floats) -> Floats:
 
 def at_quartiles(
     descriptor: Floats, success: Floats, fixed: Floats
-) -> tuple[Floats, Floats, tuple[Ints, Floats]]:
+) -> tuple[Floats, Floats, Places]:
     """Return a sweep's descriptor and success at the quartiles, (R, 3), and places.
 
     The quartiles are of the range of the logarithm that sweep and fixed noise have in
@@ -125,7 +139,7 @@ def at_quartiles(
 
 def beside_fixed(
     descriptor: Floats, success: Floats, fixed: tuple[Floats, Floats]
-) -> tuple[Floats, Ints, tuple[Ints, Floats]]:
+) -> tuple[Floats, Ints, Places]:
     """Return success less that of fixed noise at the same descriptor value, (R, K).
 
     Also returned are the testable side of each, (K,), and its place. Beyond an end of
@@ -144,9 +158,9 @@ def beside_fixed(
     return success - interpolated(position, achieved, log=False), side, position
 
 
-def mixture(position: tuple[Ints, Floats], n_levels: int) -> Floats:
+def mixture(position: Places, n_levels: int) -> Floats:
     """Return the shares of the levels, noisiest first, behind the estimate, (K, L)."""
-    right, share = position[0][0], np.nan_to_num(position[1][0])
+    right, share = position.right[0], np.nan_to_num(position.share[0])
     shares, rows = np.zeros((right.size, n_levels)), np.arange(right.size)
     shares[rows, n_levels - right] = 1.0 - share
     shares[rows, n_levels - 1 - right] += share
@@ -175,7 +189,8 @@ def exact_ends(
 def critical(contrasts: Contrasts, furthest: Floats, level: float) -> Floats:
     """Return the quantile of the largest deviation, taken to Student's t, (K,).
 
-    The standard errors of few people vary.
+    The quantile at `level` of the bootstrap's `furthest` is that of known standard
+    errors; those of few people are estimated, which Student's t allows for.
     """
     normal = float(np.quantile(furthest, level)) if furthest.size else 0.0
     return np.asarray(stdtrit(np.maximum(contrasts.degrees, 1.0), ndtr(normal)))
@@ -218,16 +233,25 @@ def intervals(contrasts: Contrasts) -> tuple[Floats, Floats]:
 
 def ends(contrasts: Contrasts, wide: Widths, gaps: Floats) -> tuple[Floats, Floats]:
     """Return lower ends of |D_k|, at least 0, and upper ends, (R, K) each."""
-    # For a one-sided contrast only its own direction counts.
-    size = np.where(contrasts.side == BOTH, np.abs(gaps), gaps * contrasts.side)
-    low = np.where(contrasts.side == NEITHER, 0.0, np.maximum(size - wide.down, 0.0))
-    return low, np.where(contrasts.side == BOTH, size + wide.up, np.inf)
+    high = np.where(contrasts.side == BOTH, _sizes(contrasts, gaps) + wide.up, np.inf)
+    return _lower_ends(contrasts, wide.down, gaps), high
+
+
+def _lower_ends(contrasts: Contrasts, down: Floats, gaps: Floats) -> Floats:
+    """Return lower ends of |D_k|, (R, K), at a distance `down`, (K,); at least 0."""
+    low = np.maximum(_sizes(contrasts, gaps) - down, 0.0)
+    return np.where(contrasts.side == NEITHER, 0.0, low)
+
+
+def _sizes(contrasts: Contrasts, gaps: Floats) -> Floats:
+    """Return |D_k|, (R, K); of a one-sided contrast only its own direction counts."""
+    return np.where(contrasts.side == BOTH, np.abs(gaps), gaps * contrasts.side)
 
 
 def decided(
     contrasts: Contrasts, wide: Widths, *, gaps: Floats, fall: Floats, span: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Return each row's answer, as a place in `ANSWERS`, and the spread's ends.
+) -> Decided:
+    """Return each row's answer and the spread's ends.
 
     `gaps` are (R, K), `fall` and `span` (R,).
     """
@@ -239,7 +263,7 @@ def decided(
         contrasts.fall_degrees + 1.0 < FEWEST_EFFECTIVE
         or not contrasts.fall_error > rules.NO_SPREAD
     ):
-        return np.zeros(len(gaps), dtype=np.int64), lower, upper
+        return Decided(np.full(len(gaps), _NOT_TESTABLE), lower, upper)
     falls = fall - wide.fall
     is_flat = np.abs(span) + wide.span < np.log(rules.LEAST_SPAN)
     fails = (lower > rules.SUCCESS_MARGIN) | (is_flat & (falls > rules.SUCCESS_MARGIN))
@@ -249,20 +273,20 @@ def decided(
         & (falls >= rules.LEAST_FALL)
     )
     tracks = can_track & (upper < rules.SUCCESS_MARGIN)
-    codes = np.select([fails, tracks, can_track], [1, 2, 3], 0)
-    return codes, lower, upper
+    codes = np.select(
+        [fails, tracks, can_track], [_DOES_NOT, _TRACKS, _BETWEEN], _NOT_TESTABLE
+    )
+    return Decided(codes, lower, upper)
 
 
 def shown(contrasts: Contrasts) -> float:
     """Return the shown value of the spread: half-median-unbiased, at least 0."""
     q = critical(contrasts, contrasts.furthest, 0.5)
-    low = ends(
-        contrasts, Widths(q * contrasts.errors, q, 0.0, 0.0), contrasts.gaps[:1]
-    )[0]
+    low = _lower_ends(contrasts, q * contrasts.errors, contrasts.gaps[:1])
     return float(low[:, contrasts.decides].max(initial=0.0))
 
 
-def together(section: Sequence[Contrasts]) -> Floats:
+def furthest_together(section: Sequence[Contrasts]) -> Floats:
     """Return the largest deviation over all contrasts of a section, (B,)."""
     return (
         np.max([contrasts.furthest for contrasts in section], axis=0)
@@ -271,7 +295,7 @@ def together(section: Sequence[Contrasts]) -> Floats:
     )
 
 
-def answers(
+def answer_probabilities(
     contrasts: Contrasts, wide: Widths, families: Sequence[str]
 ) -> dict[str, dict[str, float]]:
     """Return the probability of each answer under some truths, by truth and answer.
@@ -286,13 +310,13 @@ def answers(
     family_names = np.array(families)
 
     def probabilities(truth: Floats) -> dict[str, float]:
-        codes, *_ = decided(
+        codes = decided(
             contrasts,
             wide,
             gaps=around + truth,
             fall=contrasts.fall[1:],
             span=contrasts.span[1:],
-        )
+        ).codes
         shares = np.bincount(codes, minlength=len(ANSWERS)) / max(codes.size, 1)
         return dict(zip(ANSWERS, shares.tolist(), strict=True))
 

@@ -20,6 +20,7 @@ from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import (
     Panel,
+    Rates,
     Sums,
     build_panel,
     contrasts,
@@ -109,8 +110,8 @@ def validity(
                 half, half.drawn(weights), panel, others=panel.others, fid=panel.fid
             )
             halves.append(Tested(panel, "", half_contrasts))
-    section = spread.together([item.contrasts for item in tested])
-    control_section = spread.together([item.contrasts for item in halves])
+    section = spread.furthest_together([item.contrasts for item in tested])
+    control_section = spread.furthest_together([item.contrasts for item in halves])
     return {
         "items": [_item(item, section) for item in tested],
         "controls": [_control(item, control_section) for item in halves],
@@ -122,7 +123,7 @@ def _tested(
     panel: Panel,
     name: str,
     sums: Sums,
-    rates: tuple[Floats, Floats],
+    rates: Rates,
     *,
     errors: Errors,
 ) -> Tested:
@@ -159,7 +160,7 @@ def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
     )
 
 
-def _errors(panel: Panel, name: str, rates: tuple[Floats, Floats]) -> Errors:
+def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
     """Return the squared prediction error of a descriptor, and that without one."""
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
@@ -215,7 +216,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
     kinds = sorted(sure - {CONSTRUCTION}) if sure and not is_flat else [ATTACKS]
     families = [panel.families[place] for place in panel.compared]
-    answers = spread.answers(own, wide, families)
+    answers = spread.answer_probabilities(own, wide, families)
     needed = None if is_flat else spread.clusters_needed(own, wide, tested.n)
     why = ""
     if decision == rules.NOT_TESTABLE:

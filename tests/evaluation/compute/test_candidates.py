@@ -69,9 +69,11 @@ class TestScores:
         exact, level = linked(sessions, "raw", Length())
         results, _ = linked(sessions, "raw", spy, stages=few(n))
         ((key, cell),) = results.items()
-        pairings = dict(
-            search for half in level.setup.halves for search in half.searches
-        )
+        pairings = {
+            number: pairing
+            for fold in level.setup.folds
+            for number, pairing in fold.searches.items()
+        }
         for number, (search, whole) in enumerate(
             zip(cell.searches, exact[key].searches, strict=True)
         ):
@@ -110,7 +112,7 @@ class TestScores:
             release,
             release,
             mate=np.arange(n),
-            first=first,
+            first_scores=first,
             n_candidates=3,
             n_checked=0,
             n_at_once=64,

@@ -111,7 +111,7 @@ class TestWhatAnAdversarySees:
         self, watched
     ):
         sessions, level, _, ((_, probe, _), *_) = watched
-        rows = level.setup.halves[0].searches[0][1].probe
+        rows = next(iter(level.setup.folds[0].searches.values())).probe
         if sessions.task.shows_scene:  # the true frame and clock, to everyone
             own = samples(sessions.probe, rows)
             assert np.allclose(probe.xy, sessions.probe.xy[own], atol=1e-9)
@@ -159,7 +159,7 @@ class TestWhatAnAdversarySees:
             for release in (train.probe, probe)
         ]
         assert shapes[0].isdisjoint(shapes[1])
-        learns = level.setup.halves[0].learns
+        learns = level.setup.folds[0].learns
         taught = sessions.probe.person[learns.probe]
         assert set(taught) <= set(np.flatnonzero(sessions.learns[0]))
         assert sessions.task.shows_scene or len(set(taught)) == sessions.learns[0].sum()

@@ -14,7 +14,8 @@ from helpers.small_runs import smoke
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.compute import reconstruction
-from evaluation.compute.reconstruction import benchmark, folds
+from evaluation.compute.reconstruction import folds
+from evaluation.compute.track_bounds import benchmark
 from evaluation.plan.axes import Axes
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin

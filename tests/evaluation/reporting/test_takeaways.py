@@ -57,16 +57,18 @@ def test_every_caption_is_a_sentence_of_its_numbers(run, table):
 
 def test_the_first_three_have_the_numbers_of_the_level_of_the_answers(table):
     where, raw = reference_level(table), ("raw", None)
-    text = takeaways.missed(table, where)
+    text = takeaways.missed_conflicts(table, where)
     assert text.startswith("With FID noise, eta 1, the paper's straight line misses ")
     assert percent(table, where, table.robots[0]) in text
     assert percent(table, raw, table.robots[0]) in text
-    text = takeaways.known(table, where)
+    text = takeaways.known_positions(table, where)
     assert text.index(percent(table, where, table.shared)) < text.index(
         percent(table, where, table.attacked)
     )
     assert "raises" in text
-    assert percent(table, where, table.linked[0]) in takeaways.linked(table, where)
+    assert percent(table, where, table.linked[0]) in takeaways.linked_people(
+        table, where
+    )
 
 
 def test_nearly_equal_plr_with_the_widest_gap_is_named():

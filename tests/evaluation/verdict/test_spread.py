@@ -173,7 +173,9 @@ class TestPower:
     def test_is_that_of_a_normal_contrast(self):
         s = 0.012
         item = contrasts([0.3], [s], n_drawn=20_000)
-        table = spread.answers(item, spread.widths(item, item.furthest), ["offset"])
+        table = spread.answer_probabilities(
+            item, spread.widths(item, item.furthest), ["offset"]
+        )
         q = np.quantile(item.furthest, 0.975)
         tracks = 2 * norm.cdf((0.05 - 1.96 * s) / s) - 1
         fails = norm.sf((0.05 + q * s - 0.10) / s)
@@ -190,7 +192,9 @@ class TestPower:
         needed = spread.clusters_needed(item, spread.widths(item, item.furthest), 100)
         factor = np.sqrt(100 / needed)
         there = contrasts([0.0, 0.1], [0.03 * factor, 0.02 * factor], n_drawn=20_000)
-        table = spread.answers(there, spread.widths(there, there.furthest), ["a", "b"])
+        table = spread.answer_probabilities(
+            there, spread.widths(there, there.furthest), ["a", "b"]
+        )
         assert table[spread.EQUAL][rules.TRACKS] == pytest.approx(0.8, abs=0.02)
 
     @pytest.mark.parametrize(
