@@ -210,13 +210,17 @@ def compare(tracks, *, mechanisms, policies, predictors, adversaries, settings, 
                     network, policy.instance, task.predictor
                 )
                 for horizon in horizon_scans(settings):
+                    metrics = utility_metrics(
+                        task, disclosure, horizon=horizon, seed=seed
+                    )
+                    is_zero = not metrics["withheld_share"].value > 0.0
                     yield Row(
                         mechanism.spec,
                         policy.spec,
-                        utility_metrics(task, disclosure, horizon=horizon, seed=seed),
+                        metrics,
                         predictor=predictor,
                         horizon_s=horizon * settings.patrol.scan_s,
-                        note="by construction" if is_built_in else "",
+                        note="by construction" if is_built_in and is_zero else "",
                     )
 
 

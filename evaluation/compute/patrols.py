@@ -211,7 +211,8 @@ def _robot_rows(consumer: Consumer, task: RobotTask, foreseen: Ints) -> Rows:
     counts = count_utility(task, foreseen, horizon=horizon)
     assert consumer.policy is not None
     assert consumer.plugin is not None
-    is_built_in = is_by_construction(
+    # A plug-in may decide by the robot's forecast and still withhold: that is a result.
+    is_built_in = not counts.hits["withheld_share"].any() and is_by_construction(
         task.network, consumer.policy.instance, consumer.plugin.instance
     )
     rows = utility_rows(counts)

@@ -72,13 +72,7 @@ def missed_at_equal_alarms(
     people, routes = two_way_weights(
         n_clusters=n_clusters, n_routes=n_routes, seed=seed
     )
-    alarms, allowed = routes @ curve.alarms.T, routes @ reference
-    missed = np.stack(
-        [((people @ part) * routes).sum(axis=1) for part in curve.missed], axis=1
-    )
-    trials = ((people @ curve.trials) * routes).sum(axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        values = _interpolate_misses(missed, alarms, allowed) / trials
+    values = drawn_misses(curve, reference=reference, people=people, routes=routes)
     effective = effective_clusters(curve.trials.sum(axis=1))
     n = int((curve.trials.sum(axis=1) > 0).sum())
     n_used_routes = (curve.trials.sum(axis=0) > 0).sum()
@@ -87,6 +81,23 @@ def missed_at_equal_alarms(
             float(values[0]), n=n, replicates=values[1:], effective=effective
         )
     return estimate_from_replicates(values, n=n, effective=effective)
+
+
+def drawn_misses(
+    curve: AlarmCurve, *, reference: Floats, people: Floats, routes: Floats
+) -> Floats:
+    """Return the misses of `missed_at_equal_alarms` under each row of weights, (B,).
+
+    `people`, (B, C), and `routes`, (B, R), say how often each is drawn. Weights of 0
+    leave people out of the misses, but not out of the false alarms, which nobody owns.
+    """
+    alarms, allowed = routes @ curve.alarms.T, routes @ reference
+    missed = np.stack(
+        [((people @ part) * routes).sum(axis=1) for part in curve.missed], axis=1
+    )
+    trials = ((people @ curve.trials) * routes).sum(axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray(_interpolate_misses(missed, alarms, allowed) / trials)
 
 
 def _interpolate_misses(missed: Floats, alarms: Floats, allowed: Floats) -> Floats:

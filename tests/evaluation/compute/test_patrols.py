@@ -197,3 +197,25 @@ def test_rows_hold_all_that_estimates_need(world):
     ):
         for name in type(before).__dataclass_fields__:
             np.testing.assert_equal(getattr(after, name), getattr(before, name))
+
+
+def test_what_a_forecasting_policy_withholds_is_a_result(recording):
+    # It decides by the robot's own forecast, within less than the safety radius.
+    narrow = parse("policies", "ahead:0.01,window_s=none")[0].spec
+    made = run(
+        recording,
+        recording.parent / "narrow",
+        mechanisms=("raw",),
+        predictors=("kalman_cv",),
+        policies=("everything", narrow),
+        stages=FEW | {"patrol.fleets": 4},
+    )
+    rows = made.summary[made.summary["metric"] == "withheld_share"]
+    withholds = rows[(rows["policy"] == narrow) & (rows["value"] > 0.0)]
+    assert not withholds.empty
+    marked = {
+        (place["policy"], f"{made.dataset}:{place['world']}".rstrip(":"))
+        for place in made.verdict["patrols"]["by_construction"]
+    }
+    assert ("everything", made.dataset) in marked
+    assert not marked & {(narrow, name) for name in withholds["dataset"]}

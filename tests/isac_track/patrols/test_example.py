@@ -5,21 +5,30 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.patrols import make_network
 
 import isac_track
+from attacks.testing import run_checks
 from isac_track.config import StageSettings
+from isac_track.patrols import make_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.plugins import parse
+from isac_track.sharing import Raw
 
 EXAMPLE = Path(isac_track.__file__).parents[1] / "examples" / "need_to_know.py"
 FEW = {"patrol.fleets": 2, "patrol.segment_s": 8.0}
 
 
-@pytest.fixture(scope="module")
-def example():
-    spec = importlib.util.spec_from_file_location("need_to_know", EXAMPLE)
+def load_example(name):
+    spec = importlib.util.spec_from_file_location(name, EXAMPLE.with_name(f"{name}.py"))
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def example():
+    return load_example("need_to_know")
 
 
 def compare_rows(
@@ -136,3 +145,22 @@ def test_the_usual_names_exist(example):
         assert [plugin.spec for spec in specs for plugin in parse(kind, spec)] == list(
             specs
         )
+
+
+def test_the_policy_with_a_budget_sends_no_more_people_than_it_says(tracks):
+    soonest = load_example("soonest").Soonest
+    for policy in (soonest(), soonest(people=1)):
+        results = run_checks(policy)
+        assert {result.status for result in results} == {"passed"}
+    settings = StageSettings().changed(FEW)
+    patrol = make_patrol(tracks, settings=settings, seed=0)
+    network = make_network(patrol, Raw(), settings=settings)
+    few, most = (disclose(network, soonest(people=n, metres=9.0)) for n in (1, 9))
+    pairs = patrol.presences
+    for answers, budget in ((few, 1), (most, 9)):
+        places = np.stack([pairs.query[answers.presence], answers.robot])
+        _, people = np.unique(places, axis=1, return_counts=True)
+        assert people.max() <= budget
+    assert few.presence.size < most.presence.size
+    with pytest.raises(ValueError, match="people must be positive"):
+        soonest(people=0)
