@@ -77,7 +77,7 @@ class Gait:
     E 86, 046111, 2012. Metric: Koestinger et al., CVPR 2012.
     """
 
-    shrinkage: float = 0.7
+    shrinkage: float = 0.5
     q: float = _Q
 
     kind: ClassVar[str] = "linkage"
@@ -178,9 +178,9 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     z = CubicSpline(t_s, xy[:, 0] + 1j * xy[:, 1])(grid_s)
     surge, sway, speed = _body_frame(z)
     strides = _harmonics(grid_s.size)
-    # Power of a motion in m^2: accelerations are divided by (2 pi f)^2.
+    # Weighed by frequency: between slow drift and a strong third harmonic.
     lateral, ahead = (_amplitudes(signal, strides) for signal in (sway, surge))
-    power = (np.abs(lateral[:, 0]) ** 2 + np.abs(ahead[:, 1]) ** 2) * _STRIDES_HZ**2
+    power = (np.abs(lateral[:, 0]) ** 2 + np.abs(ahead[:, 1]) ** 2) * _STRIDES_HZ
     stride = int(power.argmax())
     sides, steps = lateral[stride], ahead[stride]
     cadence_hz = 2.0 * _STRIDES_HZ[stride]
