@@ -5,16 +5,20 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.gait import Gait
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
-from attacks.tasks.returns import Passages, score_passages
+from attacks.tasks.returns import Passages, hide, score_passages
+from isac_track.config import StageSettings
+from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.linkability.mrqap import Regression, nested_permutation
 from isac_track.linkability.return_rule import (
     ReturnDecision,
     ReturnEvidence,
+    awaits_confirmation,
     decide_return,
 )
 from isac_track.linkability.returns import (
@@ -31,8 +35,15 @@ from isac_track.linkability.returns import (
     return_cell,
 )
 from isac_track.protocols import LinkageAttack
+from isac_track.resample import sampling_times
 from isac_track.rng import stream
-from isac_track.types import Floats, Ints, Release
+from isac_track.sensing import (
+    draw_walk_channel,
+    recorded_walk,
+    sense,
+    walked_within,
+)
+from isac_track.types import Bools, Floats, Ints, Release
 
 LINKERS: Final[Mapping[str, LinkageAttack]] = {
     "gait": Gait(),
@@ -40,6 +51,7 @@ LINKERS: Final[Mapping[str, LinkageAttack]] = {
     "likelihood_ratio": LikelihoodRatio(),
 }
 """The linkers that are fused."""
+STAGES: Final = StageSettings()
 FUSION: Final = "fusion"
 TOGETHER: Final = "all circumstances"
 ENROLLED: Final[tuple[int | None, ...]] = (1, 3, None)
@@ -65,7 +77,8 @@ class ReturnStudy:
     decision : ReturnDecision
         By the rule, from the primary cell and the regression.
     confirming : ReturnEvidence or None
-        The primary cell with the probes of the session left aside alone.
+        The primary cell with the probes of the session left aside alone; None without
+        it, or where it cannot change the decision.
     """
 
     cells: Mapping[_Key, ReturnCell]
@@ -126,7 +139,8 @@ def study_returns(
     """Return the study of a release of the passages, without frame or clock.
 
     `confirming` names a session that is left aside: nothing but the confirming evidence
-    sees it. ValueError if no such session exists.
+    sees it, and that is computed only where it can change the decision. ValueError if
+    no such session exists.
     """
     if confirming is not None and confirming not in passages.sessions:
         raise ValueError(f"no session is called {confirming!r}")
@@ -136,18 +150,19 @@ def study_returns(
     evidence, regression, opened = _primary(
         scored, cells[FUSION, None], seed, n_permutations, None
     )
-    second = None
-    if confirming is not None:
+    decision, second = decide_return(evidence), None
+    if confirming is not None and awaits_confirmation(evidence):
         everything = np.ones(len(passages), dtype=bool)
         again = _score(passages, release, everything, linkers, seed)
         cell = _closed(again, [FUSION], session=aside, seed=seed)[FUSION]
         second = _primary(again, cell, seed, n_permutations, aside)[0]
+        decision = decide_return(evidence, confirming=second)
     return ReturnStudy(
         cells=cells,
         same_run=_same_run(scored, seed),
         opened=opened,
         regression=regression,
-        decision=decide_return(evidence, confirming=second),
+        decision=decision,
         confirming=second,
     )
 
@@ -155,7 +170,7 @@ def study_returns(
 def _score(
     passages: Passages,
     release: Release,
-    chosen: np.ndarray,
+    chosen: Bools,
     linkers: Mapping[str, LinkageAttack],
     seed: int,
 ) -> _Scored:
@@ -260,6 +275,77 @@ def _primary(
     fused = scored.fused(FUSION, enrolment(scored.returning, seed=seed))
     evidence = ReturnEvidence(cell.gain, regression.p_value)
     return evidence, regression, open_set(fused, scored.returning)
+
+
+def share_passages(
+    passages: Passages,
+    *,
+    error: str,
+    seed: int = 0,
+    stages: StageSettings = STAGES,
+) -> Release:
+    """Return the passages as an adversary gets them, without frame or clock.
+
+    `error` is the standard deviation of white errors per axis in m, a number of at
+    least 0; or ``raw`` for the suite's own sensing, with its sampling instants.
+    SettingsError for anything else.
+    """
+    t, xy, offsets = passages.t, passages.xy, passages.offsets
+    if error == "raw":
+        t, xy, offsets = _sense(passages, stages=stages, seed=seed)
+    else:
+        xy = xy + _white(error, passages, seed)
+    return hide(t=t, xy=xy, offsets=offsets, sigma=None, seed=seed)
+
+
+def _white(error: str, passages: Passages, seed: int) -> Floats:
+    """Return white errors, (M, 2) m; each passage has a stream of its own."""
+    try:
+        std_m = float(error)
+    except ValueError:
+        std_m = -1.0
+    if not 0.0 <= std_m < np.inf:
+        raise SettingsError(f"an error is a number of metres or raw, got {error!r}")
+    sizes = np.diff(passages.offsets).tolist()
+    draws = [
+        stream(seed, "returns", "white", source).standard_normal((size, 2))
+        for source, size in zip(passages.source, sizes, strict=True)
+    ]
+    return std_m * np.concatenate(draws)
+
+
+def _sense(
+    passages: Passages, *, stages: StageSettings, seed: int
+) -> tuple[Floats, Floats, Ints]:
+    """Return times, sensed positions and offsets; the middle stands at the robots."""
+    middle_m = np.median(passages.xy, axis=0)
+    shift_m = [stages.scenes.robot_x_m, stages.scenes.robot_y_m] - middle_m
+    times, places = list[Floats](), list[Floats]()
+    for row, source in enumerate(passages.source):
+        part = slice(passages.offsets[row], passages.offsets[row + 1])
+        instants = sampling_times(
+            start_s=float(passages.t[part][0]),
+            end_s=float(passages.t[part][-1]),
+            settings=stages.resample,
+            rng=stream(seed, "returns", "sampling", source),
+        )
+        times.append(instants)
+        places.append(CubicSpline(passages.t[part], passages.xy[part])(instants))
+    t, xy = np.concatenate(times), np.concatenate(places) + shift_m
+    offsets = np.append(0, np.cumsum([instants.size for instants in times]))
+    walks = [recorded_walk(source) for source in passages.source]
+    channel = draw_walk_channel(
+        walked_m=walked_within(xy, offsets),
+        offsets=offsets,
+        walks=walks,
+        keys=walks,
+        settings=stages.sensing,
+        seed=seed,
+    )
+    sensed = sense(
+        t=t, xy=xy, offsets=offsets, channel=channel, settings=stages.sensing
+    )
+    return t, sensed.xy, offsets
 
 
 def crossing(

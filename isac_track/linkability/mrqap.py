@@ -5,10 +5,14 @@ on each other, so that the usual test of a regression rejects far too often.
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from isac_track.types import Bools, Floats, Ints
+
+_ROUNDING: Final = 1e-9
+_LEAST: Final = 1e-300
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,21 +70,22 @@ def nested_permutation(
     y = centre(response, squares)[counts]
     z = np.stack([centre(control, squares)[counts] for control in controls], axis=1)
     basis = _orthonormal(z)
-    x = centre(predictor, squares)
-    residual = np.zeros_like(x)
-    residual[counts] = x[counts] - basis @ (basis.T @ x[counts])
-    y_rest = y - basis @ (basis.T @ y)
+    x = centre(predictor, squares)[counts]
+    residual = np.zeros(response.shape)
+    residual[counts] = x - basis @ (basis.T @ x)
+    # What permuted residuals are multiplied by: the response's rest, and the controls.
+    against = np.column_stack([y - basis @ (basis.T @ y), basis])
     free = y.size - basis.shape[1] - 1 - _centred(squares)
-    coefficient, observed = _slope(y_rest, residual[counts], free)
+    coefficient, observed = _slope(residual[counts], against, free)
     groups = [np.flatnonzero(block == name) for name in np.unique(block)]
+    rows, columns = np.nonzero(counts)
     hits, order = 0, np.arange(block.size)
     for _ in range(n_permutations):
         for group in groups:
             order[group] = rng.permutation(group)
-        moved = residual[np.ix_(order, order)][counts]
-        _, t = _slope(y_rest, moved - basis @ (basis.T @ moved), free)
-        hits += t >= observed - 1e-9
-    p_value = (1 + hits) / (1 + n_permutations)
+        moved = residual[order[rows], order[columns]]
+        hits += _slope(moved, against, free)[1] >= observed - _ROUNDING
+    p_value = (1 + int(hits)) / (1 + n_permutations)
     return Regression(coefficient, observed, p_value, block.size)
 
 
@@ -121,14 +126,20 @@ def _centred(squares: list[tuple[Ints, Ints]]) -> int:
 def _orthonormal(z: Floats) -> Floats:
     """Return an orthonormal basis of the controls' span, (E, r): collinear ones drop."""
     left, size, _ = np.linalg.svd(z, full_matrices=False)
-    return np.asarray(left[:, size > 1e-9 * max(float(size.max(initial=0.0)), 1e-300)])
+    return np.asarray(
+        left[:, size > _ROUNDING * max(float(size.max(initial=0.0)), _LEAST)]
+    )
 
 
-def _slope(y: Floats, x: Floats, free: int) -> tuple[float, float]:
-    """Return slope and t of y on x, both residuals of the controls, (E,)."""
-    power = float(x @ x)
-    if power < 1e-12:  # noqa: PLR2004 - the controls explain the predictor wholly
+def _slope(x: Floats, against: Floats, free: int) -> tuple[float, float]:
+    """Return slope and t beyond the controls of a predictor, (E,).
+
+    `against`, (E, 1 + r), has the response's residual and the controls' basis.
+    """
+    products = x @ against
+    power = float(x @ x - products[1:] @ products[1:])
+    if power < _ROUNDING * float(x.size):  # The controls explain it wholly.
         return 0.0, 0.0
-    slope = float(x @ y) / power
-    left = max(float(y @ y) - slope**2 * power, 1e-300)
-    return slope, slope / np.sqrt(left / free / power)
+    slope = float(products[0]) / power
+    left = float(against[:, 0] @ against[:, 0]) - slope**2 * power
+    return slope, slope / float(np.sqrt(max(left, _LEAST) / free / power))

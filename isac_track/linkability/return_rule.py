@@ -128,6 +128,17 @@ def _apply(
     return "yes", f"{interval}, {confirmed}"
 
 
+def awaits_confirmation(evidence: ReturnEvidence) -> bool:
+    """Whether a further run could turn the answer into a *yes*."""
+    interval = (evidence.gain.ci_low, evidence.gain.ci_high)
+    return (
+        evidence.gain.n >= FEWEST_EFFECTIVE
+        and all(math.isfinite(end) for end in interval)
+        and interval[0] >= LEAST_GAIN
+        and evidence.p_value < LARGEST_P
+    )
+
+
 def _doubt(p_value: float, confirming: ReturnEvidence | None) -> str:
     """Return what stands against a *yes* although the interval allows it, or ``""``."""
     if p_value >= LARGEST_P:
