@@ -67,6 +67,7 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "likelihood_ratio": "attacks.linkage.likelihood_ratio:LikelihoodRatio",
         "dtw": "attacks.linkage.dtw:DTW",
         "behaviour": "attacks.linkage.behaviour:Behaviour",
+        "gait": "attacks.linkage.gait:Gait",
         "histogram": "attacks.linkage.histogram:Histogram",
         "kinematic": "attacks.linkage.kinematic:Kinematic",
         "mean_distance": "attacks.linkage.mean_distance:MeanDistance",
