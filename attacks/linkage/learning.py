@@ -97,6 +97,7 @@ def learn_parameters(
         train = select_pairs(train, mated_rows(train)[:most])
     score = scores(train)
 
+    # Each parameter is searched with the others' best; it ends with this call.
     @cache
     def loss(choice: tuple[Any, ...]) -> float:
         return log_rank(score(*choice), mate=train.mate)

@@ -161,6 +161,7 @@ def _side(
     return side
 
 
+# A small matrix for each duration of a window; the 257th makes the oldest go.
 @lru_cache(maxsize=256)
 def _slow_share(duration_s: float, tau_s: float, rank: int) -> Floats:
     """Return the covariance of the coefficients of a slow unit error, (K, K).

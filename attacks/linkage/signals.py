@@ -185,6 +185,7 @@ def aligned_costs(
     return out if np.ndim(floors) else out[0]
 
 
+# For all attacks and levels of a process; the 65th makes the oldest go.
 @lru_cache(maxsize=64)
 def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
     """Return orthonormal polynomials on 1 to `most` cells: values, and their begins.

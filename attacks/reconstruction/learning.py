@@ -95,6 +95,7 @@ def make_smoother(
     """
     variance = learn_variance(context)
 
+    # Of each candidate and training release; it ends with this call.
     @cache
     def reconstruct(candidate: _Choice, release: Release) -> Floats:
         return smooth(release, variance(release), candidate).xy

@@ -293,6 +293,7 @@ def _granted(
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
+# A consumer for each of the few tasks; for the process.
 @cache
 def windows_consumer(task: str) -> Consumer:
     """Return the consumer of a task's windows: their descriptors, smoothed or not."""
