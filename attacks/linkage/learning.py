@@ -43,6 +43,7 @@ _score_few = memoised(_score)
 """Memoised for as long as the probe is alive."""
 
 
+# The last two score matrices, those of either half of the people.
 @lru_cache(maxsize=2)
 def _score_many(
     probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object

@@ -68,6 +68,7 @@ def load_loops() -> ModuleType:
     return import_module("attacks.linkage._lag_loop")
 
 
+# For all attacks and levels of a process; the 193rd makes the oldest go.
 @lru_cache(maxsize=192)
 def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     """Return the matrices from a walk to its velocity and acceleration, (K, K) each.
