@@ -159,8 +159,6 @@ def _tail_probabilities(chance: bytes) -> Floats:
     return np.minimum(1.0, np.cumsum(law[::-1])[::-1])
 
 
-# A number for each size of a task; as above.
-@lru_cache(maxsize=64)
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
     """Return the smallest rank-1 rate that the exact binomial test detects in 80 %.
 
