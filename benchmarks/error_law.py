@@ -19,7 +19,7 @@ from attacks.reconstruction.kalman_rts import looks_radial
 from evaluation.compute import sharing
 from evaluation.compute.reconstruction import attacked_block
 from evaluation.estimates.metrics import EXPOSURE
-from evaluation.estimates.summary import estimates
+from evaluation.estimates.summary import scene_numbers
 from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.axes import axes
 from evaluation.plan.presets import SMOKE_LEVELS
@@ -93,7 +93,7 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         manifest = evaluation.run(replace(settings, out=out), pictures=False).manifest
-        by_key = estimates(out, manifest)[0]
+        by_key = scene_numbers(out, manifest).estimates
     for level in axes(settings).mechanisms:
 
         def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Address:

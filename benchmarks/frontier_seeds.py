@@ -18,7 +18,7 @@ from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.frontier import frontier
 from evaluation.estimates.matching import Sweeps
-from evaluation.estimates.summary import estimates
+from evaluation.estimates.summary import scene_numbers
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate
 
@@ -39,9 +39,10 @@ def pooled(outs: Sequence[Path]) -> pd.DataFrame:
     for out, manifest in zip(outs, manifests, strict=True):
         identity = manifest["identity"] | {"seed": 0}
         same = manifest | {"groups": groups, "identity": identity}
-        numbers, scored, attacked = estimates(out, same)
-        decided = decisions(scored, same, numbers, dataset=same["dataset"]["name"])
-        runs.append((numbers | decided[2], attacked, same))
+        numbers = scene_numbers(out, same)
+        decided = decisions(numbers, same, dataset=same["dataset"]["name"])
+        estimates = numbers.estimates | decided.at_raw_alarms
+        runs.append((estimates, numbers.attacked, same))
     shared = set.intersection(*(set(numbers) for numbers, _, _ in runs))
     means = {
         key: _mean([numbers[key] for numbers, _, _ in runs])

@@ -23,7 +23,6 @@ from evaluation.plan.plan import Plan, make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import (
     cells_cpu_s,
-    measured_rates,
     rate_name,
     rates_path,
     setup_name,
@@ -84,7 +83,6 @@ def whole_run_factor() -> float:
     measured_s: float = next(
         run["stages"]["cells"] for run in runs if run["dataset"] == "plaza"
     )
-    measured_rates.cache_clear()
     settings = Settings(
         preset="paper", dataset="plaza", jobs=2, out=Path("not-written")
     )

@@ -153,6 +153,7 @@ def broken(kind: Kind) -> dict[str, str]:
     return faults
 
 
+# Installed plug-ins by kind; for the process: who installs another starts anew.
 @cache
 def _entry_points(kind: Kind) -> tuple[EntryPoint, ...]:
     return tuple(

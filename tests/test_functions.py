@@ -1,6 +1,7 @@
-"""A function fits a screen: no body over 60 lines without a reason."""
+"""A function fits a screen, and a memo says at its door what it holds."""
 
 import ast
+import re
 from pathlib import Path
 
 import isac_track
@@ -45,3 +46,21 @@ def test_a_function_that_is_too_long_is_noticed():
 
 def test_no_body_is_longer_than_a_screen_without_a_reason():
     assert set(long_functions()) == REASONS.keys()
+
+
+def memos_without_a_door():
+    """Functions with a memo and no comment above it, by file and name."""
+    for package in PACKAGES:
+        for path in sorted((ROOT / package).rglob("*.py")):
+            lines = path.read_text("utf-8").splitlines()
+            for node in ast.walk(ast.parse("\n".join(lines))):
+                for decorator in getattr(node, "decorator_list", ()):
+                    if re.match(r"(lru_)?cache\b", ast.unparse(decorator)):
+                        above = lines[node.decorator_list[0].lineno - 2]
+                        beside = lines[decorator.lineno - 1]
+                        if "#" not in above + beside:
+                            yield f"{path.relative_to(ROOT)}:{node.name}"
+
+
+def test_every_memo_says_at_its_door_what_it_holds():
+    assert not list(memos_without_a_door())

@@ -43,6 +43,7 @@ _score_few = memoised(_score)
 """Memoised for as long as the probe is alive."""
 
 
+# The last two score matrices, those of either half of the people.
 @lru_cache(maxsize=2)
 def _score_many(
     probe: Release, gallery: Release, score: Callable[..., Floats], *chosen: object
@@ -97,6 +98,7 @@ def learn_parameters(
         train = select_pairs(train, mated_rows(train)[:most])
     score = scores(train)
 
+    # Each parameter is searched with the others' best; it ends with this call.
     @cache
     def loss(choice: tuple[Any, ...]) -> float:
         return log_rank(score(*choice), mate=train.mate)

@@ -1,7 +1,6 @@
 """Link walks by their likelihood ratio: Gaussian walks behind known errors."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 from importlib import import_module
 from types import ModuleType
 from typing import ClassVar, TypeAlias
@@ -161,7 +160,6 @@ def _side(
     return side
 
 
-@lru_cache(maxsize=256)
 def _slow_share(duration_s: float, tau_s: float, rank: int) -> Floats:
     """Return the covariance of the coefficients of a slow unit error, (K, K).
 

@@ -68,6 +68,7 @@ def load_loops() -> ModuleType:
     return import_module("attacks.linkage._lag_loop")
 
 
+# For all attacks and levels of a process; the 193rd makes the oldest go.
 @lru_cache(maxsize=192)
 def _local_lines(cells: int, width_s: float) -> tuple[Floats, Floats]:
     """Return the matrices from a walk to its velocity and acceleration, (K, K) each.
@@ -185,6 +186,7 @@ def aligned_costs(
     return out if np.ndim(floors) else out[0]
 
 
+# For all attacks and levels of a process; the 65th makes the oldest go.
 @lru_cache(maxsize=64)
 def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
     """Return orthonormal polynomials on 1 to `most` cells: values, and their begins.

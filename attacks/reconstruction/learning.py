@@ -10,7 +10,7 @@ network's estimator is a constant, learnt from other people.
 """
 
 from collections.abc import Callable, Sequence
-from functools import cache, partial
+from functools import partial
 from importlib import import_module
 from typing import TypeVar
 
@@ -95,7 +95,6 @@ def make_smoother(
     """
     variance = learn_variance(context)
 
-    @cache
     def reconstruct(candidate: _Choice, release: Release) -> Floats:
         return smooth(release, variance(release), candidate).xy
 

@@ -298,6 +298,7 @@ def fit_slow_error(release: Release, q: float) -> tuple[float, float]:
     )
     sample = derived(release.tracks(rows), sigma=None)
 
+    # A grid is searched twice where its parts meet; it ends with this call.
     @cache
     def likelihood(std_and_tau: tuple[float, float]) -> float:
         error = SlowError(*std_and_tau)

@@ -8,14 +8,7 @@ from typing import Final
 
 from attacks.tasks.draft import Draft
 from attacks.tasks.handover import handover
-from attacks.tasks.paired_windows import (
-    cross_session,
-    joined,
-    new_traversal,
-    rerelease,
-    samples_at_shares,
-    split,
-)
+from attacks.tasks.paired_windows import PAIRED, joined, samples_at_shares
 from attacks.tasks.sessions import N_FOLDS, Sessions
 from attacks.tasks.task_list import Task, task_named
 from isac_track.config import StageSettings
@@ -26,8 +19,7 @@ from isac_track.types import Tracks
 
 __all__ = ["joined", "make_sessions", "samples_at_shares"]
 _MAKERS: Final[Mapping[str, Callable[[Draft], Sessions]]] = {
-    make.__name__: make
-    for make in (rerelease, split, new_traversal, cross_session, handover)
+    make.__name__: make for make in (*PAIRED, handover)
 }
 """The function that makes the sessions of a task, by the task's family."""
 

@@ -26,7 +26,8 @@ WAY_STEP_S = 1 / 12
 CLOCK_S = 1e-6
 
 
-# All tasks of a recording cut their windows from the same walks.
+# All tasks of a recording cut their windows from the same walks; the oldest of 2,048
+# goes, and all with the process.
 @lru_cache(maxsize=2048)
 def _walk(
     tracks: Tracks, row: int, max_overshoot_m: float
@@ -34,6 +35,7 @@ def _walk(
     return walk(tracks[row], max_overshoot_m=max_overshoot_m)
 
 
+# As above.
 @lru_cache(maxsize=2048)
 def _way(tracks: Tracks, row: int, max_overshoot_m: float) -> tuple[Floats, Floats]:
     """Return instants of a whole recorded walk, and the way walked until each, m.
@@ -52,7 +54,7 @@ def _way(tracks: Tracks, row: int, max_overshoot_m: float) -> tuple[Floats, Floa
     )
 
 
-# For the recording, and both sessions of the crowd.
+# For the recording, and both sessions of the crowd; the oldest of four goes.
 @lru_cache(maxsize=4)
 def _moving(tracks: Tracks) -> Bools:
     return np.asarray(~summarise(tracks)["frozen"].to_numpy())

@@ -8,7 +8,7 @@ base station, on which the noise depends.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -292,3 +292,12 @@ def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
     members += [(person, f"1{name}") for person, name in zip(ids, second, strict=True)]
     groups = walking_groups(ids=ids, members=members)
     return tuple(group.removeprefix("group:0") for group in groups)
+
+
+PAIRED: Final[tuple[Callable[[Draft], Sessions], ...]] = (
+    rerelease,
+    split,
+    new_traversal,
+    cross_session,
+)
+"""The functions that make the sessions of these tasks, named as the tasks' families."""

@@ -71,6 +71,7 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
         raise exempt[-1]
 
 
+# Of the newest plug-ins; the 17th makes the oldest go.
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
     """Return the rows of a plug-in, weakest adversary first, for all checks but one.

@@ -162,6 +162,7 @@ class ReconstructionCase(made.Case):
         about = f"{N_TRACKS} walks, {law} noise of {sigma_m:g} m"
         return made_up("noisy", about=about, sizes=sizes, sigma_m=sigma_m, law=law)
 
+    # Made-up walks, the same for every attack; for the process.
     @staticmethod
     @cache
     def modelled(law: ErrorLaw) -> tuple[ReconstructionCase, Floats]:
@@ -211,6 +212,7 @@ class ReconstructionCase(made.Case):
         )
 
 
+# As above.
 @cache
 def made_up(
     name: str,
@@ -406,6 +408,7 @@ class LinkageCase(made.Case):
         )
 
 
+# As above.
 @cache
 def people_made_up(
     name: str,

@@ -124,6 +124,7 @@ def _track_and_time(batch: Release | Sensed) -> Complexes:
     return np.asarray(track + 1j * batch.t)
 
 
+# Made-up walks, the same for every plug-in; for the process.
 @cache
 def _sensed(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> MechanismCase:
     walks = made.walks("plugin", "sensed", sizes=sizes, steps_s=steps_s)
@@ -258,6 +259,7 @@ class PredictorCase(made.Case):
         return (_asked(SHORT, steps_s) for steps_s in (made.STEADY_S, made.IRREGULAR_S))
 
 
+# As above.
 @cache
 def _asked(sizes: tuple[int, ...], steps_s: tuple[float, float]) -> PredictorCase:
     walks = made.walks("plugin", "asked", sizes=sizes, steps_s=steps_s)

@@ -73,6 +73,7 @@ class PolicyCase(made.Case):
         return ""
 
 
+# Made-up queries, the same for every policy; for the process.
 @cache
 def _case(sizes: tuple[int, ...]) -> PolicyCase:
     about = f"a query with {len(sizes)} people"

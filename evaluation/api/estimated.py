@@ -110,47 +110,43 @@ class SceneEstimates:
 
 def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
     """Return the estimates of scenes in all worlds; DataError as above."""
-    estimates, scored, attacked = summary.estimates(out, manifest)
+    numbers = summary.scene_numbers(out, manifest)
     dataset = manifest["dataset"]["name"]
-    own = _judged(scored, manifest, estimates, dataset=dataset)
+    own = _judged(numbers, manifest, dataset=dataset)
     later = dict[float, _Judged]()
     worlds: dict[World, Mapping[Address, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
         world = World(horizon_s=horizon_s)
-        worlds[world], scored, _ = summary.estimates(out, manifest, world=world)
+        ahead = summary.scene_numbers(out, manifest, world=world)
+        worlds[world] = ahead.estimates
         name = Address(recording=dataset, world=world).dataset
-        later[horizon_s] = _judged(scored, manifest, worlds[world], dataset=name)
+        later[horizon_s] = _judged(ahead, manifest, dataset=name)
     for world in WORLDS:
         cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
-        in_world = summary.estimates(out, manifest, world=world)[0]
+        in_world = summary.scene_numbers(out, manifest, world=world).estimates
         in_world |= linked_gaps(summary.linkage_estimates(cards))
         # Without replicates, as large as a run's own: no comparison pairs with them.
         worlds[world] = {
             key: replace(estimate, replicates=np.zeros(0))
             for key, estimate in in_world.items()
         }
-    return SceneEstimates(estimates, attacked, worlds, own, later)
+    return SceneEstimates(numbers.estimates, numbers.attacked, worlds, own, later)
 
 
 def _judged(
-    scored: Sequence[summary.Scored],
-    manifest: Mapping[str, Any],
-    estimates: Mapping[Address, Estimate],
-    *,
-    dataset: str,
+    numbers: summary.SceneNumbers, manifest: Mapping[str, Any], *, dataset: str
 ) -> _Judged:
-    curves, decided, at_raw_alarms = decisions(
-        scored, manifest, estimates, dataset=dataset
-    )
+    robots = decisions(numbers, manifest, dataset=dataset)
     candidates = {
         name
         for name, family in entry_families(manifest["cells"]).items()
         if family.protects or family.family == RAW
     }
-    best = best_robots(
-        scored, manifest, {**estimates, **at_raw_alarms}, among=candidates
+    estimates = {**numbers.estimates, **robots.at_raw_alarms}
+    best = best_robots(numbers.scored, manifest, estimates, among=candidates)
+    return _Judged(
+        numbers.estimates, robots.at_raw_alarms, best, robots.curves, robots.decided
     )
-    return _Judged(estimates, at_raw_alarms, best, curves, decided)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -17,13 +17,11 @@ ROWS: Final = "rows"
 DESCRIPTORS: Final = ("plr", "ael_s", "mel_s")
 """Columns of the privacy descriptors of a track, or of a window."""
 ON_TRIAL: Final = (
-    "plr_attacked",
-    "ael_attacked",
-    "mel_attacked",
+    *(f"{name.removesuffix('_s')}_attacked" for name in DESCRIPTORS),
     "alignment_error",
     "posterior_std",
 )
-"""Columns of a window's descriptors after a blind smoother: fraction, s, s, m, m."""
+"""Columns of a window's descriptors after a blind smoother, in their units and m, m."""
 
 
 def rows_table(rows: Rows, *, tracks: Tracks) -> pa.Table:

@@ -13,9 +13,8 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
-from evaluation.estimates.summary import Scored, bootstrap_weights
+from evaluation.estimates.summary import SceneNumbers, bootstrap_weights
 from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import Estimate, estimate_from_replicates, percentile_interval
 from isac_track.types import Bools, Floats, Ints
@@ -145,14 +144,20 @@ def _missed_at(rates: Curve, false_alarm: Estimate) -> Estimate:
     )
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Decisions:
+    """Decisions by every predictor at every level."""
+
+    curves: pd.DataFrame  # Points of each curve: `curves.csv`.
+    decided: pd.DataFrame  # A row on each curve: `decisions.csv`.
+    # Misses at raw's false alarms: `EQUAL_ALARMS`, `FUTURE_EQUAL_ALARMS`.
+    at_raw_alarms: dict[Address, Estimate]
+
+
 def decisions(
-    scored: Sequence[Scored],
-    manifest: Mapping[str, Any],
-    estimates: EstimatesByAddress,
-    *,
-    dataset: str,
-) -> tuple[pd.DataFrame, pd.DataFrame, dict[Address, Estimate]]:
-    """Return every predictor's curve, a row on each, and misses at raw's false alarms.
+    numbers: SceneNumbers, manifest: Mapping[str, Any], *, dataset: str
+) -> Decisions:
+    """Return the decisions by each predictor at every level.
 
     The reference is the first predictor of the run. The row gives the area under the
     curve, and the missed-conflict rate at the reference's false-alarm rate at its
@@ -170,13 +175,13 @@ def decisions(
     rows: list[dict[str, Any]] = []
     # The reference first: the others are compared with its curve.
     order = sorted(
-        enumerate(scored),
+        enumerate(numbers.scored),
         key=lambda numbered: numbered[1].entry.address.consumer != reference,
     )
     for place, (entry, cluster, columns) in order:
         where, consumer = entry.address.where, entry.address.consumer
         alarms = parse_consumer(consumer).measured("false_alarm_rate")
-        raw_alarm = estimates.get(alarms.at("raw", None))
+        raw_alarm = numbers.estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():
             is_separation = name == _SEPARATION
             all_conflicts, future = _curves(
@@ -185,7 +190,7 @@ def decisions(
             if all_conflicts is None:
                 continue
             if is_separation and consumer == reference:
-                at = estimates[alarms.at(*where)].drawn
+                at = numbers.estimates[alarms.at(*where)].drawn
                 at_reference[where] = at, all_conflicts.missed_at(at)
             if is_separation and raw_alarm is not None:
                 misses = _misses(all_conflicts, future, raw_alarm)
@@ -204,7 +209,8 @@ def decisions(
                 row |= {"reference": reference}
                 row |= _beside_reference(all_conflicts, future, *at_reference[where])
             rows.append(row)
-    return *_tables(rows, points, future_points), at_raw_alarms
+    curves, decided = _tables(rows, points, future_points)
+    return Decisions(curves, decided, at_raw_alarms)
 
 
 def _tables(

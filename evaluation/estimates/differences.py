@@ -27,7 +27,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import strongest
-from evaluation.estimates.summary import estimates, linkage_estimates
+from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.plan.address import Address, Where, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
@@ -181,11 +181,14 @@ def _redrawn(manifest: Manifest, groups: Sequence[str], seed: int) -> dict[str, 
 
 def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
     """Return every number of a run, including robots' numbers at further horizons."""
-    own = {**estimates(out, manifest)[0], **linkage_estimates(cards(out, manifest))}
+    own = {
+        **scene_numbers(out, manifest).estimates,
+        **linkage_estimates(cards(out, manifest)),
+    }
     numbers = own
     for horizon_s in horizons_in(manifest["cells"]):
         world = World(horizon_s=horizon_s)
-        ahead = estimates(out, manifest, world=world)[0]
+        ahead = scene_numbers(out, manifest, world=world).estimates
         numbers |= {
             replace(key, world=world): estimate for key, estimate in ahead.items()
         }

@@ -6,6 +6,7 @@ same for conflicts that are still to come; or an equal PLR as shared.
 """
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
@@ -308,7 +309,8 @@ def _compared(
             if (measure.consumer == SHARED) == are_shared
         ]
         pairs = at_changes(curves, matched_by, in_group, at=changes)
-        for measure, compared, fixed in pairs:
+        for pair in pairs:
+            compared, fixed = pair.first, pair.second
             gap = compared - fixed
             defined = np.isfinite(gap[1:]).mean(axis=0)
             points = {"at": at, "missed_conflict_rate": rate}
@@ -317,7 +319,7 @@ def _compared(
                     defined >= MIN_DEFINED
                 )
                 points |= with_ends(names, values, has_ends)
-            yield measure, points | {"defined": defined}
+            yield pair.measure, points | {"defined": defined}
 
 
 def with_ends(
@@ -338,10 +340,19 @@ def with_ends(
     return dict(zip(names, (values[0].copy(), *ends), strict=True))
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class AtChanges:
+    """A measure of two mechanisms, at P equal changes of another from raw."""
+
+    measure: Address
+    first: Floats  # (1 + B, P) estimate, then replicates.
+    second: Floats  # (1 + B, P) of the other mechanism.
+
+
 def at_changes(
     curves: Curves, matched_by: Address, measures: Iterable[Address], *, at: Floats
-) -> Iterator[tuple[Address, Floats, Floats]]:
-    """Yield measures of both mechanisms at equal changes from raw, (1 + B, P) each.
+) -> Iterator[AtChanges]:
+    """Yield measures of both mechanisms at equal changes from raw.
 
     The measure `matched_by` has changed from raw by `at` there. Raw is the same for
     both mechanisms; points out of reach are NaN. Measures without an estimate at some
@@ -359,7 +370,7 @@ def at_changes(
                 for position, curve in zip(positions, curves[measure], strict=True)
             )
             n_rows = min(len(first), len(second))
-            yield measure, first[:n_rows], second[:n_rows]
+            yield AtChanges(measure, first[:n_rows], second[:n_rows])
 
 
 def rising(values: Floats) -> Floats:

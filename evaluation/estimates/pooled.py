@@ -31,7 +31,7 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest
-from evaluation.estimates.summary import estimates, linkage_estimates
+from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import World
 from evaluation.store.entries import horizons_in
@@ -124,7 +124,7 @@ def run_answers(
     """
     families = entry_families(manifest["cells"])
     scorecards = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
-    scenes, _, _ = estimates(out, manifest)
+    scenes = scene_numbers(out, manifest).estimates
     sweeps = Sweeps({**scenes, **linkage_estimates(scorecards)}, families)
     best = strongest(sweeps.estimates, families)
     ahead = _ahead(out, manifest)
@@ -218,7 +218,8 @@ def _ahead(out: Path, manifest: Mapping[str, Any]) -> EstimatesByAddress:
     """Return the estimates of robots at `HORIZON_S`; empty without that horizon."""
     if HORIZON_S not in horizons_in(manifest["cells"]):
         return {}
-    return estimates(out, manifest, world=World(horizon_s=HORIZON_S))[0]
+    world = World(horizon_s=HORIZON_S)
+    return scene_numbers(out, manifest, world=world).estimates
 
 
 def _lost_ahead(ahead: EstimatesByAddress, where: Where) -> dict[str, Estimate]:

@@ -275,7 +275,8 @@ def _scored(
     return dict(zip(keys, estimates, strict=True)), [names[place] for place in best]
 
 
-# Holds the clusters of the last runs, and of each of their tasks.
+# Holds the clusters of the last runs, and of each of their tasks; the oldest of 64
+# goes.
 @lru_cache(maxsize=64)
 def first_half(clusters: tuple[str, ...]) -> Bools:
     """Return which clusters are in the first half, (C,), by a hash of the name.

@@ -5,6 +5,7 @@ whole clusters, the same ones for every mechanism, so that differences are paire
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
@@ -98,13 +99,21 @@ class Scored(NamedTuple):
     columns: Mapping[str, Any]  # (S,) each: `_DECIDED`
 
 
-def estimates(
-    out: Path, manifest: Mapping[str, Any], *, world: World = OWN_WORLD
-) -> tuple[dict[Address, Estimate], tuple[Scored, ...], dict[Address, ClusterSums]]:
-    """Return estimates of every scene metric, predictors' scores, and attacks' sums.
+@dataclass(frozen=True, eq=False, slots=True)
+class SceneNumbers:
+    """What the cells of scenes give in one world."""
 
-    The estimates have intervals and replicates. The sums are those of the descriptors
-    after each attack, by cluster. All are of the run's own world, or of another one.
+    # Of every metric, with intervals and replicates.
+    estimates: dict[Address, Estimate]
+    scored: tuple[Scored, ...]  # Of every predictor at every level.
+    attacked: dict[Address, ClusterSums]  # Descriptors after each attack.
+
+
+def scene_numbers(
+    out: Path, manifest: Mapping[str, Any], *, world: World = OWN_WORLD
+) -> SceneNumbers:
+    """Return the numbers of a run's scenes, in its own world or in another one.
+
     Raises DataError if a cell cannot be read.
     """
     weights = bootstrap_weights(manifest)
@@ -148,7 +157,7 @@ def estimates(
             for key, summed in zip(keys, totals, strict=True)
             if key.adversary and key.metric in {*DESCRIPTORS, *DISTANCE}
         }
-    return numbers, tuple(scored), attacked
+    return SceneNumbers(numbers, tuple(scored), attacked)
 
 
 def _estimate_ratios(

@@ -3,7 +3,6 @@
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
@@ -293,7 +292,6 @@ def _granted(
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
-@cache
 def windows_consumer(task: str) -> Consumer:
     """Return the consumer of a task's windows: their descriptors, smoothed or not."""
     # The built-in smoother, with no knowledge: the same whatever else is in the run.

@@ -204,6 +204,7 @@ def _read(
     return None
 
 
+# The names in each source that was read; for the process.
 @cache
 def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
     """Return the full names that a source may import; some are no modules."""

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from statistics import median
@@ -132,7 +131,6 @@ def rate_name(consumer: Consumer) -> str:
     return f"{consumer.kind}/{families or consumer.control}".rstrip("/")
 
 
-@cache
 def measured_rates() -> Mapping[str, float]:
     """Return the CPU seconds by part, as `python -m benchmarks.rates` measured them."""
     path = files("evaluation.pool") / RATES

@@ -64,9 +64,8 @@ def execute(
     untried = try_plugins(plan)
     if not plan.settings.fresh:
         check_preset(out, preset=plan.settings.preset)
-    manifest, index_by_file, damaged = open_run(
-        out, identity=plan.identity, fresh=plan.settings.fresh
-    )
+    opened = open_run(out, identity=plan.identity, fresh=plan.settings.fresh)
+    manifest, index_by_file = opened.manifest, opened.index_by_file
     deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
     names = prepare_names(plan, is_continued=bool(index_by_file))
     earlier_s = float(manifest.get("wall_time_s", 0.0))
@@ -75,7 +74,7 @@ def execute(
     earlier_plugins = manifest.get("own_plugins", {})
     manifest["cells"] = without_other_patrols(manifest, plan)
     manifest |= describe(plan) | {
-        "damaged_cells": damaged,
+        "damaged_cells": opened.damaged,
         "untried_plugins": untried,
     }
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
@@ -119,9 +118,10 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     if not plan.units:
         return
     started, out = time.monotonic(), plan.out
-    manifest, index_by_file, _ = open_run(out, identity=plan.identity, fresh=False)
+    opened = open_run(out, identity=plan.identity, fresh=False)
+    manifest = opened.manifest
     names = prepare_names(plan, is_continued=True)
-    places = cell_places(index_by_file)
+    places = cell_places(opened.index_by_file)
     missing = pieces.missing_units(plan, places)
     entries = cell_entries(plan, places, missing)
     manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
@@ -193,10 +193,11 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     """
     check_folder(plan.out)
     with locked(plan.out):
-        manifest, files, _ = open_run(plan.out, identity=plan.identity, fresh=fresh)
+        opened = open_run(plan.out, identity=plan.identity, fresh=fresh)
         share_key(plan.out, sources)
-        write_manifest(plan.out, manifest | {"code": plan.code, "state": "running"})
-        units = pieces.missing_units(plan, cell_places(files))
+        begun = opened.manifest | {"code": plan.code, "state": "running"}
+        write_manifest(plan.out, begun)
+        units = pieces.missing_units(plan, cell_places(opened.index_by_file))
         wanted = {
             (unit.key, consumer_key)
             for unit in units

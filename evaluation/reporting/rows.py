@@ -382,12 +382,12 @@ class Results:
         rows[ENDS] *= METRICS[SHORT.get(metric, metric)].scale
         return rows
 
-    @cached_property
+    @property
     def dataset(self) -> str:
         """Name of the data set."""
         return str(self.manifest["dataset"]["name"])
 
-    @cached_property
+    @property
     def n_reports(self) -> int:
         """Samples of a track's history, on average."""
         points: float = self.manifest["history"]["points"]

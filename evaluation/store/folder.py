@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -79,14 +80,20 @@ def check_preset(out: Path, *, preset: str) -> None:
             )
 
 
-def open_run(
-    out: Path, *, identity: dict[str, Any], fresh: bool
-) -> tuple[dict[str, Any], dict[str, FileIndex], list[str]]:
-    """Open a run folder, new or continued; return its manifest and its files.
+@dataclass(frozen=True, eq=False, slots=True)
+class OpenedRun:
+    """A run folder that was opened."""
 
-    The files are the indices of the sound ones, by name, and the names of the damaged
-    ones. Cells that another version of the code computed are dropped and counted, and
-    so are lines of `SHA256SUMS` without a cell.
+    manifest: dict[str, Any]
+    index_by_file: dict[str, FileIndex]  # Of the sound files of cells.
+    damaged: list[str]  # Names of the others.
+
+
+def open_run(out: Path, *, identity: dict[str, Any], fresh: bool) -> OpenedRun:
+    """Open a run folder, new or continued.
+
+    Cells that another version of the code computed are dropped and counted, and so are
+    lines of `SHA256SUMS` without a cell.
 
     Raises SettingsError if the folder holds another run (it names the differences) or
     cannot be used, and DataError if its manifest cannot be read, or is damaged and not
@@ -104,7 +111,7 @@ def open_run(
         index_by_file, damaged = sound_files(out, file_names(manifest))
         _drop_other_code(out, manifest, index_by_file)
         files.forget_missing(out)
-    return manifest, index_by_file, damaged
+    return OpenedRun(manifest, index_by_file, damaged)
 
 
 def refuse_other_run(

@@ -132,7 +132,7 @@ def read_labels(out: Path) -> Mapping[str, str]:
     return _labels(path, stat.st_mtime_ns, stat.st_size)
 
 
-# The lists of the newest runs of a comparison; a changed file is read again.
+# The lists of the newest four runs of a comparison; a changed file is read again.
 @lru_cache(maxsize=4)
 def _labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
     return _people(path.parent)

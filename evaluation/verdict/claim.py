@@ -74,7 +74,8 @@ def claims(
             curves = sweeps.curves(mechanism, fixed, [*costs, *compared])
             for cost, criterion in costs.items():
                 pairs = at_changes(curves, cost, compared, at=np.array(TARGETS))
-                for measure, ours, theirs in pairs:
+                for pair in pairs:
+                    measure = pair.measure
                     about = _About(
                         adding=adding,
                         criterion=criterion,
@@ -83,7 +84,7 @@ def claims(
                         horizon_s=horizon_s,
                     )
                     n, effective = sweeps.rests_on((mechanism, fixed), cost, measure)
-                    gap = _gap(ours, theirs, n=n, effective=effective)
+                    gap = _gap(pair.first, pair.second, n=n, effective=effective)
                     yield _claim(measure, gap, about)
 
 

@@ -147,7 +147,8 @@ def rank1_among(
     return first
 
 
-@lru_cache(maxsize=256)  # The same for every attack on a task.
+# The same for every attack on a task; the 257th makes the oldest go.
+@lru_cache(maxsize=256)
 def _sums_passed_over(n: int, gallery: int) -> Floats:
     """Return the chance to pass over m others, summed over values below m, (n + 1,).
 
@@ -353,6 +354,7 @@ def expected_reciprocal(above: Ints, tied: Ints, n_gallery: int) -> Floats:
     return np.asarray((harmonic[above + tied] - harmonic[above]) / tied)
 
 
+# As above.
 @lru_cache(maxsize=256)
 def log_factorials(n: int) -> Floats:
     """Return log k! for 0..n, (n + 1,)."""

@@ -177,11 +177,12 @@ def score_scale(
     return Scale(values, mass, bias, n_mated, n_non_mated, cut.null_bins.shape[0])
 
 
+# Of the newest searches, which a task's attacks share; the ninth makes the oldest go.
 @lru_cache(maxsize=8)
 def _weigh_clusters(
     searches: tuple[People, ...], same: _Same, without: tuple[int, ...]
 ) -> _Weighed:
-    """Return the weights of all pairs of these searches; the last eight are cached."""
+    """Return the weights of all pairs of these searches."""
     arrays = [
         [np.frombuffer(array, dtype=np.int64) for array in search]
         for search in searches

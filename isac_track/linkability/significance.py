@@ -144,12 +144,10 @@ def rank1_p(*, hits: Floats, chance: Floats) -> float:
     return float(_tail_probabilities(chance.astype(np.float64).tobytes())[n_hits])
 
 
+# For further attacks on the same people; the 65th makes the oldest go.
 @lru_cache(maxsize=64)
 def _tail_probabilities(chance: bytes) -> Floats:
-    """Return the probability of at least 0..N hits, (N + 1,).
-
-    It is kept for further attacks on the same people.
-    """
+    """Return the probability of at least 0..N hits, (N + 1,)."""
     values, counts = np.unique(np.frombuffer(chance), return_counts=True)
     if values.size == 1:
         return np.append(1.0, bdtrc(np.arange(counts[0]), counts[0], values[0]))
@@ -161,7 +159,6 @@ def _tail_probabilities(chance: bytes) -> Floats:
     return np.minimum(1.0, np.cumsum(law[::-1])[::-1])
 
 
-@lru_cache(maxsize=64)
 def minimum_detectable_rank1(*, n: int, chance: float) -> float:
     """Return the smallest rank-1 rate that the exact binomial test detects in 80 %.
 
@@ -227,6 +224,7 @@ def n_candidates(people: People) -> int:
     return len(people.gallery_cluster) // np.dtype(np.int64).itemsize
 
 
+# Of the searches that a task's attacks share; as above.
 @lru_cache(maxsize=64)
 def mated_probes(people: People) -> Mated:
     """Return the probes that have a mate."""
@@ -240,6 +238,7 @@ def mated_probes(people: People) -> Mated:
     return Mated(probes, mate[probes], *np.unique(counts, return_counts=True))
 
 
+# As above.
 @lru_cache(maxsize=64)
 def list_companions(people: People) -> tuple[Ints, Ints]:
     """List the other members of each mate's cluster: probes and columns, (n,) each."""

@@ -119,7 +119,7 @@ def _fresh_errors(sensed: Sensed, law: ErrorLaw, rng: Generator) -> Floats:
     return errors
 
 
-# Holds the last draws for the life of the process.
+# Holds the last five draws for the life of the process.
 @lru_cache(maxsize=_MOST_CACHED)
 def _errors_from(
     state: str, n_samples: int, law: ErrorLaw

@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from evaluation.compute.tables import column, table
+from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, column, table
 
 SAYS = """
 import sys
@@ -52,3 +52,9 @@ def test_a_worker_does_without_pandas():
         timeout=60,
     )
     assert done.stdout.strip() == "False"
+
+
+def test_every_descriptor_is_on_trial_after_a_smoother_too():
+    assert ON_TRIAL[:3] == ("plr_attacked", "ael_attacked", "mel_attacked")
+    attacked = [name for name in ON_TRIAL if name.endswith("_attacked")]
+    assert len(attacked) == len(DESCRIPTORS)

@@ -7,6 +7,7 @@ from sklearn.metrics import roc_auc_score, roc_curve
 
 import evaluation
 from evaluation.estimates.decisions import N_BINS, curve, decisions
+from evaluation.estimates.summary import SceneNumbers
 from isac_track.intervals import cluster_weights
 from isac_track.rng import stream
 
@@ -99,4 +100,6 @@ def test_a_run_leaves_curves_and_compares_with_the_first_predictor(
     later = results.decisions[results.decisions["dataset"] != results.dataset]
     assert set(later["dataset"]) == {f"{results.dataset}:horizon=3s"}
     assert len(later) == len(own) == 4
-    assert decisions((), results.manifest, {}, dataset="walks")[1].empty
+    assert decisions(
+        SceneNumbers({}, (), {}), results.manifest, dataset="walks"
+    ).decided.empty

@@ -224,7 +224,8 @@ LINKED = parse_consumer("rerelease/shape", "blind").measured("rank1")
 def test_unequal_numbers_of_replicates_are_paired_with_the_first():
     by, rank1 = parse_consumer(PREDICTORS[0]).measured("missed_conflict_rate"), LINKED
     curves = make_sweeps(run(advantage=0.1)).curves("fid", "fixed", [by, rank1])
-    ((_, ours, theirs),) = at_changes(curves, by, [rank1], at=np.array([0.05]))
+    (pair,) = at_changes(curves, by, [rank1], at=np.array([0.05]))
+    ours, theirs = pair.first, pair.second
     # Replicates of rank 1 are 100 of 200: paired with the others there would be a
     # spread.
     assert ours.shape == theirs.shape == (101, 1)

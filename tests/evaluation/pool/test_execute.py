@@ -562,4 +562,6 @@ def test_intervals_cluster_by_group(settings, tmp_path, csv_recording):
     # Of either group somebody is in a conflict, but not in one that is still to come.
     every = results.summary[~results.summary["metric"].isin(["missed_future_rate"])]
     assert set(every["n"]) == {2}
-    assert len(summary.estimates(settings.out, results.manifest)[0]) == 3 * 11
+    assert (
+        len(summary.scene_numbers(settings.out, results.manifest).estimates) == 3 * 11
+    )

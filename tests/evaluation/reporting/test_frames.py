@@ -76,6 +76,14 @@ def test_wrong_options_are_refused_as_on_the_command_line(options, message):
         evaluation.run(**options)
 
 
+def test_the_earlier_name_of_a_plan_warns_and_still_works():
+    with (
+        pytest.warns(FutureWarning, match="plan= for ready="),
+        pytest.raises(SettingsError, match="leave out all others"),
+    ):
+        evaluation.run(ready=object(), scenes=40)
+
+
 def test_a_run_is_read_as_it_was_returned(made):
     for name in FRAMES:
         frame, read = getattr(made.run, name), getattr(made.loaded, name)
