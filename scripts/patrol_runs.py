@@ -42,6 +42,7 @@ from isac_track.patrols.knowledge import (
 from isac_track.patrols.metrics import (
     RobotTask,
     count_utility,
+    foresee,
     is_by_construction,
     robot_task,
 )

@@ -12,6 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 
 from attacks.following.logs import Following, follow_fleets
 from evaluation.compute.current_cell import note_cell
@@ -29,6 +30,7 @@ from isac_track.patrols.answers import (
     disclose_each,
     make_network,
     sense_patrol,
+    share_each,
     share_sensed,
 )
 from isac_track.patrols.equal_alarms import AlarmCounts
@@ -48,9 +50,8 @@ from isac_track.patrols.metrics import (
     robot_task,
 )
 from isac_track.policies.samples import Everything
-from isac_track.rng import stream
 from isac_track.sharing import Raw
-from isac_track.types import Floats, Release, Tracks
+from isac_track.types import Floats, Release, Sensed, Tracks
 from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
@@ -162,17 +163,20 @@ def share_level(
         return SharedPatrol(
             setup, reference.network, reference.disclosures | answers, reference.tasks
         )
-    name, sensed = f"mechanism {mechanism.spec!r}", setup.sensed.sensed
-    rng = stream(setup.seed, "patrols", "sharing")
-    release = guarded(
-        name,
-        lambda: mechanism.instance.share(copy_for_user_plugin(sensed, mechanism), rng),
-    )
-    if not isinstance(release, Release):
-        raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
+    name = f"mechanism {mechanism.spec!r}"
+
+    def share(sensed: Sensed, rng: Generator) -> Release:
+        own = copy_for_user_plugin(sensed, mechanism)
+        release = guarded(name, lambda: mechanism.instance.share(own, rng))
+        if not isinstance(release, Release):
+            got = type(release).__name__
+            raise PluginError(f"{name} must return a Release, got {got}")
+        return release
+
+    releases = share_each(setup.sensed, share)
     try:
         network = make_network(
-            setup.sensed, mechanism=mechanism.instance, release=release
+            setup.sensed, mechanism=mechanism.instance, releases=releases
         )
     except SettingsError as error:
         raise PluginError(
@@ -263,6 +267,7 @@ def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Follow
         guesses=setup.guesses,
         epsilon_m=setup.stages.privacy.epsilon_m,
         seed=setup.seed,
+        pseudonyms=setup.stages.patrol.pseudonyms,
         knows_policy=policy.instance if consumer.knowledge == "informed" else None,
     )
 

@@ -116,7 +116,7 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
     if isinstance(policy, State) and policy.metres is None:
         return True
     is_on_shared = getattr(policy, "select_on", "raw") == "shared"
-    return is_on_shared or np.array_equal(network.release.xy, network.sensed.xy)
+    return is_on_shared or network.is_raw
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -182,10 +182,11 @@ def _forecast_samples(
     )
     _, chosen, row = np.unique(keys, axis=1, return_index=True, return_inverse=True)
     runs, starts = stretches(begin[chosen], n_runs[chosen])
+    begins = network.sent_rows(presence[runs], disclosure.first[runs])
     forecast = forecast_runs(
-        network.release,
-        first=disclosure.first[runs],
-        end=disclosure.end[runs],
+        network.sent,
+        first=begins,
+        end=begins + disclosure.end[runs] - disclosure.first[runs],
         track=np.repeat(np.arange(chosen.size), np.diff(starts)),
         t_future=network.patrol.t_ahead(presence[begin[chosen]]),
         predictor=predictor,

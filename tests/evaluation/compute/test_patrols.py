@@ -148,6 +148,45 @@ def test_rows_are_unique_and_all_others_have_no_policy(made, recording):
     pd.testing.assert_frame_equal(others, alone.summary, check_exact=True)
 
 
+def test_options_of_a_log_reach_the_numbers(recording):
+    named = {"patrol.errors": "query", "patrol.pseudonyms": "encounter"}
+    results = run(
+        recording,
+        recording.parent / "named",
+        policies=("near:3",),
+        mechanisms=("fixed:0.5",),
+        stages=FEW | named,
+    )
+    stages = smoke(recording, stages=FEW | named).stages
+    tracks = placed(datasets.load(str(recording)).tracks, settings=stages)
+    patrol = make_patrol(tracks, settings=stages, seed=0)
+    network = share_patrol(
+        patrol,
+        mechanism=parse("mechanisms", "fixed:0.5")[0].instance,
+        forecaster=KalmanCV(),
+        settings=stages,
+        seed=0,
+    )
+    disclosure = disclose(network, parse("policies", "near:3")[0].instance)
+    guesses = guesses_from_map(patrol, epsilon_m=stages.privacy.epsilon_m)
+    places = {"guesses": guesses, "epsilon_m": stages.privacy.epsilon_m}
+    known = known_places(network, disclosure, **places)
+    expected = knowledge_metrics(known, group=patrol.people.group, seed=0)
+    ours = value(results, "near:3", "log", "known_share", knowledge="oracle")
+    assert ours == expected["known_share"].value
+    following = follow_fleets(
+        network,
+        disclosure,
+        estimator=ESTIMATORS[known.best],
+        seed=0,
+        pseudonyms="encounter",
+        **places,
+    )
+    ours = value(results, "near:3", "log", "followed_s", knowledge="blind")
+    expected = following_metrics(following, group=patrol.people.group, seed=0)
+    assert ours == expected["followed_s"].value
+
+
 @pytest.mark.usefixtures("single_process")
 def test_a_cell_that_fails_names_its_policy_and_fails_alone(made, recording):
     out, spec = recording.parent / "failing", "helpers.bad_plugins:Overrun:3"
