@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
+    from evaluation.verdict.patrols import PatrolLimits
     from evaluation.verdict.what_to_share import Question
 
 _EPILOG = """\
@@ -34,6 +35,7 @@ examples:
   python -m evaluation.design --max-missed 0.20 --max-plr 0.3 --family ou runs/students03-paper-0
   python -m evaluation.design --against repeats --against anchor runs/students03-paper-0
   python -m evaluation.design --criterion missed --horizon run --json OUT | jq .met
+  python -m evaluation.design --max-known 0.3 --max-followed 0.05 runs/students03-paper-0
   python -m evaluation.design --plan --max-plr 0.2    (without a run, from closed forms)
 """
 
@@ -105,12 +107,14 @@ def _run(arguments: Sequence[str]) -> int:
     )
 
     options = _parser().parse_args(arguments)
-    answer = answer_question(options.out, _question(options))
+    answer = answer_question(
+        options.out, _question(options), limits=_patrol_limits(options)
+    )
     if options.json:
         print(json.dumps(to_json(answer), indent=1, allow_nan=False))
     else:
         show(answer, verbose=options.verbose)
-    return DONE if answer.recommendation.met else LIMIT_NOT_MET
+    return DONE if answer.met else LIMIT_NOT_MET
 
 
 def _parser() -> Parser:
@@ -156,6 +160,12 @@ def _parser() -> Parser:
         default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
         add(option, type=float, default=usual, metavar=unit, help=f"{about}{default}")
+    about = (
+        "largest share of person-time that a log of answers to robots on patrol reveals"
+    )
+    add("--max-known", type=float, metavar="X", help=about)
+    about = "largest share of people whom such a log follows for 10 s"
+    add("--max-followed", type=float, metavar="X", help=about)
     about = "a further adversary that must not break it: repeats, anchor, companions, "
     add(
         "--against", action="append", default=[], metavar="NAME", help=f"{about}insider"
@@ -194,6 +204,21 @@ def _parser() -> Parser:
     )
     add("--plan", action="store_true", help="answer without a run; see --plan --help")
     return command
+
+
+def _patrol_limits(options: argparse.Namespace) -> PatrolLimits:
+    """Return the limits on patrols; SettingsError for impossible values."""
+    from evaluation.verdict.patrols import (  # noqa: PLC0415 - heavy
+        MOST_LOST,
+        PatrolLimits,
+    )
+
+    return PatrolLimits(
+        lost=MOST_LOST if options.max_missed is None else None,
+        missed=options.max_missed,
+        known=options.max_known,
+        followed=options.max_followed,
+    )
 
 
 def _question(options: argparse.Namespace) -> Question:

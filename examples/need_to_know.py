@@ -84,7 +84,7 @@ KNOWLEDGE = (
 UTILITY = (
     "missed_conflict_rate",
     "missed_future_rate",
-    "missed_future_at_equal_alarms",
+    "missed_future_at_equal_false_alarms",
     "missed_encounter_rate",
     "withheld_share",
     "false_alarms_per_min",

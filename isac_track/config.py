@@ -265,6 +265,12 @@ class PatrolSettings(_Stage):
     0: as the preset of a run says"""
     # step of the instants at which a place may be known
     grid_s: float = _number(0.1, 1e-3, 60.0)
+    errors: Literal["walk", "query"] = "walk"
+    """reading: `walk`: a person and a sample have one error in all answers; `query`:
+    the network senses and shares all history anew at every query"""
+    pseudonyms: Literal["query", "encounter"] = "query"
+    """reading: how long an answer's pseudonym lasts: for a query, or for an encounter,
+    which is a run of queries of a robot that are answered about a person"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -42,10 +42,10 @@ from isac_track.patrols.knowledge import (
 from isac_track.patrols.metrics import (
     RobotTask,
     count_utility,
+    foresee,
     is_by_construction,
     robot_task,
 )
-from isac_track.patrols.utility import answer_forecasts, conflicts_in, least_gaps
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything
@@ -264,10 +264,7 @@ def _robot_counts(
 
     At the farthest horizon also over the alarm distance (`curve`).
     """
-    patrol = task.network.patrol
-    radius_m = task.settings.conflict.safety_radius_m
-    answers = answer_forecasts(task.network, disclosure, task.predictor)
-    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
+    foreseen = foresee(task, disclosure)
     horizons = horizon_scans(task.settings)
     built_in = is_by_construction(task.network, policy, task.predictor)
     counts: dict[str, Array] = {f"{name}.built_in": np.array(built_in)}
@@ -280,14 +277,9 @@ def _robot_counts(
         counts[f"{place}.false_alarms"] = utility.false_alarms
         counts[f"{place}.walked_s"] = np.array(utility.walked_s)
     horizon = max(horizons)
-    cluster = cluster_numbers(patrol.people.group)
-    curve = alarm_curve(
-        patrol,
-        actual=task.actual,
-        gaps_m=least_gaps(patrol, answers, horizon=horizon),
-        horizon=horizon,
-        cluster=cluster[patrol.presences.person],
-    )
+    utility = count_utility(task, foreseen, horizon=horizon)
+    cluster = cluster_numbers(task.network.patrol.people.group)
+    curve = alarm_curve(utility.by_distance, cluster=cluster)
     counts |= _arrays(f"{name}@{horizon}.curve", curve)
     counts[f"{name}@{horizon}.reference_alarms"] = task.allowed[horizon]
     return counts

@@ -11,11 +11,11 @@ import numpy as np
 from attacks.following.absence import contradictions
 from attacks.following.chains import Chains, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
-from attacks.following.pieces import Pieces, collect_pieces
+from attacks.following.pieces import Pieces, Pseudonyms, collect_pieces
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.knowledge import Log, declared_variance, state_positions
+from isac_track.patrols.knowledge import Log, average_draws, state_positions
 from isac_track.protocols import Policy
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, squared_lengths
@@ -66,16 +66,17 @@ def follow_fleets(
     guesses: Floats,
     epsilon_m: float,
     seed: int,
+    pseudonyms: Pseudonyms = "query",
     knows_policy: Policy | None = None,
     shuffled: bool = False,
 ) -> Following:
     """Return how long each fleet's log lets an adversary follow each person.
 
     `estimator` states positions between the answers of a chain
-    (`patrol_knowledge.ESTIMATORS`), and `guesses`, (N, 2) m, those of people without a
-    chain. With `knows_policy` the adversary counts queries at which that policy would
-    have sent a person and nothing was sent. `shuffled` is the control: first states
-    change places among all pieces.
+    (`knowledge.ESTIMATORS`), and `guesses`, (N, 2) m, those of people without a
+    chain. `pseudonyms` last for a query or for an encounter. With `knows_policy` the
+    adversary counts queries at which that policy would have sent a person and nothing
+    was sent. `shuffled` is the control: first states change places among all pieces.
     """
     patrol = network.patrol
     # Results by log, for this call alone: fleets often hold equal logs.
@@ -83,9 +84,10 @@ def follow_fleets(
     fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        key = _answers_key(disclosure, robots)
-        if knows_policy is not None:
-            # The result depends on the routes, too: they decide who should be sent.
+        key = disclosure.key(robots=robots)
+        if knows_policy is not None or pseudonyms == "encounter":
+            # The result depends on the routes, too: they decide who should be sent, and
+            # on the robot that each answer went to.
             key += str(fleet).encode()
         if key not in by_log:
             by_log[key] = _follow_fleet(
@@ -96,6 +98,7 @@ def follow_fleets(
                 guesses=guesses,
                 epsilon_m=epsilon_m,
                 seed=seed,
+                pseudonyms=pseudonyms,
                 policy=knows_policy,
                 shuffled=shuffled,
             )
@@ -121,11 +124,12 @@ def _follow_fleet(
     guesses: Floats,
     epsilon_m: float,
     seed: int,
+    pseudonyms: Pseudonyms,
     policy: Policy | None,
     shuffled: bool,
 ) -> _FleetFollowing:
     """Follow people through the log of one fleet; parameters as of `follow_fleets`."""
-    pieces = collect_pieces(network, disclosure, robots=robots)
+    pieces = collect_pieces(network, disclosure, robots=robots, pseudonyms=pseudonyms)
     rng = stream(seed, "following", "shuffled")
     begins = rng.permutation(len(pieces)) if shuffled else None
     links, chains = _follow_log(
@@ -138,7 +142,6 @@ def _follow_fleet(
     )
     known = _known_by_chains(
         network,
-        disclosure,
         pieces,
         chains,
         estimator=estimator,
@@ -151,15 +154,6 @@ def _follow_fleet(
         pieces, links, chains.probability, n_people=n_people
     )
     return _FleetFollowing(ceiling_s, followed_s, until_s, ending, known)
-
-
-def _answers_key(disclosure: Disclosure, robots: Ints) -> bytes:
-    """Return a key that logs with equal answers share, whichever robots hold them."""
-    received = np.isin(disclosure.robot, robots)
-    runs = np.stack([disclosure.presence, disclosure.first, disclosure.end])[
-        :, received
-    ]
-    return np.unique(runs, axis=1).tobytes()
 
 
 def _follow_log(
@@ -254,7 +248,6 @@ def _until_confused(
 
 def _known_by_chains(
     network: Network,
-    disclosure: Disclosure,
     pieces: Pieces,
     chains: Chains,
     *,
@@ -270,7 +263,7 @@ def _known_by_chains(
     grid = network.patrol.grid
     stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     if len(pieces):
-        log = _chain_log(network, disclosure, pieces, chains.chain)
+        log = _chain_log(network, pieces, chains.chain)
         row, chain = _instants_of_chains(
             network.patrol, log, _owners(pieces, chains.chain)
         )
@@ -288,22 +281,21 @@ def _known_by_chains(
     return np.asarray(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
 
 
-def _chain_log(
-    network: Network, disclosure: Disclosure, pieces: Pieces, chain: Ints
-) -> Log:
+def _chain_log(network: Network, pieces: Pieces, chain: Ints) -> Log:
     """Return the entries of each chain in turn."""
     sizes = np.diff(pieces.offsets)
     label = np.repeat(chain, sizes)
-    if disclosure.form == "state":
-        xy, variance = pieces.end.mean[:, :, 0], pieces.end.cov[:, 0, 0]
-    else:
-        xy = network.release.xy[pieces.sample]
-        variance = declared_variance(network)[pieces.sample]
-    t = network.patrol.people.t[pieces.sample]
+    # Chains may hold several draws of a sample.
+    n_samples = network.patrol.people.t.size
+    key, xy, variance = average_draws(
+        label * n_samples + pieces.sample, pieces.xy, pieces.variance
+    )
+    label, sample = np.divmod(key, n_samples)
+    t = network.patrol.people.t[sample]
+    # A chain may hold another person, whose samples have numbers of their own.
     order = np.lexsort((t, label))
-    label = label[order]
     return Log(
-        sample=pieces.sample[order],
+        sample=sample[order],
         t=t[order],
         xy=xy[order],
         variance=np.maximum(variance[order], MIN_VARIANCE_M2),

@@ -168,9 +168,7 @@ def _opinions_on(
     by_log: dict[tuple[int, bytes], Opinions] = {}
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        log = fleet_log(
-            network, disclosure, sent=disclosure.sent(patrol, robots=robots)
-        )
+        log = fleet_log(network, disclosure, robots=robots)
         for target in targets.tolist():
             entries = _person_entries(log, target)
             key = target, entries.t.tobytes()

@@ -153,6 +153,8 @@ def probe_targets(
     other than `ahead` and `flag`, or without other people to learn from.
     """
     patrol = network.patrol
+    if network.histories is not None:
+        raise DataError("probing is defined for errors that last: patrol.errors=walk")
     is_flag = policy.form == "flag"
     rule = Ahead(safety_radius_m) if is_flag else policy
     if not isinstance(rule, Ahead):

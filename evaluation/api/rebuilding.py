@@ -45,7 +45,13 @@ from evaluation.store.entries import FAILED_COLUMNS
 from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.store.manifest import file_names, read_manifest
 from evaluation.verdict import sections as verdict
-from evaluation.verdict.patrols import built_in, recommend_policy
+from evaluation.verdict.patrols import (
+    USUAL_LIMITS,
+    built_in,
+    choose_policy,
+    farthest_horizon,
+    patrol_options,
+)
 from evaluation.verdict.what_to_share import leading_handover
 
 limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
@@ -115,10 +121,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         gallery_table, validity = wait_for_people()
     answered_verdict = _verdict(manifest, scenes, compared, validity)
     if on_patrol:
-        answered_verdict["patrols"] = {
-            "recommended": recommend_policy(on_patrol),
-            "by_construction": built_in(on_patrol),
-        }
+        answered_verdict["patrols"] = _patrol_verdict(on_patrol, families)
     results = Results(
         out=out,
         manifest=manifest,
@@ -162,6 +165,20 @@ def _with_patrols(
         on_patrol, families=families, dataset=dataset, columns=summary.COLUMNS
     )
     return pd.concat([tidy, patrols], ignore_index=True) if len(patrols) else tidy
+
+
+def _patrol_verdict(
+    numbers: Sequence[PatrolNumber], families: Mapping[str, Family]
+) -> dict[str, Any]:
+    """Return the options on patrol and the usual proposal, for `verdict.json`."""
+    options = patrol_options(numbers, families=families)
+    return {
+        "recommended": choose_policy(
+            options, USUAL_LIMITS, horizon_s=farthest_horizon(options)
+        ),
+        "options": options,
+        "by_construction": built_in(numbers),
+    }
 
 
 def _flags(

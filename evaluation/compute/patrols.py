@@ -6,16 +6,18 @@ answers. Rows are per person and route, or fleet, so that intervals draw both.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
+from numpy.random import Generator
 
 from attacks.following.logs import Following, follow_fleets
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.sharing import copy_for_user_plugin, guarded
+from evaluation.compute.tables import ROWS
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.fingerprint import is_user_plugin
 from isac_track.errors import PluginError, SettingsError
@@ -28,7 +30,10 @@ from isac_track.patrols.answers import (
     disclose_each,
     make_network,
     sense_patrol,
+    share_each,
+    share_sensed,
 )
+from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.knowledge import (
     ESTIMATORS,
     Known,
@@ -45,8 +50,8 @@ from isac_track.patrols.metrics import (
     robot_task,
 )
 from isac_track.policies.samples import Everything
-from isac_track.rng import stream
-from isac_track.types import Floats, Ints, Release, Tracks
+from isac_track.sharing import Raw
+from isac_track.types import Floats, Release, Sensed, Tracks
 from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
@@ -54,10 +59,12 @@ if TYPE_CHECKING:
     from evaluation.plan.axes import Consumer
     from isac_track.config import StageSettings
     from isac_track.patrols import Patrol
+    from isac_track.patrols.utility import Foreseen
     from isac_track.plugins import Plugin
 
 Array: TypeAlias = "np.ndarray[Any, np.dtype[Any]]"
 _ALL: Final = "everything"  # Answers that hold all samples, for `withheld_share`.
+CONFLICTS, ALARMS = "conflicts", "alarms"  # Further tables of a robot's cell.
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +85,12 @@ class PatrolSetup:
         """Guesses from the map of where people stand, (N, 2) m; made at first use."""
         epsilon_m = self.stages.privacy.epsilon_m
         return guesses_from_map(self.patrol, epsilon_m=epsilon_m)
+
+    @cached_property
+    def reference(self) -> SharedPatrol:
+        """Raw samples of everybody: at its false alarms robots are compared."""
+        network = share_sensed(self.sensed, mechanism=Raw())
+        return SharedPatrol(self, network, {_ALL: disclose(network, Everything())})
 
 
 def patrol_setup(recorded: Tracks, *, stages: StageSettings, seed: int) -> PatrolSetup:
@@ -115,6 +128,9 @@ class SharedPatrol:
     def task(self, robot: Plugin) -> RobotTask:
         """Return the task of a robot."""
         if robot.spec not in self.tasks:
+            reference = None
+            if self.network is not self.setup.reference.network:
+                reference = self.setup.reference.task(robot)
             self.tasks[robot.spec] = guarded(
                 f"predictor {robot.spec!r}",
                 lambda: robot_task(
@@ -122,6 +138,7 @@ class SharedPatrol:
                     self.disclosures[_ALL],
                     predictor=robot.instance,
                     settings=self.setup.stages,
+                    reference=reference,
                 ),
             )
         return self.tasks[robot.spec]
@@ -134,39 +151,50 @@ def share_level(
 
     PluginError if the mechanism raises or breaks its contract; the message names it.
     """
-    name, sensed = f"mechanism {mechanism.spec!r}", setup.sensed.sensed
-    rng = stream(setup.seed, "patrols", "sharing")
-    release = guarded(
-        name,
-        lambda: mechanism.instance.share(copy_for_user_plugin(sensed, mechanism), rng),
-    )
-    if not isinstance(release, Release):
-        raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
+    built_in = {
+        policy.spec: policy.instance
+        for policy in policies
+        if not is_user_plugin(policy)
+    }
+    if mechanism.instance == Raw():
+        reference = setup.reference
+        answers = disclose_each(reference.network, built_in)
+        # A task of a robot serves both.
+        return SharedPatrol(
+            setup, reference.network, reference.disclosures | answers, reference.tasks
+        )
+    name = f"mechanism {mechanism.spec!r}"
+
+    def share(sensed: Sensed, rng: Generator) -> Release:
+        own = copy_for_user_plugin(sensed, mechanism)
+        release = guarded(name, lambda: mechanism.instance.share(own, rng))
+        if not isinstance(release, Release):
+            got = type(release).__name__
+            raise PluginError(f"{name} must return a Release, got {got}")
+        return release
+
+    releases = share_each(setup.sensed, share)
     try:
         network = make_network(
-            setup.sensed, mechanism=mechanism.instance, release=release
+            setup.sensed, mechanism=mechanism.instance, releases=releases
         )
     except SettingsError as error:
         raise PluginError(
             f"{name} leaves samples out, which on patrols a policy does; declare"
             " `withholds = True` in its class"
         ) from error
-    answered = {_ALL: Everything()} | {
-        policy.spec: policy.instance
-        for policy in policies
-        if not is_user_plugin(policy)
-    }
-    return SharedPatrol(setup, network, disclose_each(network, answered))
+    answers = disclose_each(network, {_ALL: Everything()} | built_in)
+    return SharedPatrol(setup, network, answers)
 
 
 def policy_rows(
     consumers: Iterable[Consumer], shared: SharedPatrol, *, mechanism: Plugin
-) -> Iterator[tuple[Consumer, Rows]]:
-    """Yield the readers of one policy, each with its rows.
+) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
+    """Yield the readers of one policy, each with the rows of its tables, by name.
 
     What several of them need is computed once, and held as long as this runs.
     """
-    foreseen: dict[str, Ints] = {}
+    foreseen: dict[str, Foreseen] = {}
     known: Known | None = None
     for consumer in consumers:
         note_cell(mechanism.spec, consumer.label)
@@ -175,10 +203,10 @@ def policy_rows(
         if (robot := consumer.plugin) is not None:
             task = shared.task(robot)
             if robot.spec not in foreseen and disclosure is shared.disclosures[_ALL]:
-                foreseen[robot.spec] = task.everything
+                foreseen[robot.spec] = task.from_all
             if robot.spec not in foreseen:
                 foreseen[robot.spec] = _foresee(robot, task, disclosure)
-            yield consumer, _robot_rows(consumer, task, foreseen[robot.spec])
+            yield consumer, _robot_tables(consumer, task, foreseen[robot.spec])
             continue
         known = known or known_places(
             shared.network,
@@ -187,22 +215,24 @@ def policy_rows(
             epsilon_m=shared.setup.stages.privacy.epsilon_m,
         )
         if consumer.knowledge == ORACLE:
-            yield consumer, known_rows(known)
+            yield consumer, {ROWS: known_rows(known)}
         else:
             following = _follow(consumer, shared, known=known)
-            yield consumer, followed_rows(following)
+            yield consumer, {ROWS: followed_rows(following)}
 
 
-def _foresee(robot: Plugin, task: RobotTask, disclosure: Disclosure) -> Ints:
-    """Return what a robot foresees, (E, R); PluginError names a predictor that fails."""
-    foreseen: Ints = guarded(
+def _foresee(robot: Plugin, task: RobotTask, disclosure: Disclosure) -> Foreseen:
+    """Return what a robot foresees; PluginError names a predictor that fails."""
+    foreseen: Foreseen = guarded(
         f"predictor {robot.spec!r}", lambda: foresee(task, disclosure)
     )
     return foreseen
 
 
-def _robot_rows(consumer: Consumer, task: RobotTask, foreseen: Ints) -> Rows:
-    """Return the rows of a robot at the horizon of its world."""
+def _robot_tables(
+    consumer: Consumer, task: RobotTask, foreseen: Foreseen
+) -> dict[str, Rows]:
+    """Return the tables of a robot at the horizon of its world."""
     stages = task.settings
     horizon_s = consumer.world.horizon_s
     horizon, *further = horizon_scans(stages)
@@ -215,8 +245,15 @@ def _robot_rows(consumer: Consumer, task: RobotTask, foreseen: Ints) -> Rows:
     is_built_in = not counts.hits["withheld_share"].any() and is_by_construction(
         task.network, consumer.policy.instance, consumer.plugin.instance
     )
-    rows = utility_rows(counts)
-    return rows | {"by_construction": np.full(rows["route"].size, is_built_in)}
+    tables = utility_tables(counts)
+    rows = tables[ROWS]
+    claims_protection = bool(getattr(consumer.policy.instance, "protects", True))
+    for name, value in (
+        ("by_construction", is_built_in),
+        ("protects", claims_protection),
+    ):
+        rows[name] = np.full(rows["route"].size, value)
+    return tables
 
 
 def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Following:
@@ -230,12 +267,16 @@ def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Follow
         guesses=setup.guesses,
         epsilon_m=setup.stages.privacy.epsilon_m,
         seed=setup.seed,
+        pseudonyms=setup.stages.patrol.pseudonyms,
         knows_policy=policy.instance if consumer.knowledge == "informed" else None,
     )
 
 
-def utility_rows(counts: UtilityCounts) -> Rows:
-    """Return rows of a robot by person and route, (N R,); see `utility_counts`."""
+def utility_tables(counts: UtilityCounts) -> dict[str, Rows]:
+    """Return the tables of a robot: rows by person and route, (N R,), and its alarms.
+
+    `utility_counts` reads them.
+    """
     n_people, n_routes = counts.trials[SHARES[0]].shape
     rows = _place_rows(n_people, n_routes)
     for name in SHARES:
@@ -244,17 +285,41 @@ def utility_rows(counts: UtilityCounts) -> Rows:
     # Those of a route, in the rows of all people.
     rows["false_alarms"] = np.tile(counts.false_alarms.astype(np.int32), n_people)
     rows["walked_s"] = np.full(n_people * n_routes, counts.walked_s)
-    return rows
+    by_distance = counts.by_distance
+    n_steps = len(by_distance.alarms)
+    conflicts = {
+        "track": by_distance.person,
+        "route": by_distance.route.astype(np.int32),
+        "step": by_distance.step.astype(np.int32),
+    }
+    alarms = {
+        "route": np.repeat(np.arange(n_routes, dtype=np.int32), n_steps),
+        "step": np.tile(np.arange(n_steps, dtype=np.int32), n_routes),
+        "alarms": by_distance.alarms.T.astype(np.int32).ravel(),
+        "allowed": np.repeat(counts.allowed.astype(np.int32), n_steps),
+    }
+    return {ROWS: rows, CONFLICTS: conflicts, ALARMS: alarms}
 
 
-def utility_counts(rows: Rows) -> UtilityCounts:
-    """Return the counts of the rows of `utility_rows`."""
+def utility_counts(tables: Mapping[str, Rows]) -> UtilityCounts:
+    """Return the counts of the tables of `utility_tables`.
+
+    The conflicts name the row of a person as `track`.
+    """
+    rows, conflicts, alarms = (tables[name] for name in (ROWS, CONFLICTS, ALARMS))
     n_routes = int(rows["route"].max()) + 1
     return UtilityCounts(
         hits={name: rows[f"{name}_hits"].reshape(-1, n_routes) for name in SHARES},
         trials={name: rows[f"{name}_trials"].reshape(-1, n_routes) for name in SHARES},
         false_alarms=rows["false_alarms"][:n_routes].astype(np.int64),
         walked_s=float(rows["walked_s"][0]),
+        by_distance=AlarmCounts(
+            alarms=alarms["alarms"].reshape(n_routes, -1).T,
+            person=conflicts["track"],
+            route=conflicts["route"],
+            step=conflicts["step"],
+        ),
+        allowed=alarms["allowed"].reshape(n_routes, -1)[:, 0],
     )
 
 
@@ -326,7 +391,10 @@ ROBOT_COLUMNS: Final = (
     "false_alarms",
     "walked_s",
     "by_construction",
+    "protects",
 )
+CONFLICT_COLUMNS: Final = ("route", "step")
+ALARM_COLUMNS: Final = ("route", "step", "alarms", "allowed")
 KNOWN_COLUMNS: Final = (
     "route",
     *_KNOWN_PEOPLE,
@@ -334,7 +402,11 @@ KNOWN_COLUMNS: Final = (
     *(f"{name}_{estimator}" for name in _KNOWN_ESTIMATORS for estimator in ESTIMATORS),
 )
 FOLLOWED_COLUMNS: Final = ("route", *_FOLLOWED_PEOPLE, *_FOLLOWED_ROWS)
-"""Columns of the cells of robots and logs, beside source and group."""
+"""Columns of the cells of robots and logs, beside source and group.
+
+`CONFLICTS` has a row for each true future conflict, `ALARMS` for each route and alarm
+distance.
+"""
 
 
 def _place_rows(n_people: int, n_routes: int) -> Rows:

@@ -144,8 +144,12 @@ def _patrol_cells(
             readers.setdefault(consumer.policy.spec, []).append(consumer)
         shared = patrols.share_level(mechanism, setup, policies.values())
         for own in readers.values():
-            for consumer, rows in patrols.policy_rows(own, shared, mechanism=mechanism):
-                tables = {ROWS: rows_table(rows, tracks=people)}
+            made = patrols.policy_rows(own, shared, mechanism=mechanism)
+            for consumer, rows_by_table in made:
+                tables = {
+                    name: rows_table(rows, tracks=people)
+                    for name, rows in rows_by_table.items()
+                }
                 yield FinishedCell(0, mechanism, consumer, tables)
 
 

@@ -146,6 +146,12 @@ _ROWS: Final = (
     Metric("d_sys_corrected", "D_sys, corrected", "linkage", "ratio", digits=3),
     Metric("residual_risk", "residual risk", "linkage"),
     Metric("chance", "chance", "linkage"),
+    Metric(
+        "missed_future_at_equal_false_alarms",
+        "at equal false alarms",
+        "patrol",
+        noun="future conflicts missed at equal false alarms",
+    ),
     Metric("missed_encounter_rate", "missed encounters", "patrol"),
     Metric("withheld_share", "withheld", "patrol"),
     Metric(
@@ -188,7 +194,9 @@ MISSED_FUTURE: Final = "missed_future_rate"
 EQUAL_ALARMS: Final = "missed_at_equal_false_alarms"
 """Missed conflicts at the predictor's false alarms under raw; not in the summary."""
 FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
-"""Missed conflicts that are still to come, at that same rate; not in the summary."""
+"""Missed conflicts that are still to come, at that same rate; in the summary only of
+patrols."""
+WITHHELD: Final = "withheld_share"  # Conflicts that a policy hides from a robot.
 KNOWN_SHARE: Final = "known_share"  # Person-time that an adversary with a log knows.
 FOLLOWED: Final = "followed_10s"  # People followed for ten seconds by a log.
 # Costs of noise.

@@ -7,6 +7,8 @@ Intervals draw people and routes, both with replacement. The numbers are rows of
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -15,6 +17,10 @@ import pandas as pd
 
 from attacks.following.followed import following_metrics
 from evaluation.compute.patrols import (
+    ALARM_COLUMNS,
+    ALARMS,
+    CONFLICT_COLUMNS,
+    CONFLICTS,
     FOLLOWED_COLUMNS,
     KNOWN_COLUMNS,
     ROBOT_COLUMNS,
@@ -22,7 +28,9 @@ from evaluation.compute.patrols import (
     known_from_rows,
     utility_counts,
 )
-from evaluation.estimates.metrics import METRICS
+from evaluation.compute.tables import ROWS
+from evaluation.estimates.metrics import KNOWN_SHARE, METRICS, WITHHELD
+from evaluation.plan.address import Address
 from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.patrols.metrics import estimate_utility, knowledge_metrics
@@ -36,25 +44,27 @@ if TYPE_CHECKING:
 
 MAP: Final = "map"
 """Consumer: an adversary without a log, that knows where people stand."""
-_PEOPLE: Final = ["source", "group"]
-_SHARED_METRICS: Final = ("disclosed_share", "people_seen", "plr_walk")
+_PEOPLE: Final = ("source", "group")
+_ROBOT_BESIDE: Final = (
+    *_PEOPLE,
+    *ROBOT_COLUMNS,
+    *CONFLICT_COLUMNS,
+    *ALARM_COLUMNS,
+)
+"""Columns of all tables of a robot."""
+_OF_ANSWERS: Final = ("disclosed_share", "people_seen", "plr_walk")
 """Metrics of the answers themselves, which no adversary changes."""
-_ORACLE_METRICS: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
+_OF_LOGS: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
 
 
 class PatrolNumber(NamedTuple):
     """A metric of a policy with a mechanism, of a robot or of an adversary."""
 
-    mechanism: str
-    level: float | None
-    consumer: str
-    knowledge: str
-    metric: str
-    policy: str
-    world: str
+    address: Address  # Without the recording, which all numbers of a run share.
     estimate: Estimate
     # Whether it follows from how policy and robot are built: then it is no result.
     is_built_in: bool = False
+    claims_protection: bool = True  # Whether the policy does; of a robot's number.
 
 
 def patrol_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]:
@@ -69,59 +79,69 @@ def patrol_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]
 
 def _numbers(out: Path, entry: Entry, *, seed: int) -> list[PatrolNumber]:
     """Return the numbers of a cell of a robot, or of an adversary with a log."""
-    address = entry.address
-
-    def number(
-        metric: str, estimate: Estimate, consumer: str, knowledge: str = ""
-    ) -> PatrolNumber:
-        return PatrolNumber(
-            mechanism=address.mechanism,
-            level=address.level,
-            consumer=consumer,
-            knowledge=knowledge,
-            metric=metric,
-            policy=address.policy,
-            world=address.world.text,
-            estimate=estimate,
-        )
-
-    consumer, knowledge = address.consumer, address.adversary
+    reader = entry.address
     if entry.kind == "patrol":
-        rows, group = _read(out, entry, ROBOT_COLUMNS)
+        rows, group = _read(out, entry, ROBOT_COLUMNS, beside=_ROBOT_BESIDE)
         is_built_in = bool(rows["by_construction"].all())
-        metrics = estimate_utility(utility_counts(rows), group=group, seed=seed)
+        counts = utility_counts({ROWS: rows} | _read_alarms(out, entry, group))
+        metrics = estimate_utility(counts, group=group, seed=seed)
         return [
-            number(name, estimate, consumer)._replace(
-                is_built_in=is_built_in and name == "withheld_share"
+            PatrolNumber(
+                reader.measured(name),
+                estimate,
+                is_built_in=is_built_in and name == WITHHELD,
+                claims_protection=bool(rows["protects"].all()),
             )
             for name, estimate in metrics.items()
         ]
-    if knowledge != ORACLE:
+    if reader.adversary != ORACLE:
         rows, group = _read(out, entry, FOLLOWED_COLUMNS)
         metrics = following_metrics(followed_from_rows(rows), group=group, seed=seed)
         return [
-            number(name, estimate, consumer, knowledge)
+            PatrolNumber(reader.measured(name), estimate)
             for name, estimate in metrics.items()
             if name in METRICS
         ]
     rows, group = _read(out, entry, KNOWN_COLUMNS)
     metrics = knowledge_metrics(known_from_rows(rows), group=group, seed=seed)
-    by_map = metrics["known_by_map"]
+    answers, by_map = (
+        replace(reader, plugin=name, adversary="") for name in (SHARED, MAP)
+    )
     return [
-        *(number(name, metrics[name], SHARED) for name in _SHARED_METRICS),
-        *(number(name, metrics[name], consumer, knowledge) for name in _ORACLE_METRICS),
-        number("known_share", by_map, MAP),
+        *(PatrolNumber(answers.measured(name), metrics[name]) for name in _OF_ANSWERS),
+        *(PatrolNumber(reader.measured(name), metrics[name]) for name in _OF_LOGS),
+        PatrolNumber(by_map.measured(KNOWN_SHARE), metrics["known_by_map"]),
     ]
 
 
 def _read(
-    out: Path, entry: Entry, columns: Sequence[str]
+    out: Path, entry: Entry, columns: Sequence[str], *, beside: Sequence[str] = ()
 ) -> tuple[Rows, tuple[str, ...]]:
     """Return the rows of a cell, and the cluster of each person."""
-    table = read_rows(out, entry, columns=[*_PEOPLE, *columns])
+    table = read_rows(out, entry, columns=[*_PEOPLE, *columns], beside=beside)
     rows = {name: table[name].to_numpy() for name in columns}
     n_routes = int(rows["route"].max()) + 1
     return rows, tuple(_names(table)[::n_routes])
+
+
+def _read_alarms(
+    out: Path, entry: Entry, group: Sequence[str]
+) -> dict[str, Rows]:
+    """Return the further tables of a robot's cell; `group` is the people's cluster.
+
+    A conflict names the first person of its cluster, for any other: only the cluster
+    matters to estimates.
+    """
+    first = {name: row for row, name in reversed([*enumerate(group)])}
+    read = partial(read_rows, out, entry, beside=_ROBOT_BESIDE)
+    conflicts = read(columns=["group", *CONFLICT_COLUMNS], table=CONFLICTS)
+    alarms = read(columns=ALARM_COLUMNS, table=ALARMS)
+    track = np.array([first[name] for name in _names(conflicts)], dtype=np.int64)
+    rows = {name: conflicts[name].to_numpy() for name in CONFLICT_COLUMNS}
+    return {
+        CONFLICTS: rows | {"track": track},
+        ALARMS: {name: alarms[name].to_numpy() for name in ALARM_COLUMNS},
+    }
 
 
 def _names(table: pa.Table) -> list[str]:
@@ -147,20 +167,16 @@ def _frame_rows(
     numbers: Iterable[PatrolNumber], *, families: Mapping[str, Any], dataset: str
 ) -> Iterator[dict[str, Any]]:
     for number in numbers:
-        estimate, family = number.estimate, families[number.mechanism]
+        address, estimate = number.address, number.estimate
+        family = families[address.mechanism]
         yield {
-            "dataset": f"{dataset}:{number.world}" if number.world else dataset,
-            "mechanism": number.mechanism,
-            "level": np.nan if number.level is None else number.level,
-            "consumer": number.consumer,
-            "knowledge": number.knowledge,
-            "metric": number.metric,
+            **address.within(dataset, address.world).to_columns(),
             "value": estimate.value,
             "ci_low": estimate.ci_low,
             "ci_high": estimate.ci_high,
             "n": estimate.n,
-            "unit": METRICS[number.metric].summary_unit,
+            "unit": METRICS[address.metric].summary_unit,
             "family": family.family,
             "adding": family.adding,
-            "policy": number.policy,
+            "policy": address.policy,
         }

@@ -61,13 +61,15 @@ def _is_at(cell: PlannedCell, names: tuple[str, ...]) -> bool:
 def failed_lines(rows: pd.DataFrame) -> list[str]:
     """Return a line for each consumer and reason in `failed.csv`, with the levels."""
     lines = []
-    for (consumer, knows, why), part in rows.groupby(
-        ["consumer", "knowledge", "why"], sort=False
-    ):
+    keys = ["consumer", "knowledge", "policy", "why"]
+    # A run of an earlier version names no policy.
+    texts = rows.assign(policy=rows["policy"].fillna(""))
+    for (consumer, knows, policy, why), part in texts.groupby(keys, sort=False):
         name = f"{consumer} ({knows})" if str(knows) else consumer
+        under = f" under {policy}" if str(policy) else ""
         specs = list(part["spec"].unique())
         levels = ", ".join(specs[:_MOST_NAMED])
         if len(specs) > _MOST_NAMED:
             levels += f" and {len(specs) - _MOST_NAMED} more"
-        lines.append(f"{name} at {levels}: {why}; left out everywhere")
+        lines.append(f"{name}{under} at {levels}: {why}; left out everywhere")
     return lines

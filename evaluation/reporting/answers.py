@@ -29,7 +29,7 @@ from evaluation.reporting.names import (
     robot_subject,
     task_phrase,
 )
-from evaluation.reporting.patrol_tables import patrol_sentence
+from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import share_answer, share_details
 from evaluation.reporting.rows import Results
 from evaluation.verdict import rules

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
+from evaluation.estimates.families import families_in
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -32,10 +33,16 @@ from evaluation.reporting.names import (
 )
 from evaluation.reporting.noise_plan import plan_lines
 from evaluation.reporting.notices import few_people
+from evaluation.reporting.patrol_advice import (
+    PatrolAnswer,
+    answer_on_patrol,
+    patrol_table,
+)
 from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
 from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
+from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
 from evaluation.verdict.what_to_share import (
     LIMITS,
     MISSED,
@@ -67,10 +74,19 @@ class Answer:
     out: Path
     manifest: Mapping[str, Any]
     recommendation: Recommendation
+    on_patrol: PatrolAnswer
+
+    @property
+    def met(self) -> bool:
+        """Whether some level keeps within all limits, and some policy where asked."""
+        is_patrol_met = self.on_patrol.met or not self.on_patrol.is_asked
+        return self.recommendation.met and is_patrol_met
 
 
-def answer_question(out: Path, question: Question) -> Answer:
-    """Return the answer of a run to a question.
+def answer_question(
+    out: Path, question: Question, *, limits: PatrolLimits = USUAL_LIMITS
+) -> Answer:
+    """Return the answer of a run to a question; `limits` are those on patrols.
 
     Raises DataError if there is no run, or a file of it is missing or broken. Raises
     SettingsError if the run lacks a mechanism, a robot or a family of the question.
@@ -80,13 +96,20 @@ def answer_question(out: Path, question: Question) -> Answer:
     identity, dataset = manifest["identity"], manifest["dataset"]["name"]
     scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
     advice = recommend(table, question, dataset=dataset, scenes=scenes)
-    if not (advice.proposals or advice.refused):
+    on_patrol = answer_on_patrol(
+        read_report_file(out, "verdict.json").get("patrols", {}),
+        limits,
+        robot=question.robot,
+        horizon_s=question.criterion.horizon_s,
+        families=families_in(manifest["cells"]),
+    )
+    if not (advice.proposals or advice.refused or on_patrol.proposal):
         raise SettingsError(
             f"{out} has no level that claims to protect and adds noise by the rule "
             f"{' or '.join(question.adding)}; run it again with --mechanism "
             f"fid:1..1000/10,adding={question.adding[0]}"
         )
-    return Answer(out, manifest, advice)
+    return Answer(out, manifest, advice, on_patrol)
 
 
 def to_json(answer: Answer) -> dict[str, Any]:
@@ -99,7 +122,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
         advice, simulated=dataset["simulated"], epsilon_m=words.epsilon_m(manifest)
     )
     return {
-        "met": advice.met,
+        "met": answer.met,
         "answer": text,
         "out": str(answer.out),
         "dataset": dataset["name"],
@@ -119,6 +142,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
         "nearest": _offer(advice.nearest, answer) if advice.nearest else None,
         "refused": [_offer(offer, answer) for offer in _nearest_levels(advice.refused)],
         "notes": notes(answer),
+        "patrols": answer.on_patrol.to_json(),
     }
 
 
@@ -265,7 +289,8 @@ def _short_parts(answer: Answer, *, width: int) -> list[Part]:
     )
     first = wrap_lines(text, width=width, indent="")
     doubt = few_people(dataset)
-    last = [f"Doubt: {doubt}"] if doubt else []
+    last = wrap_lines(answer.on_patrol.text, width=width)
+    last += [f"Doubt: {doubt}"] if doubt else []
     last.append(f"{words.untried_text(advice)}All reasons: --verbose.")
     n_rows = max(_LEAST_ROWS, _LINES - len(first) - len(last) - _HEADS)
     grid = _level_lines(_shown_levels(advice)[:n_rows], advice, epsilon_m=epsilon)
@@ -337,6 +362,9 @@ def _full_parts(answer: Answer) -> list[Part]:
     for offer in refused:
         failures = "; ".join(words.failures(offer, advice, epsilon_m=epsilon))
         parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
+    parts += ["", answer.on_patrol.text]
+    if options := answer.on_patrol.options:
+        parts += [patrol_table(options, families_in(manifest["cells"]))]
     if remarks := [f"Note: {note}" for note in notes(answer)]:
         parts += ["", *remarks]
     return parts

@@ -47,7 +47,7 @@ from evaluation.reporting.notices import (
     used_are_slower,
 )
 from evaluation.reporting.paper_hint import paper_hint
-from evaluation.reporting.patrol_tables import patrol_sentence
+from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import named_levels
 from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.rows import Results

@@ -1,4 +1,4 @@
-"""Tables and sentences about patrols: what robots miss, what the log of a fleet tells."""
+"""Tables about patrols: what robots miss, what the log of a fleet tells."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, Final
@@ -6,16 +6,12 @@ from typing import Any, Final
 import pandas as pd
 
 from evaluation.estimates.keys import row_dicts
-from evaluation.estimates.metrics import METRICS
+from evaluation.estimates.metrics import FUTURE_EQUAL_ALARMS, METRICS, WITHHELD
 from evaluation.estimates.patrols import MAP
 from evaluation.plan.address import parse_dataset
 from evaluation.reporting import table as make
-from evaluation.reporting.lookups import find_family
-from evaluation.reporting.names import (
-    mechanism_name,
-    robot_name,
-    robot_subject,
-)
+from evaluation.reporting.names import robot_name
+from evaluation.reporting.patrol_words import shared_name
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Cell, Table
 
@@ -33,8 +29,9 @@ _LOG: Final = {
 _ROBOT: Final = (
     "missed_conflict_rate",
     "missed_future_rate",
+    FUTURE_EQUAL_ALARMS,
     "missed_encounter_rate",
-    "withheld_share",
+    WITHHELD,
     "false_alarms_per_min",
 )
 _BUILT_IN: Final = "*"
@@ -100,7 +97,7 @@ def _robot_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
             continue
         world = parse_dataset(row["dataset"]).world
         place = _place(row | {"world": world.text})
-        is_built_in = row["metric"] == "withheld_share" and place in known
+        is_built_in = row["metric"] == WITHHELD and place in known
         seconds = world.horizon_s
         key = (
             robot_name(row["consumer"]),
@@ -133,33 +130,6 @@ def _robot_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
     )
 
 
-def patrol_sentence(run: Results) -> str:
-    """Return the policy and mechanism that a run proposes for patrols; or empty."""
-    proposal = run.verdict.get("patrols", {}).get("recommended", {})
-    if not proposal:
-        return ""
-    everything, best = proposal["everything"], proposal["best"]
-    seconds = proposal["horizon_s"]
-    ahead = f" within {seconds:g} s" if seconds else ""
-    all_sent = f"{_percent(everything['known'])} of person-time"
-    limit = (
-        f" if {robot_subject(proposal['robot'])} may miss"
-        f" {100 * proposal['limit']:g} points more conflicts{ahead}"
-    )
-    if best is None or best == everything:
-        return (
-            f"A log of all answers reveals {all_sent}, and no policy tried reveals"
-            f" less{limit}."
-        )
-    shared = mechanism_name(find_family(run.families, best["mechanism"]), best["level"])
-    certainty = "" if proposal["has_interval"] else " (no intervals: few routes)"
-    # A single sentence: the first screen drops last sentences where it lacks room.
-    return (
-        f"Policy {best['policy']} with {shared} reveals least to a log:"
-        f" {_percent(best['known'])} instead of {all_sent}{limit}{certainty}."
-    )
-
-
 def _records(
     cells: Mapping[tuple[str, str], Mapping[str, Cell]],
 ) -> Iterable[dict[str, Any]]:
@@ -172,7 +142,7 @@ def _records(
 def _shared(run: Results, row: Mapping[str, Any]) -> str:
     """Return the name of the mechanism of a row."""
     level = None if pd.isna(row["level"]) else row["level"]
-    return mechanism_name(find_family(run.families, row["mechanism"]), level)
+    return shared_name({"mechanism": row["mechanism"], "level": level}, run.families)
 
 
 def _cell(row: Mapping[str, Any], *, mark: str = "") -> Cell:
@@ -184,7 +154,3 @@ def _cell(row: Mapping[str, Any], *, mark: str = "") -> Cell:
 def _place(row: Mapping[str, Any]) -> tuple[Any, ...]:
     level = None if pd.isna(row["level"]) else float(row["level"])
     return row["mechanism"], level, row["policy"], row["consumer"], row["world"]
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"

@@ -53,7 +53,8 @@ from evaluation.reporting.notices import (
     notices,
     used_are_slower,
 )
-from evaluation.reporting.patrol_tables import patrol_sentence, patrol_tables
+from evaluation.reporting.patrol_tables import patrol_tables
+from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
 from evaluation.reporting.table import (
     Table,

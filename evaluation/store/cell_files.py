@@ -263,16 +263,23 @@ def read_rows(
     *,
     columns: Sequence[str],
     beside: Collection[str] = (),
+    table: str = ROWS,
 ) -> pa.Table:
     """Return the rows of one consumer at one level, an entry of a manifest, by block.
 
-    Columns `beside` are read, too, for the next call that asks for the same files: one
-    read for all. Raises DataError if a cell is missing or broken, or has no such
-    column; the message names it.
+    `table` is that of the cell. Columns `beside` are read, too, for the next call that
+    asks for the same files: one read for all. Raises DataError if a cell is missing or
+    broken, or has no such table or column; the message names it.
     """
     parts = []
     for file in open_files(out, entry, {*columns, *beside}):
-        rows = file.table.slice(*consumer_tables(file, entry).tables[ROWS])
+        places = consumer_tables(file, entry).tables
+        if table not in places:
+            raise DataError(
+                f"{file.path} has no table {table}: another version wrote it; run the"
+                " matrix again"
+            )
+        rows = file.table.slice(*places[table])
         check_columns(rows, columns, path=file.path)
         parts.append(rows.select(list(columns)))
     return pa.concat_tables(parts).unify_dictionaries()

@@ -17,7 +17,15 @@ if TYPE_CHECKING:
     from evaluation.plan.world import World
     from isac_track.plugins import Plugin
 
-FAILED_COLUMNS: Final = ("spec", "kind", "consumer", "knowledge", "block", "why")
+FAILED_COLUMNS: Final = (
+    "spec",
+    "kind",
+    "consumer",
+    "knowledge",
+    "block",
+    "why",
+    "policy",
+)
 """Columns of `failed.csv`."""
 
 

@@ -1,14 +1,15 @@
 """Answers of the network on a patrol: a release of everybody, and the disclosures."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.random import Generator
 
 from isac_track.config import StageSettings
 from isac_track.errors import PluginError, SettingsError, error_text
-from isac_track.patrols.patrol import Patrol, sense_people
+from isac_track.patrols.patrol import Patrol, sense_again, sense_people
 from isac_track.policies.query import Form, Query, SelectOn, View
 from isac_track.protocols import Mechanism, Policy, Predictor
 from isac_track.rng import stream
@@ -29,6 +30,14 @@ _CHUNK: Final = 2_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Histories:
+    """All history of the people at each query, with errors of that query alone."""
+
+    raw: Release  # E tracks, one for each presence, as sensed.
+    shared: Release  # The same as the mechanism shares it.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Network:
     """A sensing network on a patrol, with its data, its release and its forecasts."""
 
@@ -40,6 +49,28 @@ class Network:
     raw_forecast: Prediction  # Of the E presences, from all history as sensed.
     shared_forecast: Prediction  # The same from the release.
     seed: int
+    # What is sent, if errors are drawn anew at every query; else `release` is.
+    histories: Histories | None = None
+
+    @property
+    def is_raw(self) -> bool:
+        """Whether positions are shared as they are sensed."""
+        if self.histories is not None:
+            return np.array_equal(self.histories.shared.xy, self.histories.raw.xy)
+        return np.array_equal(self.release.xy, self.sensed.xy)
+
+    @property
+    def sent(self) -> Release:
+        """The release that answers are cut from."""
+        return self.release if self.histories is None else self.histories.shared
+
+    def sent_rows(self, presence: Ints, sample: Ints) -> Ints:
+        """Return the rows in `sent` of samples of the patrol in answers, (A,)."""
+        if self.histories is None:
+            return sample
+        people = self.patrol.people
+        first = people.offsets[self.patrol.presences.person[presence]]
+        return np.asarray(self.histories.shared.offsets[presence] + sample - first)
 
     def forecast(self, select_on: SelectOn) -> Prediction:
         """Return the forecasts of the E presences from raw or shared samples."""
@@ -56,6 +87,12 @@ class Disclosure:
     presence: Ints  # (A,) query and person.
     first: Ints  # (A,) first sample of the run.
     end: Ints  # (A,) first sample after the run.
+
+    def key(self, *, robots: Ints) -> bytes:
+        """Return a key that equal answers share, whichever of `robots` got them."""
+        is_ours = np.isin(self.robot, robots)
+        runs = np.stack([self.presence, self.first, self.end])[:, is_ours]
+        return np.unique(runs, axis=1).tobytes()
 
     def sent(self, patrol: Patrol, *, robots: Ints) -> Bools:
         """Return which samples were sent to at least one of `robots`, (M,)."""
@@ -75,17 +112,72 @@ class SensedPatrol:
     sensed: Sensed
     raw_forecast: Prediction  # Of the E presences, from all history as sensed.
     seed: int
+    # All history of the people at each query with people; empty: errors last.
+    again: tuple[Sensed, ...] = ()
 
 
 def sense_patrol(
     patrol: Patrol, *, forecaster: Predictor, settings: StageSettings, seed: int
 ) -> SensedPatrol:
-    """Sense everybody once, and forecast from what was sensed."""
+    """Sense everybody once, and forecast from what was sensed.
+
+    With `patrol.errors=query` all history is sensed anew at every query.
+    """
     sensed = sense_people(patrol, settings=settings, seed=seed)
+    if settings.patrol.errors == "query":
+        again = tuple(
+            sense_again(patrol, number, settings=settings, seed=seed)
+            for number in np.unique(patrol.presences.query).tolist()
+        )
+        forecast = _forecast_histories(patrol, _joined_raw(again), forecaster)
+        return SensedPatrol(patrol, forecaster, sensed, forecast, seed, again)
     names = tuple(map(str, range(len(patrol.people))))
     raw = Release(sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, names)
     forecast = _forecast_presences(patrol, raw, forecaster)
     return SensedPatrol(patrol, forecaster, sensed, forecast, seed)
+
+
+def _joined_raw(again: Sequence[Sensed]) -> Release:
+    """Return the histories of all queries, as sensed, one below the other."""
+    parts = [
+        Release(
+            sensed.t,
+            sensed.xy,
+            sensed.sigma_raw,
+            sensed.offsets,
+            tuple(map(str, range(len(sensed)))),
+        )
+        for sensed in again
+    ]
+    return _joined_releases(parts)
+
+
+def _joined_releases(parts: Sequence[Release]) -> Release:
+    """Return the tracks of several releases, one below the other."""
+    sizes = np.concatenate([np.diff(part.offsets) for part in parts])
+    sigmas = [part.sigma for part in parts if part.sigma is not None]
+    return Release(
+        t=np.concatenate([part.t for part in parts]),
+        xy=np.concatenate([part.xy for part in parts]),
+        sigma=np.concatenate(sigmas) if len(sigmas) == len(parts) else None,
+        offsets=np.concatenate([[0], np.cumsum(sizes)]),
+        pseudonym=tuple(map(str, range(sizes.size))),
+    )
+
+
+def _forecast_histories(
+    patrol: Patrol, histories: Release, predictor: Predictor
+) -> Prediction:
+    """Return forecasts of all presences from the histories of their queries, (E, H)."""
+    every = np.arange(len(patrol.presences))
+    return forecast_runs(
+        histories,
+        first=histories.offsets[:-1],
+        end=histories.offsets[1:],
+        track=every,
+        t_future=patrol.t_ahead(every),
+        predictor=predictor,
+    )
 
 
 def share_patrol(
@@ -110,21 +202,52 @@ def share_sensed(sensed_patrol: SensedPatrol, *, mechanism: Mechanism) -> Networ
     The random stream starts equal for all mechanisms. SettingsError for a mechanism
     that leaves samples out or moves them in time, since a policy selects samples.
     """
-    rng = stream(sensed_patrol.seed, "patrols", "sharing")
-    release = mechanism.share(sensed_patrol.sensed, rng)
-    return make_network(sensed_patrol, mechanism=mechanism, release=release)
+    releases = share_each(sensed_patrol, mechanism.share)
+    return make_network(sensed_patrol, mechanism=mechanism, releases=releases)
+
+
+def share_each(
+    sensed_patrol: SensedPatrol, share: Callable[[Sensed, Generator], Release]
+) -> list[Release]:
+    """Return the release of everybody, and behind it those of each query, if any."""
+    seed = sensed_patrol.seed
+    releases = [share(sensed_patrol.sensed, stream(seed, "patrols", "sharing"))]
+    for number, sensed in enumerate(sensed_patrol.again):
+        rng = stream(seed, "patrols", "sharing", "query", number)
+        releases.append(share(sensed, rng))
+    return releases
 
 
 def make_network(
-    sensed_patrol: SensedPatrol, *, mechanism: Mechanism, release: Release
+    sensed_patrol: SensedPatrol, *, mechanism: Mechanism, releases: Sequence[Release]
 ) -> Network:
-    """Return the network that shared a release; SettingsError as `share_sensed`."""
+    """Return the network that shared releases; SettingsError as `share_sensed`.
+
+    They are as `share_each` returns them.
+    """
     sensed, patrol = sensed_patrol.sensed, sensed_patrol.patrol
-    if not np.array_equal(release.t, sensed.t):
-        name = type(mechanism).__name__
-        raise SettingsError(
-            f"{name} does not share every sample at its time; on patrols a policy"
-            " selects samples, such as window:SECONDS"
+    release, *again = releases
+    for part, sensed_part in zip(releases, (sensed, *sensed_patrol.again), strict=True):
+        if not np.array_equal(part.t, sensed_part.t):
+            name = type(mechanism).__name__
+            raise SettingsError(
+                f"{name} does not share every sample at its time; on patrols a policy"
+                " selects samples, such as window:SECONDS"
+            )
+    if again:
+        histories = Histories(_joined_raw(sensed_patrol.again), _joined_releases(again))
+        return Network(
+            patrol=patrol,
+            mechanism=mechanism,
+            forecaster=sensed_patrol.forecaster,
+            sensed=sensed,
+            release=release,
+            raw_forecast=sensed_patrol.raw_forecast,
+            shared_forecast=_forecast_histories(
+                patrol, histories.shared, sensed_patrol.forecaster
+            ),
+            seed=sensed_patrol.seed,
+            histories=histories,
         )
     shared_forecast = sensed_patrol.raw_forecast
     if not _is_raw(release, sensed):
@@ -283,6 +406,12 @@ def _present_people(network: Network, number: int) -> _Scene:
     presence = np.arange(start, stop)
     first = patrol.people.offsets[patrol.presences.person[presence]]
     sample, offsets = stretches(first, patrol.presences.sample[presence] + 1 - first)
+    raw_xy, shared_xy = network.sensed.xy[sample], network.release.xy[sample]
+    if network.histories is not None:
+        offsets_of_all = network.histories.raw.offsets
+        rows = slice(offsets_of_all[start], offsets_of_all[stop])
+        raw_xy = network.histories.raw.xy[rows]
+        shared_xy = network.histories.shared.xy[rows]
     raw_forecast = _take_forecasts(network.raw_forecast, presence)
     shared_forecast = _take_forecasts(network.shared_forecast, presence)
     return _Scene(
@@ -292,8 +421,8 @@ def _present_people(network: Network, number: int) -> _Scene:
         # Read-only: no policy changes what another one gets.
         t=read_only(network.sensed.t[sample]),
         offsets=read_only(offsets),
-        raw=View(read_only(network.sensed.xy[sample]), raw_forecast),
-        shared=View(read_only(network.release.xy[sample]), shared_forecast),
+        raw=View(read_only(raw_xy), raw_forecast),
+        shared=View(read_only(shared_xy), shared_forecast),
     )
 
 

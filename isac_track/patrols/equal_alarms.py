@@ -17,12 +17,22 @@ from isac_track.intervals import (
     effective_clusters,
     estimate_from_replicates,
 )
-from isac_track.patrols.intervals import FEWEST_ROUTES, sum_clusters, two_way_weights
+from isac_track.patrols.intervals import FEWEST_ROUTES, two_way_weights
 from isac_track.patrols.patrol import Patrol
-from isac_track.patrols.utility import NEVER, false_alarm_queries
 from isac_track.types import Floats, Ints
 
-_DISTANCES_M: Final = np.linspace(0.0, 3.0, 31)  # Alarm distances that are tried.
+DISTANCES_M: Final = np.linspace(0.0, 3.0, 31)  # Alarm distances that are tried.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AlarmCounts:
+    """False alarms of R robots at D alarm distances, and K true future conflicts."""
+
+    alarms: Ints  # (D, R) queries with a false alarm.
+    person: Ints  # (K,) person of each conflict.
+    route: Ints  # (K,) robot of each conflict.
+    # (K,) number of the shortest distance at which the robot alarms; D: at none.
+    step: Ints
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,26 +44,54 @@ class AlarmCurve:
     trials: Floats  # (C, R) future conflicts.
 
 
-def alarm_curve(
-    patrol: Patrol, *, actual: Ints, gaps_m: Floats, horizon: int, cluster: Ints
-) -> AlarmCurve:
+def count_alarms(
+    patrol: Patrol, *, actual: Ints, gaps_m: Floats, horizon: int
+) -> AlarmCounts:
+    """Count false alarms over the alarm distance, and when each conflict alarms.
+
+    `gaps_m`, (E, R) m, are the least forecast distances (`foresee_from`), `actual`, (E,
+    R), the scans until a true conflict, within a horizon in scans.
+    """
+    # People are in the order of queries.
+    _, starts = np.unique(patrol.presences.query, return_index=True)
+    nearest_m = np.minimum.reduceat(gaps_m, starts)
+    is_conflict = np.logical_or.reduceat(actual <= horizon, starts)
+    nearest_m[is_conflict] = np.inf  # No alarm there is false.
+    steps = _first_alarms(nearest_m)
+    alarms = np.stack(
+        [
+            np.cumsum(np.bincount(column, minlength=DISTANCES_M.size + 1))
+            for column in steps.T
+        ],
+        axis=1,
+    )
+    presence, route = np.nonzero((actual > 0) & (actual <= horizon))
+    return AlarmCounts(
+        alarms=alarms[: DISTANCES_M.size],
+        person=patrol.presences.person[presence],
+        route=route,
+        step=_first_alarms(gaps_m[presence, route]),
+    )
+
+
+def _first_alarms(gaps_m: Floats) -> Ints:
+    """Return the number of the shortest distance above each gap; D without any."""
+    return np.asarray(np.searchsorted(DISTANCES_M, gaps_m, side="right"))
+
+
+def alarm_curve(counts: AlarmCounts, *, cluster: Ints) -> AlarmCurve:
     """Return false alarms and misses of robots over the alarm distance.
 
-    `gaps_m`, (E, R) m, are the least forecast distances (`least_gaps`), `actual`, (E,
-    R), the scans until a true conflict. `cluster`, (E,), numbers the people who walk
-    together.
+    `cluster`, (N,), numbers the people who walk together.
     """
-    is_future = (actual > 0) & (actual <= horizon)
-    alarms, missed = [], []
-    for distance_m in _DISTANCES_M:
-        is_alarm = gaps_m < distance_m
-        foreseen = np.where(is_alarm, 0, NEVER)
-        alarms.append(false_alarm_queries(patrol, actual, foreseen, horizon=horizon))
-        missed.append(sum_clusters(is_future & ~is_alarm, cluster))
+    n_steps, n_routes = counts.alarms.shape
+    alarmed = np.zeros((n_steps + 1, int(cluster.max(initial=-1)) + 1, n_routes))
+    np.add.at(alarmed, (counts.step, cluster[counts.person], counts.route), 1.0)
+    trials = alarmed.sum(axis=0)
     return AlarmCurve(
-        alarms=np.array(alarms, dtype=np.float64),
-        missed=np.array(missed),
-        trials=sum_clusters(is_future, cluster),
+        alarms=counts.alarms.astype(np.float64),
+        missed=trials - np.cumsum(alarmed[:-1], axis=0),
+        trials=trials,
     )
 
 
@@ -92,16 +130,21 @@ def drawn_misses(
     leave people out of the misses, but not out of the false alarms, which nobody owns.
     """
     alarms, allowed = routes @ curve.alarms.T, routes @ reference
-    missed = np.stack(
-        [((people @ part) * routes).sum(axis=1) for part in curve.missed], axis=1
+    before, after, share = _between(alarms, allowed)
+    low, high = (
+        _misses_at(curve.missed, step, people=people, routes=routes)
+        for step in (before, after)
     )
     trials = ((people @ curve.trials) * routes).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(_interpolate_misses(missed, alarms, allowed) / trials)
+        return np.asarray(((1.0 - share) * low + share * high) / trials)
 
 
-def _interpolate_misses(missed: Floats, alarms: Floats, allowed: Floats) -> Floats:
-    """Return the misses where the alarms, (B, D), first exceed those allowed, (B,)."""
+def _between(alarms: Floats, allowed: Floats) -> tuple[Ints, Ints, Floats]:
+    """Return the distances between which alarms, (B, D), exceed those allowed, (B,).
+
+    They are numbers of distances, (B,), and the place between them, 0 to 1.
+    """
     exceeds = alarms > allowed[:, None]
     after = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), alarms.shape[1] - 1)
     before = np.maximum(after - 1, 0)
@@ -109,7 +152,15 @@ def _interpolate_misses(missed: Floats, alarms: Floats, allowed: Floats) -> Floa
     low, high = alarms[rows, before], alarms[rows, after]
     share = np.ones(len(alarms))
     np.divide(allowed - low, high - low, out=share, where=high > low)
-    share = np.clip(share, 0.0, 1.0)
-    return np.asarray(
-        (1.0 - share) * missed[rows, before] + share * missed[rows, after]
-    )
+    return before, after, np.clip(share, 0.0, 1.0)
+
+
+def _misses_at(
+    missed: Floats, step: Ints, *, people: Floats, routes: Floats
+) -> Floats:
+    """Return the misses of each replicate at a distance of its own, (B,)."""
+    drawn = np.empty(step.size)
+    for number in np.unique(step).tolist():  # Replicates agree on a few distances.
+        rows = step == number
+        drawn[rows] = ((people[rows] @ missed[number]) * routes[rows]).sum(axis=1)
+    return drawn

@@ -21,7 +21,7 @@ from isac_track.patrols.answers import Disclosure, Network
 from isac_track.patrols.patrol import Patrol
 from isac_track.patrols.utility import scans_left
 from isac_track.patrols.walked_map import map_guesses
-from isac_track.types import Bools, Floats, Ints, squared_lengths
+from isac_track.types import Bools, Floats, Ints, Release, squared_lengths
 
 ESTIMATORS: Final = (
     "smooth",
@@ -117,8 +117,10 @@ def known_places(
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
         sent = disclosure.sent(patrol, robots=robots)
         key = np.packbits(sent).tobytes()
+        if network.histories is not None:
+            key = disclosure.key(robots=robots)  # An answer has errors of its own.
         if key not in by_log:
-            log = fleet_log(network, disclosure, sent=sent)
+            log = fleet_log(network, disclosure, robots=robots)
             by_log[key] = _count_fleet(network, log, sent, guess, epsilon_m=epsilon_m)
         fleets.append(by_log[key])
     near_guess = squared_lengths(guess - grid.xy) < epsilon_m**2
@@ -178,30 +180,85 @@ def nearest_samples(patrol: Patrol) -> Ints:
     return sample
 
 
-def fleet_log(network: Network, disclosure: Disclosure, *, sent: Bools) -> Log:
-    """Return the log of a fleet that was `sent` samples, (M,), or states at them.
+def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
+    """Return the log of a fleet of `robots`: samples, or states at their samples.
 
     A state gives an entry at every scan until the next query, by its position and
-    velocity. A later state replaces an earlier one.
+    velocity. A later state replaces an earlier one. Several draws of a sample are
+    averaged.
     """
     people = network.patrol.people
     if disclosure.form == "state":
+        sent = disclosure.sent(network.patrol, robots=robots)
         xy, variance, is_entry = _state_entries(network, sent)
+        sample = np.flatnonzero(is_entry)
+        xy, variance = xy[sample], variance[sample]
     else:
-        xy, variance, is_entry = network.release.xy, declared_variance(network), sent
-    sample = np.flatnonzero(is_entry)
+        row = _sent_rows(network, disclosure, robots)
+        sample, xy, variance = average_draws(
+            sent_samples(network, row),
+            network.sent.xy[row],
+            sent_variance(network)[row],
+        )
     return Log(
         sample=sample,
         t=people.t[sample],
-        xy=xy[sample],
-        variance=np.maximum(variance[sample], MIN_VARIANCE_M2),
+        xy=xy,
+        variance=np.maximum(variance, MIN_VARIANCE_M2),
         offsets=np.searchsorted(sample, people.offsets),
     )
 
 
+def _sent_rows(network: Network, disclosure: Disclosure, robots: Ints) -> Ints:
+    """Return the rows of `network.sent` that robots were sent, (L,), ascending."""
+    is_ours = np.isin(disclosure.robot, robots)
+    begins = network.sent_rows(disclosure.presence[is_ours], disclosure.first[is_ours])
+    sizes = disclosure.end[is_ours] - disclosure.first[is_ours]
+    change = np.zeros(network.sent.t.size + 1, dtype=np.int64)
+    np.add.at(change, begins, 1)
+    np.add.at(change, begins + sizes, -1)
+    return np.flatnonzero(np.cumsum(change[:-1]) > 0)
+
+
+def sent_samples(network: Network, row: Ints) -> Ints:
+    """Return the samples of the patrol at rows of `network.sent`, (L,)."""
+    if network.histories is None:
+        return row
+    offsets, pairs = network.sent.offsets, network.patrol.presences
+    presence = np.searchsorted(offsets, row, side="right") - 1
+    first = network.patrol.people.offsets[pairs.person[presence]]
+    return np.asarray(first + row - offsets[presence])
+
+
+def average_draws(
+    key: Ints, xy: Floats, variance: Floats
+) -> tuple[Ints, Floats, Floats]:
+    """Return the ascending keys, and position and variance of each, of several draws.
+
+    Draws, (L,), are weighted by the inverse of their variance.
+    """
+    keys, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    if (count == 1).all():
+        order = np.argsort(key)
+        return keys, xy[order], variance[order]
+    weight = 1.0 / np.maximum(variance, MIN_VARIANCE_M2)
+    total = np.bincount(inverse, weights=weight)
+    mean = [np.bincount(inverse, weights=weight * axis) / total for axis in xy.T]
+    return keys, np.stack(mean, axis=1), 1.0 / total
+
+
+def sent_variance(network: Network) -> Floats:
+    """Return the declared or estimated variance of each row of `network.sent`, m^2."""
+    return _variance(network, network.sent)
+
+
 def declared_variance(network: Network) -> Floats:
     """Return the declared or estimated variance of each sample, (M,) m^2 per axis."""
-    release, sigma = network.release, network.release.sigma
+    return _variance(network, network.release)
+
+
+def _variance(network: Network, release: Release) -> Floats:
+    sigma = release.sigma
     if sigma is None:
         variance = innovation_variance_m2(
             t=release.t, xy=release.xy, offsets=release.offsets

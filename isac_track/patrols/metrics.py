@@ -13,7 +13,12 @@ import numpy as np
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.equal_alarms import alarm_curve, missed_at_equal_alarms
+from isac_track.patrols.equal_alarms import (
+    AlarmCounts,
+    alarm_curve,
+    count_alarms,
+    missed_at_equal_alarms,
+)
 from isac_track.patrols.intervals import (
     FEWEST_ROUTES,
     REPLICATES,
@@ -24,13 +29,12 @@ from isac_track.patrols.intervals import (
 from isac_track.patrols.knowledge import Known
 from isac_track.patrols.patrol import horizon_scans, query_scans
 from isac_track.patrols.utility import (
+    Foreseen,
     answer_forecasts,
-    conflicts_in,
     false_alarm_queries,
     false_alarms,
     first_entries,
-    foreseen_conflicts,
-    least_gaps,
+    foresee_from,
     missed_conflicts,
     missed_encounters,
     missed_futures,
@@ -53,9 +57,14 @@ class RobotTask:
     settings: StageSettings
     actual: Ints  # (E, R) scans until a true conflict.
     entries: Ints  # (N, R) scan of the first true entry.
-    everything: Ints  # (E, R) scans until a conflict is foreseen from all samples.
-    allowed: dict[int, Ints]
+    from_all: Foreseen  # What the robot foresees from all samples.
+    allowed: Mapping[int, Ints]
     """Queries with a false alarm of the reference, (R,), by horizon in scans."""
+
+    @property
+    def everything(self) -> Ints:
+        """Scans until a conflict is foreseen from all samples, (E, R)."""
+        return self.from_all.conflicts
 
 
 def robot_task(
@@ -72,11 +81,12 @@ def robot_task(
     its number of false alarms. Without it this task is the reference.
     """
     patrol, radius_m = network.patrol, settings.conflict.safety_radius_m
-    answers = answer_forecasts(network, everything, predictor)
-    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
+    foreseen = _foresee(network, everything, predictor=predictor, settings=settings)
     actual = true_conflicts(patrol, safety_radius_m=radius_m)
     allowed = {
-        horizon: false_alarm_queries(patrol, actual, foreseen, horizon=horizon)
+        horizon: false_alarm_queries(
+            patrol, actual, foreseen.conflicts, horizon=horizon
+        )
         for horizon in horizon_scans(settings)
     }
     return RobotTask(
@@ -85,7 +95,7 @@ def robot_task(
         settings=settings,
         actual=actual,
         entries=first_entries(network.patrol, safety_radius_m=radius_m),
-        everything=foreseen,
+        from_all=foreseen,
         allowed=allowed if reference is None else reference.allowed,
     )
 
@@ -106,7 +116,7 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
     if isinstance(policy, State) and policy.metres is None:
         return True
     is_on_shared = getattr(policy, "select_on", "raw") == "shared"
-    return is_on_shared or np.array_equal(network.release.xy, network.sensed.xy)
+    return is_on_shared or network.is_raw
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -120,6 +130,8 @@ class UtilityCounts:
     trials: Mapping[str, Ints]
     false_alarms: Ints
     walked_s: float  # Time that each robot walks.
+    by_distance: AlarmCounts  # Over the distance at which a robot alarms.
+    allowed: Ints  # (R,) queries with a false alarm of the reference.
 
 
 SHARES: Final = (
@@ -131,34 +143,48 @@ SHARES: Final = (
 """Metrics of utility that are shares of trials."""
 
 
-def foresee(task: RobotTask, disclosure: Disclosure) -> Ints:
-    """Return the scans until a robot foresees a conflict from its answers, (E, R)."""
-    return foreseen_conflicts(
-        task.network,
-        disclosure,
-        predictor=task.predictor,
-        safety_radius_m=task.settings.conflict.safety_radius_m,
+def foresee(task: RobotTask, disclosure: Disclosure) -> Foreseen:
+    """Return what a robot foresees from its answers."""
+    return _foresee(
+        task.network, disclosure, predictor=task.predictor, settings=task.settings
     )
 
 
-def count_utility(task: RobotTask, foreseen: Ints, *, horizon: int) -> UtilityCounts:
-    """Count what a robot foresees and misses within a horizon, in scans.
+def _foresee(
+    network: Network,
+    disclosure: Disclosure,
+    *,
+    predictor: Predictor,
+    settings: StageSettings,
+) -> Foreseen:
+    return foresee_from(
+        network.patrol,
+        answer_forecasts(network, disclosure, predictor),
+        safety_radius_m=settings.conflict.safety_radius_m,
+        horizons=horizon_scans(settings),
+    )
 
-    `foreseen`, (E, R), are the scans until it foresees a conflict (`foresee`).
+
+def count_utility(
+    task: RobotTask, foreseen: Foreseen, *, horizon: int
+) -> UtilityCounts:
+    """Count what a robot foresees (`foresee`) and misses within a horizon, in scans.
+
+    The horizon is one of the settings.
     """
-    patrol, actual = task.network.patrol, task.actual
+    patrol, actual, warned = task.network.patrol, task.actual, foreseen.conflicts
     person = patrol.presences.person
     by_presence = {
-        "missed_conflict_rate": missed_conflicts(actual, foreseen, horizon=horizon),
-        "missed_future_rate": missed_futures(actual, foreseen, horizon=horizon),
+        "missed_conflict_rate": missed_conflicts(actual, warned, horizon=horizon),
+        "missed_future_rate": missed_futures(actual, warned, horizon=horizon),
         "withheld_share": withheld_conflicts(
-            actual, foreseen, task.everything, horizon=horizon
+            actual, warned, task.everything, horizon=horizon
         ),
     }
     encounters = missed_encounters(
         patrol,
         task.entries,
-        foreseen,
+        warned,
         lead=horizon,
         query_scans=query_scans(task.settings.patrol),
     )
@@ -176,8 +202,12 @@ def count_utility(task: RobotTask, foreseen: Ints, *, horizon: int) -> UtilityCo
     return UtilityCounts(
         hits={name: hits for name, (hits, _) in counts.items()},
         trials={name: trials for name, (_, trials) in counts.items()},
-        false_alarms=false_alarms(patrol, actual, foreseen, horizon=horizon),
+        false_alarms=false_alarms(patrol, actual, warned, horizon=horizon),
         walked_s=patrol.duration_s,
+        by_distance=count_alarms(
+            patrol, actual=actual, gaps_m=foreseen.gaps_m[horizon], horizon=horizon
+        ),
+        allowed=task.allowed[horizon],
     )
 
 
@@ -192,8 +222,9 @@ def _sum_people(flags: Bools, person: Ints, n_people: int) -> Ints:
 def estimate_utility(
     counts: UtilityCounts, *, group: tuple[str, ...], seed: int
 ) -> dict[str, Estimate]:
-    """Return the metrics of utility by name: `SHARES` and `false_alarms_per_min`.
+    """Return the metrics of utility by name.
 
+    They are `SHARES`, `missed_future_at_equal_false_alarms` and `false_alarms_per_min`.
     `group` names the cluster of each person. Without an encounter a rate has no value
     and `n` is 0.
     """
@@ -206,6 +237,11 @@ def estimate_utility(
         )
         for name in SHARES
     }
+    metrics["missed_future_at_equal_false_alarms"] = missed_at_equal_alarms(
+        alarm_curve(counts.by_distance, cluster=cluster),
+        reference=counts.allowed.astype(np.float64),
+        seed=seed,
+    )
     metrics["false_alarms_per_min"] = _rate_per_minute(
         counts.false_alarms, counts.walked_s, seed=seed
     )
@@ -215,30 +251,12 @@ def estimate_utility(
 def utility_metrics(
     task: RobotTask, disclosure: Disclosure, *, horizon: int, seed: int
 ) -> dict[str, Estimate]:
-    """Return the metrics of utility of a policy at a horizon, in scans, by name.
+    """Return the metrics of `estimate_utility` of a policy at a horizon, in scans.
 
-    They are those of `estimate_utility`, and `missed_future_at_equal_alarms`. The
-    horizon is one of the settings.
+    The horizon is one of the settings.
     """
-    patrol, radius_m = task.network.patrol, task.settings.conflict.safety_radius_m
-    answers = answer_forecasts(task.network, disclosure, task.predictor)
-    foreseen = conflicts_in(patrol, answers, safety_radius_m=radius_m)
-    cluster = cluster_numbers(patrol.people.group)
-    curve = alarm_curve(
-        patrol,
-        actual=task.actual,
-        gaps_m=least_gaps(patrol, answers, horizon=horizon),
-        horizon=horizon,
-        cluster=cluster[patrol.presences.person],
-    )
-    allowed = task.allowed[horizon].astype(np.float64)
-    counts = count_utility(task, foreseen, horizon=horizon)
-    return {
-        "missed_future_at_equal_alarms": missed_at_equal_alarms(
-            curve, reference=allowed, seed=seed
-        ),
-        **estimate_utility(counts, group=patrol.people.group, seed=seed),
-    }
+    counts = count_utility(task, foresee(task, disclosure), horizon=horizon)
+    return estimate_utility(counts, group=task.network.patrol.people.group, seed=seed)
 
 
 def knowledge_metrics(

@@ -15,7 +15,7 @@ from isac_track.patrols.routes import draw_waypoints, places_along, walked_cells
 from isac_track.resample import Walk, walk
 from isac_track.rng import stream
 from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walked_within
-from isac_track.types import Floats, Ints, Sensed, Tracks
+from isac_track.types import Floats, Ints, Sensed, Tracks, stretches
 
 _ROUNDING: Final = 1e-6  # Rounding of a recorded instant, in steps of a clock.
 
@@ -146,12 +146,42 @@ def sense_people(patrol: Patrol, *, settings: StageSettings, seed: int) -> Sense
     The lasting part of a link belongs to the recorded walk; beam and error are drawn
     for the patrol.
     """
-    people = patrol.people
+    return _sense_tracks(patrol.people, "patrol", settings=settings, seed=seed)
+
+
+def sense_again(
+    patrol: Patrol, number: int, *, settings: StageSettings, seed: int
+) -> Sensed:
+    """Sense all history of the people present at a query, with errors of its own.
+
+    The people are in the order of the query's presences; there is at least one.
+    """
+    people, pairs = patrol.people, patrol.presences
+    rows = slice(*np.searchsorted(pairs.query, [number, number + 1]))
+    person = pairs.person[rows]
+    first = people.offsets[person]
+    sample, offsets = stretches(first, pairs.sample[rows] + 1 - first)
+    history = Tracks(
+        t=people.t[sample],
+        xy=people.xy[sample],
+        offsets=offsets,
+        source=tuple(people.source[row] for row in person.tolist()),
+        group=tuple(people.group[row] for row in person.tolist()),
+    )
+    return _sense_tracks(
+        history, "patrol", "query", number, settings=settings, seed=seed
+    )
+
+
+def _sense_tracks(
+    people: Tracks, *names: str | int, settings: StageSettings, seed: int
+) -> Sensed:
+    """Sense walks; `names` and the recorded walk name the streams of errors."""
     channel = draw_walk_channel(
         walked_m=walked_within(people.xy, people.offsets),
         offsets=people.offsets,
         walks=[recorded_walk(source) for source in people.source],
-        keys=[("patrol", source) for source in people.source],
+        keys=[(*names, source) for source in people.source],
         settings=settings.sensing,
         seed=seed,
     )

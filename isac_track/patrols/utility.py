@@ -3,6 +3,7 @@
 Time is counted in scans. Truth and forecast are compared until a person leaves.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -99,39 +100,48 @@ class AnswerForecasts:
     presence: Ints  # (B,)
 
 
-def conflicts_in(
-    patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float
-) -> Ints:
-    """Return the scans until forecasts come inside the radius, (E, R), or `NEVER`."""
-    stay = scans_left(patrol)
-    conflicts = np.full((stay.size, patrol.n_robots), NEVER)
+@dataclass(frozen=True, eq=False, slots=True)
+class Foreseen:
+    """What R robots foresee from their answers about E presences."""
+
+    conflicts: Ints  # (E, R) scans until a person is foreseen inside, or `NEVER`.
+    gaps_m: Mapping[int, Floats]
+    """(E, R) least forecast distance within each horizon, in scans, up to leaving;
+    infinite without an answer."""
+
+
+def foresee_from(
+    patrol: Patrol,
+    answers: AnswerForecasts,
+    *,
+    safety_radius_m: float,
+    horizons: Sequence[int] = (),
+) -> Foreseen:
+    """Return what forecasts say about each person until the person leaves."""
+    stay, shape = scans_left(patrol), (len(patrol.presences), patrol.n_robots)
+    conflicts = np.full(shape, NEVER)
+    gaps_m = {horizon: np.full(shape, np.inf) for horizon in horizons}
+    scans = np.arange(patrol.ahead_s.size)
     for robot in range(patrol.n_robots):
         is_ours = answers.robot == robot
         presence = answers.presence[is_ours]
         gap = answers.mean[answers.row[is_ours]] - patrol.robot_ahead(robot, presence)
-        inside = squared_lengths(gap) < safety_radius_m**2
-        wait = np.where(inside.any(axis=1), inside.argmax(axis=1), NEVER)
-        conflicts[presence, robot] = np.where(wait <= stay[presence], wait, NEVER)
-    return conflicts
+        square = squared_lengths(gap)
+        square[scans > stay[presence][:, None]] = np.inf
+        inside = square < safety_radius_m**2
+        conflicts[presence, robot] = np.where(
+            inside.any(axis=1), inside.argmax(axis=1), NEVER
+        )
+        for horizon, gaps in gaps_m.items():
+            gaps[presence, robot] = np.sqrt(square[:, : horizon + 1].min(axis=1))
+    return Foreseen(conflicts, gaps_m)
 
 
-def least_gaps(patrol: Patrol, answers: AnswerForecasts, *, horizon: int) -> Floats:
-    """Return the least forecast distance to the robot within a horizon, (E, R) m.
-
-    The horizon is in scans; a person counts until leaving. Infinite without an
-    answer.
-    """
-    stay = np.minimum(scans_left(patrol), horizon)
-    least = np.full((stay.size, patrol.n_robots), np.inf)
-    for robot in range(patrol.n_robots):
-        is_ours = answers.robot == robot
-        presence = answers.presence[is_ours]
-        mean = answers.mean[answers.row[is_ours]]
-        route = patrol.robot_ahead(robot, presence)
-        square = squared_lengths(mean[:, : horizon + 1] - route[:, : horizon + 1])
-        square[np.arange(horizon + 1) > stay[presence][:, None]] = np.inf
-        least[presence, robot] = np.sqrt(square.min(axis=1))
-    return least
+def conflicts_in(
+    patrol: Patrol, answers: AnswerForecasts, *, safety_radius_m: float
+) -> Ints:
+    """Return the scans until forecasts come inside the radius, (E, R), or `NEVER`."""
+    return foresee_from(patrol, answers, safety_radius_m=safety_radius_m).conflicts
 
 
 def answer_forecasts(
@@ -172,10 +182,11 @@ def _forecast_samples(
     )
     _, chosen, row = np.unique(keys, axis=1, return_index=True, return_inverse=True)
     runs, starts = stretches(begin[chosen], n_runs[chosen])
+    begins = network.sent_rows(presence[runs], disclosure.first[runs])
     forecast = forecast_runs(
-        network.release,
-        first=disclosure.first[runs],
-        end=disclosure.end[runs],
+        network.sent,
+        first=begins,
+        end=begins + disclosure.end[runs] - disclosure.first[runs],
         track=np.repeat(np.arange(chosen.size), np.diff(starts)),
         t_future=network.patrol.t_ahead(presence[begin[chosen]]),
         predictor=predictor,

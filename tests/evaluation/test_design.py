@@ -5,7 +5,17 @@ from functools import partial
 
 import pytest
 from helpers.commands import assert_refused
-from helpers.summaries import BAD, GOOD, RAW, SHIFTED, changed, edit_manifest, write_run
+from helpers.summaries import (
+    BAD,
+    GOOD,
+    PATROLS,
+    RAW,
+    SHIFTED,
+    changed,
+    edit_manifest,
+    patrol_option,
+    write_run,
+)
 
 from evaluation import design
 
@@ -187,6 +197,93 @@ class TestExitCode:
             out, lambda manifest: manifest["settings"]["stages"].update(stages)
         )
         assert "to 0.6 m  to 0.8 m" in ran(design, out).out
+
+
+class TestOnPatrol:
+    @pytest.mark.parametrize(
+        ("options", "code", "expected"),
+        [
+            (
+                [],
+                0,
+                (
+                    "On patrol: Policy state:2 with raw positions reveals least to a"
+                    " log: 20 % instead of 95 % of person-time if a Kalman robot may"
+                    " miss 5 points more conflicts within 3 s at equal false alarms."
+                ),
+            ),
+            (["--max-missed", "0.6"], 0, "Policy near:3.5 with raw positions reveals"),
+            (["--max-missed", "0.32"], 0, "A log of all answers reveals 95 % of per"),
+            (
+                ["--max-missed", "0.25"],
+                0,
+                (
+                    "No policy tried will do if a Kalman robot may miss 25 % of"
+                    " conflicts within 3 s at equal false alarms. The nearest is policy"
+                    " everything with raw positions: a Kalman robot misses up to 31 %."
+                ),
+            ),
+            (["--max-known", "0.25"], 0, "Policy state:2 with raw positions reveals"),
+            (["--max-known", "0.15"], 1, "policy state:2 with raw positions: a log"),
+            (["--max-followed", "0.04"], 1, "The nearest is policy state:2 with"),
+            (
+                ["--max-followed", "0.04", "--max-missed", "0.6"],
+                0,
+                "Policy near:3.5 with raw positions reveals least to a log: 10 %",
+            ),
+            (
+                ["--horizon", "run", "--max-known", "0.5"],
+                1,
+                "no conflicts within the run's own horizon were judged.",
+            ),
+            (
+                ["--predictor", "least_squares"],
+                0,
+                "least_squares does not patrol; the robots of patrols are kalman_cv.",
+            ),
+        ],
+    )
+    def test_the_answer_is_a_policy_with_a_mechanism(
+        self, made, ran, options, code, expected
+    ):
+        said = ran(design, *options, made(options=PATROLS))
+        assert (said.code, expected in " ".join(said.out.split())) == (code, True)
+        assert len(said.out.splitlines()) <= 12
+
+    @pytest.mark.parametrize(("options", "code"), [([], 0), (["--max-known", "1"], 1)])
+    def test_a_run_without_patrols_says_so_and_how_to_get_them(
+        self, made, ran, options, code
+    ):
+        said = ran(design, *options, made())
+        expected = "On patrol: nothing to compare; add --policy everything"
+        assert (said.code, expected in " ".join(said.out.split())) == (code, True)
+
+    def test_without_intervals_a_limit_is_not_kept(self, made, ran):
+        few = [
+            patrol_option(policy, missed, known, half=None)
+            for policy, missed, known in (("everything", 0.3, 0.9), ("near:3", 0.3, 0))
+        ]
+        said = ran(design, "--max-known", "0.5", made(options=few))
+        expected = "no limit is kept: add --set patrol.fleets=20."
+        assert (said.code, expected in " ".join(said.out.split())) == (1, True)
+
+    def test_a_run_of_policies_alone_is_answered(self, made, ran):
+        said = ran(design, made((RAW,), options=PATROLS))
+        assert (said.code, "Policy state:2 with raw" in said.out) == (1, True)
+
+    def test_json_and_verbose_have_the_numbers(self, made, ran):
+        out = made(options=PATROLS)
+        said = json.loads(ran(design, "--max-known", "0.15", "--json", out).out)
+        assert (said["met"], said["patrols"]["met"]) == (False, False)
+        assert said["patrols"]["nearest"]["known_high"] == pytest.approx(0.21)
+        assert said["patrols"]["limits"] == {"lost": 0.05, "known": 0.15}
+        table = ran(design, "--verbose", out).out
+        assert "state:2" in table
+        assert "20.0 [19.0, 21.0]" in table
+
+    @pytest.mark.parametrize("option", ["--max-known", "--max-followed"])
+    def test_a_limit_is_a_fraction(self, made, ran, option):
+        assert_refused(ran(design, option, "20", made()), f"{option} is a fraction")
 
 
 class TestPlan:

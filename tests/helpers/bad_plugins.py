@@ -5,6 +5,8 @@ import os
 import threading
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from isac_track.sharing import Fixed
 from isac_track.types import Knowledge
 from predictors.least_squares import LeastSquares
@@ -77,3 +79,16 @@ class Greedy:
 
     def predict(self, *_):
         raise RuntimeError("nobody asks")
+
+
+@dataclass(frozen=True)
+class Overrun:
+    """A policy that fails late: before a run people walk for less than 25 s."""
+
+    metres: float = 3.0
+    form = "samples"
+
+    def select(self, query):
+        if query.t.max() > 25.0:
+            raise RuntimeError("too late")
+        return query.recent_samples(np.ones(query.n_people, dtype=bool), window_s=1.0)

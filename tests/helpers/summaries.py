@@ -2,6 +2,7 @@
 answer.
 """
 
+import json
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -140,8 +141,8 @@ def changed(base=GOOD, /, **values):
     return replace(base, **values)
 
 
-def write_run(out, levels=USUAL, **dataset):
-    """A run folder with a manifest and levels.csv."""
+def write_run(out, levels=USUAL, *, options=(), **dataset):
+    """A run folder with a manifest, levels.csv, and options on patrol."""
     (out / "cells").mkdir(parents=True)
     stages = StageSettings().flat()
     content = {
@@ -170,6 +171,8 @@ def write_run(out, levels=USUAL, **dataset):
     }
     write_manifest(out, content)
     (out / "levels.csv").write_bytes(to_csv(table(levels)))
+    verdict = {"patrols": {"options": list(options)}} if options else {}
+    (out / "verdict.json").write_text(json.dumps(verdict))
     return out
 
 
@@ -177,6 +180,31 @@ def change_first_cell(manifest, **fields):
     """Give the first entry of a manifest's cells other fields."""
     first, *others = manifest["cells"]
     manifest["cells"] = [replace(first, **fields), *others]
+
+
+def patrol_option(policy, missed, known, *, mechanism="raw", followed=0.05, half=0.01):
+    """An option on patrol as `verdict.json` has it; its raw case misses 30 %.
+
+    Without `half` it has no interval.
+    """
+
+    def ends(name, value):
+        low, high = (None, None) if half is None else (value - half, value + half)
+        return {name: value, f"{name}_low": low, f"{name}_high": high}
+
+    return {
+        "robot": ROBOT, "horizon_s": 3.0, "mechanism": mechanism, "level": None,
+        "policy": policy, "may_be_proposed": True, **ends("missed", missed),
+        **ends("lost", missed - 0.3), **ends("known", known),
+        **ends("followed", followed), "n": 40,
+    }  # fmt: skip
+
+
+PATROLS = (
+    patrol_option("everything", 0.30, 0.95, followed=0.95),
+    patrol_option("state:2", 0.33, 0.20),
+    patrol_option("near:3.5", 0.55, 0.10, followed=0.01),
+)
 
 
 def edit_manifest(out, change):

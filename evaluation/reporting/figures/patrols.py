@@ -7,7 +7,12 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.keys import row_dicts
-from evaluation.estimates.metrics import FOLLOWED, KNOWN_SHARE, METRICS, MISSED_FUTURE
+from evaluation.estimates.metrics import (
+    FOLLOWED,
+    FUTURE_EQUAL_ALARMS,
+    KNOWN_SHARE,
+    METRICS,
+)
 from evaluation.plan.world import World
 from evaluation.reporting.charts import (
     LOOKS,
@@ -22,7 +27,7 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS, find_family
 from evaluation.reporting.names import robot_name, short_mechanism_name
-from evaluation.reporting.patrol_tables import patrol_sentence
+from evaluation.reporting.patrol_words import ahead_text, patrol_sentence
 from evaluation.reporting.rows import Results
 
 _CHAINS: Final = "blind"
@@ -42,7 +47,7 @@ def figures(run: Results) -> Iterator[Figure]:
     dataset = f"{run.dataset}:{world}" if world else run.dataset
     rows = run.patrols
     missed = rows[
-        (rows["metric"] == MISSED_FUTURE)
+        (rows["metric"] == FUTURE_EQUAL_ALARMS)
         & (rows["consumer"] == proposal["robot"])
         & (rows["dataset"] == dataset)
     ]
@@ -56,8 +61,7 @@ def figures(run: Results) -> Iterator[Figure]:
             key |= {curve.label: curve.look for curve in curves}
         y = Axis("missed future conflicts (%)")
         panels.append((METRICS[metric].head, curves_chart(curves, x=Axis(label), y=y)))
-    seconds = proposal["horizon_s"]
-    ahead = f" within {seconds:g} s" if seconds else ""
+    ahead = ahead_text(proposal["horizon_s"])
     yield Figure(
         name="patrols",
         section="plane",

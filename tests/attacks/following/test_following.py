@@ -5,6 +5,7 @@ from itertools import product
 import numpy as np
 import pytest
 from helpers.patrols import (
+    ROUND,
     SETTINGS,
     clean_network,
     make_network,
@@ -41,6 +42,84 @@ def pieces_past(policy, *robots, tracks=CROSSING):
     network = clean_network(patrol_past(tracks, *(robots or ((0, 0),))))
     numbers = np.arange(len(robots) or 1)
     return network, collect_pieces(network, disclose(network, policy), robots=numbers)
+
+
+APPROACH = straight_walks((0, 20, (-10.05, 0), (1, 0)), (21, 40, (8.95, 0), (-1, 0)))
+"""She passes the robot at (0, 0) and another person passes it later."""
+
+
+def pieces_of(network, policy, **options):
+    disclosure = disclose(network, policy)
+    return collect_pieces(network, disclosure, robots=np.arange(1), **options)
+
+
+class TestKeptPseudonyms:
+    def test_join_the_answers_of_an_encounter_and_no_others(self):
+        network = clean_network(patrol_past(APPROACH, (0, 0)))
+        brief = Near(2.0, window_s=0.5)
+        assert len(pieces_of(network, brief)) == 8
+        pieces = pieces_of(network, brief, pseudonyms="encounter")
+        assert pieces.person.tolist() == [0, 1]
+        np.testing.assert_allclose(pieces.start.t, [8.5, 27.5])
+        np.testing.assert_allclose(pieces.end.t, [12.0, 31.0])
+
+    def test_a_query_without_an_answer_ends_an_encounter(self):
+        network = clean_network(patrol_past(CROSSING, (-6, 0), (0, 0)))
+        pieces = collect_pieces(
+            network,
+            disclose(network, Near(2.0, window_s=0.5)),
+            robots=np.arange(2),
+            pseudonyms="encounter",
+        )
+        # With the first robot at 3 to 6 s, with the second at 9 to 12 s.
+        np.testing.assert_allclose(pieces.start.t, [2.5, 8.5], atol=0.11)
+        np.testing.assert_allclose(pieces.end.t, [6.0, 12.0])
+
+    @pytest.mark.parametrize("policy", [State(2.0), Near(2.0, window_s=0.05)])
+    def test_people_are_followed_for_as_long_as_an_encounter_lasts(self, policy):
+        once, kept_s = (
+            follow_past(policy, CROSSING, pseudonyms=pseudonyms).followed_s[0, 0]
+            for pseudonyms in ("query", "encounter")
+        )
+        assert once == 0.0  # Alone nobody else is there to learn from.
+        ahead = isinstance(policy, State)  # It is sent before she is near.
+        assert kept_s == pytest.approx(12.0 - (6.0 if ahead else 9.0))
+
+
+class TestErrorsOfEveryQuery:
+    def test_an_answer_is_a_piece_that_begins_after_the_query_before(self):
+        settings = ROUND.changed({"patrol.errors": "query"})
+        patrol = patrol_past(CROSSING, (0, 0), settings=settings)
+        network = clean_network(patrol, settings=settings)
+        long = Near(2.0, window_s=1.3)
+        pieces = pieces_of(network, long)
+        np.testing.assert_allclose(pieces.end.t, [9, 10, 11, 12])
+        np.testing.assert_allclose(pieces.start.t, [8.1, 9.1, 10.1, 11.1])
+        np.testing.assert_allclose(pieces.start.mean[:, 0, 1], 1.0, atol=0.1)
+        (piece,) = (pieces_of(network, long, pseudonyms="encounter"),)
+        assert piece.offsets.tolist() == [0, 44]  # 4.3 s of scans, each once.
+
+    def test_they_are_harder_to_join_than_repeated_samples(self, crowd, request):
+        settings = SETTINGS.changed(
+            {"patrol.segment_s": 20.0, "patrol.errors": "query"}
+        )
+        patrol = make_patrol(
+            request.getfixturevalue("tracks"), settings=settings, seed=0
+        )
+        fresh = make_network(patrol, settings=settings)
+        guesses = guesses_from_map(patrol, epsilon_m=0.3)
+        lasting_s, fresh_s = (
+            follow_fleets(
+                network,
+                disclose(network, Window(1.3)),
+                estimator="interpolate",
+                guesses=guesses,
+                epsilon_m=0.3,
+                seed=0,
+            ).followed_s.mean()
+            for network in (crowd, fresh)
+        )
+        assert 0.0 < fresh_s < lasting_s
 
 
 def follow_past(policy, tracks, *robots, **options):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from helpers.pages import assert_as_approved
-from helpers.summaries import BAD, GOOD, RAW, changed, write_run
+from helpers.summaries import BAD, GOOD, PATROLS, RAW, changed, write_run
 from rich.console import Console
 
 from evaluation.reporting.design_words import answer_question, show, to_json
@@ -44,6 +44,9 @@ def test_the_answer_is_letter_for_letter_what_was_read_and_approved(made, tmp_pa
     parts = [shown(answers[0], width=80), *map(shown, answers[1:])]
     parts += [shown(answer, verbose=True) for answer in answers]
     parts.append(json.dumps(to_json(answers[0]), indent=1))
+    patrolled = write_run(tmp_path / "patrolled", (RAW, GOOD), options=PATROLS)
+    answer = answer_question(patrolled, Question(adding=INDEPENDENT))
+    parts += [shown(answer), shown(answer, verbose=True)]
     text = "\n".join(parts).replace(str(tmp_path), "")
     assert_as_approved(text, Path(__file__).with_name("design.txt"))
 

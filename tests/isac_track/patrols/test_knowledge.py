@@ -123,8 +123,7 @@ class TestOneCrossing:
 
 def make_log(network, policy, robots=(0,)):
     disclosure = disclose(network, policy)
-    sent = disclosure.sent(network.patrol, robots=np.array(robots))
-    return fleet_log(network, disclosure, sent=sent)
+    return fleet_log(network, disclosure, robots=np.array(robots))
 
 
 @pytest.fixture(scope="module")
@@ -363,3 +362,61 @@ def test_a_map_of_a_town_fits_into_memory():
     xy[40:] = xy[30:40]  # The last two stand at one place.
     guesses = map_guesses(xy, np.arange(0, 51, 10), group=list("abcde"), epsilon_m=0.3)
     assert np.hypot(*(guesses[0] - xy[30])) < 0.4
+
+
+@pytest.fixture(scope="module")
+def networks(request):
+    """Networks whose errors last, and whose errors are drawn anew at every query."""
+    tracks = request.getfixturevalue("tracks")
+    made = {}
+    for errors in ("walk", "query"):
+        settings = SETTINGS.changed({"patrol.segment_s": 12.0, "patrol.errors": errors})
+        patrol = make_patrol(tracks, settings=settings, seed=0)
+        made[errors] = make_network(patrol, Fid(1.0), settings=settings)
+    return made
+
+
+class TestErrorsOfEveryQuery:
+    def test_an_answer_repeats_a_sample_with_another_error(self, networks):
+        network = networks["query"]
+        pairs, offsets = network.patrol.presences, network.sent.offsets
+        both = np.flatnonzero(pairs.person == pairs.person[0])[:2]
+        n_common = np.diff(offsets)[both[0]]
+        first, second = (network.sent.xy[offsets[row] :][:n_common] for row in both)
+        assert n_common > 0
+        assert (first != second).all()
+
+    def test_draws_of_a_sample_average_away(self, networks):
+        patrol, everything = networks["query"].patrol, Everything()
+        once, again = (
+            fleet_log(
+                networks[errors],
+                disclose(networks[errors], everything),
+                robots=np.arange(1),
+            )
+            for errors in ("walk", "query")
+        )
+        np.testing.assert_array_equal(once.sample, again.sample)
+        person = np.searchsorted(patrol.people.offsets, again.sample, "right") - 1
+        pairs = patrol.presences
+        n_draws = np.array(
+            [
+                ((pairs.person == row) & (pairs.sample >= sample)).sum()
+                for row, sample in zip(person, again.sample, strict=True)
+            ]
+        )
+        truth = patrol.people.xy[again.sample]
+        square = [((log.xy - truth) ** 2).sum(axis=1) for log in (once, again)]
+        many = n_draws >= 6
+        expected = square[0][many].mean() * (1.0 / n_draws[many]).mean()
+        assert square[1][many].mean() == pytest.approx(expected, rel=0.3)
+        ratio = again.variance[many] * n_draws[many] / once.variance[many]
+        assert np.median(ratio) == pytest.approx(1.0, abs=0.2)
+
+    def test_more_is_known(self, networks):
+        once, again = (
+            shares(know_places(networks[errors], Everything()))
+            for errors in ("walk", "query")
+        )
+        assert again["smooth"] > once["smooth"] + 0.02
+        assert again["interpolate"] > once["interpolate"] + 0.1

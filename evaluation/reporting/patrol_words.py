@@ -1,0 +1,103 @@
+"""What to disclose to robots on patrol, in words: for first screen, page and `design`."""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from evaluation.estimates.families import RAW, Family
+from evaluation.reporting.amounts import listed, sentence_case
+from evaluation.reporting.lookups import find_family
+from evaluation.reporting.names import mechanism_name, mechanism_phrase, robot_subject
+from evaluation.reporting.rows import Results
+from evaluation.verdict.patrols import (
+    EVERYTHING,
+    Option,
+    PatrolLimits,
+    exceeded,
+)
+
+NO_INTERVALS: Final = "no intervals: few routes or people"
+
+
+def patrol_sentence(run: Results) -> str:
+    """Return the policy and mechanism that a run proposes for patrols; or empty."""
+    proposal = run.verdict.get("patrols", {}).get("recommended", {})
+    return proposal_sentence(proposal, families=run.families) if proposal else ""
+
+
+def proposal_sentence(
+    proposal: Mapping[str, Any], *, families: Mapping[str, Family]
+) -> str:
+    """Return what a log reveals under a proposal, or why there is none."""
+    everything, best = proposal["everything"], proposal["best"]
+    limits = listed([*_limit_texts(proposal).values()])
+    certainty = "" if proposal["has_interval"] else f" ({NO_INTERVALS})"
+    if best is None:
+        nearest = proposal["nearest"]
+        failing = listed(_excess_texts(nearest, proposal))
+        return (
+            f"No policy tried will do if {limits}. The nearest is"
+            f" {_option_text(nearest, families)}: {failing}{certainty}."
+        )
+    all_sent = f"{_percent(everything['known'])} of person-time"
+    if (best["mechanism"], best["policy"]) == (RAW, EVERYTHING):
+        return (
+            f"A log of all answers reveals {all_sent}, and no policy tried reveals"
+            f" less if {limits}."
+        )
+    # A single sentence: the first screen drops last sentences where it lacks room.
+    return (
+        f"{sentence_case(_option_text(best, families))} reveals least to a log:"
+        f" {_percent(best['known'])} instead of {all_sent} if {limits}{certainty}."
+    )
+
+
+def shared_name(option: Mapping[str, Any], families: Mapping[str, Family]) -> str:
+    """Return the name of the mechanism of an option, or of a row."""
+    return mechanism_name(find_family(families, option["mechanism"]), option["level"])
+
+
+def ahead_text(horizon_s: float | None) -> str:
+    """Return a further horizon behind the word conflicts; empty for the run's own."""
+    return f" within {horizon_s:g} s" if horizon_s else ""
+
+
+def _option_text(option: Option, families: Mapping[str, Family]) -> str:
+    family = find_family(families, option["mechanism"])
+    return f"policy {option['policy']} with {mechanism_phrase(family, option['level'])}"
+
+
+def _limit_texts(proposal: Mapping[str, Any]) -> dict[str, str]:
+    """Return the limits of a proposal, each as a clause, by name."""
+    robot = f"{robot_subject(proposal['robot'])} may miss"
+    ahead = ahead_text(proposal["horizon_s"])
+    at_alarms = f"conflicts{ahead} at equal false alarms"
+    texts = {
+        "lost": f"{robot} {{points:.4g}} points more {at_alarms}",
+        "missed": f"{robot} {{points:.4g}} % of {at_alarms}",
+        "known": "a log may know {points:.4g} % of person-time",
+        "followed": "a log may follow {points:.4g} % of people for 10 s",
+    }
+    return {
+        name: texts[name].format(points=100.0 * limit)
+        for name, limit in proposal["limits"].items()
+    }
+
+
+def _excess_texts(option: Option, proposal: Mapping[str, Any]) -> list[str]:
+    """Return the limits that an option exceeds, each with its upper end."""
+    robot = robot_subject(proposal["robot"])
+    texts = {
+        "lost": f"{robot} misses up to {{}} more",
+        "missed": f"{robot} misses up to {{}}",
+        "known": "a log knows up to {}",
+        "followed": "a log follows up to {}",
+    }
+    above = exceeded(option, PatrolLimits(**{"lost": None} | proposal["limits"]))
+    return [
+        texts[name].format("an unknown share" if upper is None else _percent(upper))
+        for name, upper in above.items()
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
