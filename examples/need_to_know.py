@@ -18,6 +18,7 @@ import argparse
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from attacks.following.answer_evidence import flag_answers, sent_answers
 from attacks.following.experts import PosteriorOptions
@@ -600,8 +601,10 @@ def main(words=None):
         changes = dict(change.partition("=")[::2] for change in given.set)
         settings = StageSettings().changed(changes)
         dataset = datasets.load(given.dataset)
-        for line in chosen_report(given, dataset, settings):
-            print(line, flush=True)
+        # Threads of many small fits would only wait for each other.
+        with threadpool_limits(limits=1, user_api="blas"):
+            for line in chosen_report(given, dataset, settings):
+                print(line, flush=True)
     except IsacTrackError as error:
         raise SystemExit(f"error: {error}") from None
 

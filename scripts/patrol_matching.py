@@ -7,8 +7,7 @@ draws, so that differences are paired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
-from functools import partial
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -136,91 +135,134 @@ def compare_options(dataset: str, options: Sequence[Option]) -> Iterator[Matched
     noises = {option.mechanism for option in options if option.policy == "everything"}
     if len(noises) < LEAST_NOISES:
         return
-    for robot in options[0].curves:
+    compared = [
+        option
+        for option in options
+        if option.family in POSITIONS or option.policy == "everything"
+    ]
+    draws = _draws(compared[0])
+    known = {
+        known_by: _known_totals(compared, known_by, draws)
+        for known_by in compared[0].known
+    }
+    for robot in compared[0].curves:
         for criterion in CRITERIA:
-            for known_by in options[0].known:
-                setting = _setting(dataset, options, robot, criterion, known_by)
+            missed = _missed_totals(compared, robot, criterion, draws)
+            for known_by in known:
+                setting = _setting(
+                    dataset, compared, (robot, criterion, known_by), missed, known
+                )
                 yield from _against_noise(setting)
                 yield from _on_top(setting)
 
 
-def _setting(
-    dataset: str, options: Sequence[Option], robot: str, criterion: str, known_by: str
-) -> Setting:
-    first = options[0]
-    cluster = cluster_numbers(first.group)
-    is_first = np.zeros(int(cluster.max()) + 1)
-    is_first[cluster] = first_half(first.group)
-    shape = first.curves[robot].trials.shape
+@dataclass(frozen=True)
+class Draws:
+    """How often people and routes are drawn, and the clusters of either half."""
+
+    cluster: Array  # (N,)
+    people: Array  # (1 + B, C)
+    routes: Array  # (1 + B, R)
+    halves: tuple[Array, Array]  # Numbers of clusters.
+
+
+@dataclass(frozen=True)
+class Totals:
+    """Hits and trials of K options on either half of the people, (2, K, 1 + B)."""
+
+    hits: Array
+    trials: Array
+
+    def shares(self) -> tuple[Array, Array, Array]:
+        """Return the shares of either half and of everybody, (K, 1 + B) each."""
+        first, second = self.hits / self.trials
+        return first, second, self.hits.sum(axis=0) / self.trials.sum(axis=0)
+
+
+def _draws(option: Option) -> Draws:
+    cluster = cluster_numbers(option.group)
+    is_first = np.zeros(int(cluster.max()) + 1, dtype=bool)
+    is_first[cluster] = first_half(option.group)
+    n_routes = next(iter(option.reference.values())).size
     people, routes = two_way_weights(
-        n_clusters=shape[0], n_routes=shape[1], seed=first.seed
+        n_clusters=is_first.size, n_routes=n_routes, seed=option.seed
     )
-    score = partial(_score, options, cluster, routes, robot=robot, criterion=criterion)
-    trials = sum_clusters(first.misses[robot].trials[MISSED], cluster).sum(axis=1)
+    halves = np.flatnonzero(is_first), np.flatnonzero(~is_first)
+    return Draws(cluster, people, routes, halves)
+
+
+def _known_totals(options: Sequence[Option], known_by: str, draws: Draws) -> Totals:
+    """Return the instants that an adversary knows of all."""
+    hits, trials = [], []
+    for option in options:
+        counted = option.known[known_by]
+        instants = option.instants[:, None] * np.ones((1, counted.shape[1]))
+        hits.append(_drawn(sum_clusters(counted, draws.cluster), draws))
+        trials.append(_drawn(sum_clusters(instants, draws.cluster), draws))
+    return Totals(np.swapaxes(hits, 0, 1), np.swapaxes(trials, 0, 1))
+
+
+def _missed_totals(
+    options: Sequence[Option], robot: str, criterion: str, draws: Draws
+) -> Totals:
+    """Return the future conflicts that a robot misses of all."""
+    hits, trials = [], []
+    for option in options:
+        counts, curve = option.misses[robot], option.curves[robot]
+        total = _drawn(sum_clusters(counts.trials[MISSED], draws.cluster), draws)
+        trials.append(total)
+        if criterion == MISSED:
+            missed = sum_clusters(counts.hits[MISSED], draws.cluster)
+            hits.append(_drawn(missed, draws))
+            continue
+        shares = [
+            drawn_misses(
+                replace(curve, missed=curve.missed[:, half], trials=curve.trials[half]),
+                reference=option.reference[robot],
+                people=draws.people[:, half],
+                routes=draws.routes,
+            )
+            for half in draws.halves
+        ]
+        hits.append(np.array(shares) * total)
+    return Totals(np.swapaxes(hits, 0, 1), np.swapaxes(trials, 0, 1))
+
+
+def _drawn(counts: Array, draws: Draws) -> Array:
+    """Return the drawn sums of counts by cluster and route, on either half, (2, 1 + B)."""
+    return np.stack(
+        [
+            ((draws.people[:, half] @ counts[half]) * draws.routes).sum(axis=1)
+            for half in draws.halves
+        ]
+    )
+
+
+def _setting(
+    dataset: str,
+    options: Sequence[Option],
+    names: tuple[str, str, str],
+    missed: Totals,
+    known: Mapping[str, Totals],
+) -> Setting:
+    robot, criterion, known_by = names
+    scores = [
+        Scores(*shares)
+        for shares in zip(missed.shares(), known[known_by].shares(), strict=True)
+    ]
+    cluster = cluster_numbers(options[0].group)
+    trials = sum_clusters(options[0].misses[robot].trials[MISSED], cluster).sum(axis=1)
     return Setting(
         dataset=dataset,
         robot=robot,
         criterion=criterion,
         known_by=known_by,
         options=options,
-        halves=(
-            score(people * is_first, known_by=known_by),
-            score(people * (1.0 - is_first), known_by=known_by),
-        ),
-        everybody=score(people, known_by=known_by),
+        halves=(scores[0], scores[1]),
+        everybody=scores[2],
         n=int((trials > 0).sum()),
         effective=effective_clusters(trials),
     )
-
-
-def _score(
-    options: Sequence[Option],
-    cluster: Array,
-    routes: Array,
-    people: Array,
-    *,
-    robot: str,
-    criterion: str,
-    known_by: str,
-) -> Scores:
-    """Return misses and knowledge under weights of people, (1 + B, C), and routes."""
-    missed, known = [], []
-    for option in options:
-        if criterion == MISSED:
-            counts = option.misses[robot]
-            missed.append(
-                _ratio(
-                    sum_clusters(counts.hits[MISSED], cluster),
-                    sum_clusters(counts.trials[MISSED], cluster),
-                    people,
-                    routes,
-                )
-            )
-        else:
-            missed.append(
-                drawn_misses(
-                    option.curves[robot],
-                    reference=option.reference[robot],
-                    people=people,
-                    routes=routes,
-                )
-            )
-        counted = option.known[known_by]
-        instants = option.instants[:, None] * np.ones((1, counted.shape[1]))
-        known.append(
-            _ratio(
-                sum_clusters(counted, cluster),
-                sum_clusters(instants, cluster),
-                people,
-                routes,
-            )
-        )
-    return Scores(np.array(missed), np.array(known))
-
-
-def _ratio(top: Array, bottom: Array, people: Array, routes: Array) -> Array:
-    sums = [((people @ part) * routes).sum(axis=1) for part in (top, bottom)]
-    return np.asarray(sums[0] / sums[1])
 
 
 def _against_noise(setting: Setting) -> Iterator[Matched]:

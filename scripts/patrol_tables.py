@@ -135,11 +135,12 @@ def pages(folder: Path) -> dict[str, list[str]]:
         for name in RECORDINGS
         if any(numbers.cells(name, [1], ["log"]))
     }
-    return {
-        **by_recording,
-        "need-to-know-fleets.md": list(_fleet_page(numbers)),
-        "need-to-know-noise.md": list(_noise_page(_read(folder / MATCHED))),
+    made = by_recording | {
+        "need-to-know-noise.md": list(_noise_page(_read(folder / MATCHED)))
     }
+    if any(any(numbers.cells(name, _FLEETS[1:], ["log"])) for name in RECORDINGS):
+        made["need-to-know-fleets.md"] = list(_fleet_page(numbers))
+    return made
 
 
 def _read(path: Path) -> list[Row]:
