@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.returning_crowds import returning_crowd
+from returning_crowds import returning_crowd
 
 from attacks.linkage.gait import Gait
 from attacks.tasks.return_study import crossing, share_passages, study_returns
