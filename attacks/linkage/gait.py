@@ -20,6 +20,8 @@ STEP_S: Final = 0.05
 LEAST_S: Final = 2.0
 """A shorter passage holds no stride; its features are those of a mean walk: zeros."""
 LONGEST_S: Final = 60.0
+SEGMENT_CELLS: Final = 100
+"""5 s: spectra of longer passages are averaged over segments of this length."""
 BANDS_HZ: Final = read_only(np.linspace(0.5, 3.0, 9))
 """Middles of the bands of the spectrum."""
 _STRIDES_HZ: Final = read_only(np.linspace(0.35, 1.25, 61))
@@ -177,28 +179,26 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     grid_s = np.arange(0.0, min(float(t_s[-1]), LONGEST_S) + 1e-9, STEP_S)
     z = CubicSpline(t_s, xy[:, 0] + 1j * xy[:, 1])(grid_s)
     surge, sway, speed = _body_frame(z)
-    strides = _harmonics(grid_s.size)
+    cells = min(grid_s.size, SEGMENT_CELLS)
+    sides, steps = (_amplitudes(x, _harmonics(cells)) for x in (sway, surge))
+    side_m2, step_m2 = (np.mean(np.abs(x) ** 2, axis=2) for x in (sides, steps))
     # Weighed by frequency: between slow drift and a strong third harmonic.
-    lateral, ahead = (_amplitudes(signal, strides) for signal in (sway, surge))
-    power = (np.abs(lateral[:, 0]) ** 2 + np.abs(ahead[:, 1]) ** 2) * _STRIDES_HZ
-    stride = int(power.argmax())
-    sides, steps = lateral[stride], ahead[stride]
+    stride = int(((side_m2[:, 0] + step_m2[:, 1]) * _STRIDES_HZ).argmax())
     cadence_hz = 2.0 * _STRIDES_HZ[stride]
-    side_m2, step_m2 = np.abs(sides) ** 2 + floor_m2, np.abs(steps) ** 2 + floor_m2
-    phase = sides[0] ** 2 * np.conj(steps[1])
-    turn = phase / (np.abs(phase) + floor_m2 * np.sqrt(floor_m2))
-    bands = _bands(grid_s.size)
+    phase = np.mean(sides[stride, 0] ** 2 * np.conj(steps[stride, 1]))
+    turn = phase / (side_m2[stride, 0] * np.sqrt(step_m2[stride, 1]) + floor_m2**1.5)
+    side_m2, step_m2 = side_m2[stride] + floor_m2, step_m2[stride] + floor_m2
+    bands = [
+        np.mean(np.abs(_amplitudes(x, _bands(cells))[:, 0]) ** 2, axis=1) + floor_m2
+        for x in (sway, surge)
+    ]
     return np.concatenate(
         [
             np.log([speed, cadence_hz, speed / cadence_hz]),
-            0.5 * np.log([side_m2[0], step_m2[1]]),
-            [0.5 * np.log(step_m2[0] / step_m2[1])],
+            0.5 * np.log([side_m2[0], step_m2[1], step_m2[0] / step_m2[1]]),
             0.5 * np.log(side_m2[1:] / side_m2[0]),
             [turn.real, turn.imag],
-            *(
-                0.5 * np.log(np.abs(_amplitudes(signal, bands)[:, 0]) ** 2 + floor_m2)
-                for signal in (sway, surge)
-            ),
+            0.5 * np.log(np.concatenate(bands)),
         ]
     )
 
@@ -214,8 +214,15 @@ def _body_frame(z: Complexes) -> tuple[Floats, Floats, float]:
 
 
 def _amplitudes(signal: Floats, waves: Complexes) -> Complexes:
-    """Return complex amplitudes of the motion behind an acceleration, (B, H) m."""
-    return np.asarray(waves @ (signal - signal.mean()))
+    """Return amplitudes of the motion behind an acceleration, (B, H, S) m.
+
+    There are S segments of the waves' length, which overlap by half (Welch, IEEE Trans.
+    Audio Electroacoustics 15, 1967); a stride drifts too much for longer ones.
+    """
+    cells = waves.shape[-1]
+    starts = np.arange(0, signal.size - cells + 1, max(cells // 2, 1))
+    segments = signal[starts[:, None] + np.arange(cells)]
+    return np.asarray(waves @ (segments - segments.mean(axis=1, keepdims=True)).T)
 
 
 @lru_cache(maxsize=16)

@@ -142,6 +142,7 @@ _LINKERS: Final = {
     "profile": "Compares two profiles of speed and turning at the best time lag.",
     "dtw": "Compares two profiles of speed and turning with stretched time.",
     "behaviour": "Compares walking habits such as speed and its variation.",
+    "gait": "Compares sway and steps in a metric learnt on other people.",
     "histogram": "Compares the distributions of speed and turning.",
     "kinematic": "Extrapolates a walk across the gap and compares position and speed.",
     "likelihood_ratio": (

@@ -9,6 +9,7 @@ from helpers.walks import context, hits, moved, odd_release, two_releases, walk_
 from attacks.linkage.alignment import Profile, Shape
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.dtw import DTW
+from attacks.linkage.gait import Gait
 from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
@@ -16,7 +17,15 @@ from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
-BY_MOTION = [Profile(), DTW(), Shape(), Behaviour(), Histogram(), LikelihoodRatio()]
+BY_MOTION = [
+    Profile(),
+    DTW(),
+    Shape(),
+    Behaviour(),
+    Gait(),
+    Histogram(),
+    LikelihoodRatio(),
+]
 ALL = [*BY_MOTION, Kinematic()]
 
 
