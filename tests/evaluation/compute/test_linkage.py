@@ -629,8 +629,10 @@ class TestRuns:
             assert ("rerelease/shape" in consumer) == ("shape" in attacks)
 
     def test_a_presets_task_without_people_is_left_out_loudly(
-        self, csv_recording, tmp_path, capsys
+        self, csv_recording, tmp_path, capsys, monkeypatch
     ):
+        preset = replace(PRESETS["smoke"], tasks=("rerelease", "new_traversal"))
+        monkeypatch.setitem(PRESETS, "smoke", preset)
         words = [
             "--preset",
             "smoke",
