@@ -35,6 +35,7 @@ from evaluation.compute.link_scores import DERIVED, linkage_tables
 from evaluation.compute.link_setup import sensed_sessions
 from evaluation.estimates import linkability
 from evaluation.plan.axes import Consumer, axes
+from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
 from evaluation.store import cell_files, linkage_outcomes
 from isac_track.errors import DataError, PluginError, SettingsError
