@@ -20,6 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.compute.work import compute_cells
 from evaluation.plan.plan import Plan, make_plan
+from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import (
     cells_cpu_s,
@@ -38,8 +39,12 @@ if TYPE_CHECKING:
 ROOT = Path(__file__).resolve().parent.parent
 WHOLE_RUN = ROOT / "docs" / "results" / "default_run.json"
 """Measured by `python -m benchmarks.default_run`, on two idle cores."""
-ATTACKS = ("+ou_rts", "+shape@kalman_rts", "+shape@ou_rts")
-"""Beside those of preset smoke."""
+ATTACKS = (
+    *PRESETS["paper"].attacks,
+    "ou_rts",
+    "shape@kalman_rts",
+    "shape@ou_rts",
+)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -15,17 +15,14 @@ ROOT = Path(evaluation.__file__).parent.parent
 RESULTS = ROOT / "docs" / "results"
 KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
 
-PART = {
-    "mechanisms": ("raw", "fid:1"),
-    "tasks": ("handover-2s", "new_traversal"),
-    # Those two are for re-releases. Without a fitting task, they would run in any.
-    "attacks": tuple(
-        spec
-        for spec in PRESETS["smoke"].attacks
-        if spec.partition(":")[0] not in ("likelihood_ratio", "mean_distance")
-    ),
-}
-"""Each kind of level, an open and a closed task: CI compares a whole run."""
+PART = {"mechanisms": ("raw", "fid:1"), "tasks": ("handover-1s",)}
+PART["attacks"] = tuple(
+    # Without their own task, the linkers of re-releases would run in any.
+    spec
+    for spec in PRESETS["smoke"].attacks
+    if not spec.startswith("shape")
+)
+"""Each kind of level, and the open task: CI compares a whole run."""
 
 
 def test_a_fresh_run_gives_the_published_numbers(tmp_path):
@@ -51,7 +48,7 @@ def test_a_fresh_run_gives_the_published_numbers(tmp_path):
         fresh, on=KEY, suffixes=("", "_fresh"), how="outer", indicator=True
     )
     assert (merged["_merge"] == "both").all()
-    assert len(merged) > 1700
+    assert len(merged) > 400
     for name in ("value", "ci_low", "ci_high", "n"):
         actual, expected = merged[f"{name}_fresh"].to_numpy(), merged[name].to_numpy()
         np.testing.assert_allclose(actual, expected, rtol=1e-9, atol=1e-9, err_msg=name)

@@ -35,6 +35,7 @@ from evaluation.compute.link_scores import DERIVED, linkage_tables
 from evaluation.compute.link_setup import sensed_sessions
 from evaluation.estimates import linkability
 from evaluation.plan.axes import Consumer, axes
+from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
 from evaluation.store import cell_files, linkage_outcomes
 from isac_track.errors import DataError, PluginError, SettingsError
@@ -629,8 +630,10 @@ class TestRuns:
             assert ("rerelease/shape" in consumer) == ("shape" in attacks)
 
     def test_a_presets_task_without_people_is_left_out_loudly(
-        self, csv_recording, tmp_path, capsys
+        self, csv_recording, tmp_path, capsys, monkeypatch
     ):
+        preset = replace(PRESETS["smoke"], tasks=("rerelease", "new_traversal"))
+        monkeypatch.setitem(PRESETS, "smoke", preset)
         words = [
             "--preset",
             "smoke",

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from itertools import chain
 
 import pytest
 from helpers.commands import FEW, assert_refused
@@ -11,6 +12,7 @@ from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.compute.plugin_call import PluginTime
+from evaluation.plan.axes import axes
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
@@ -160,12 +162,10 @@ def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
 
 
 class TestHowLong:
-    def test_every_built_in_consumer_of_a_small_run_has_a_rate(self, usual):
-        names = {
-            rate_name(consumer)
-            for unit in usual.units
-            for consumer in unit.consumers.values()
-        }
+    def test_every_built_in_consumer_has_a_rate(self):
+        crossed = axes(Settings(preset="paper"))
+        readers = [crossed.readers(task) for task in crossed.tasks]
+        names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
 
