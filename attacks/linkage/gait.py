@@ -225,6 +225,7 @@ def _amplitudes(signal: Floats, waves: Complexes) -> Complexes:
     return np.asarray(waves @ (segments - segments.mean(axis=1, keepdims=True)).T)
 
 
+# For all windows of a length; the 17th length makes the oldest go.
 @lru_cache(maxsize=16)
 def _harmonics(cells: int) -> Complexes:
     """Return windowed waves of each stride frequency and its harmonics, (S, 3, K)."""
@@ -234,6 +235,7 @@ def _harmonics(cells: int) -> Complexes:
     return _weigh(waves, numbers * _STRIDES_HZ[:, None, None])
 
 
+# As above.
 @lru_cache(maxsize=16)
 def _bands(cells: int) -> Complexes:
     """Return windowed waves of the bands, (B, 1, K)."""

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
+import pandas as pd
 
 from isac_track import datasets
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
@@ -171,16 +172,7 @@ def _show(arguments: Namespace) -> int:
         "credit": dataset.citation,
         "licence": dataset.licence,
     }
-    rows = {}
-    for label, column, form in (
-        ("duration, s", "duration_s", ".2f"),
-        ("mean speed, m/s", "speed_mean_mps", ".2f"),
-        ("sd of step speed, m/s", "speed_sd_mps", ".2f"),
-        (f"steps below {datasets.SLOW_MPS:g} m/s", "slow_share", ".1%"),
-        ("steps of no length", "still_share", ".1%"),
-    ):
-        quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])
-        rows[label] = [format(quantile, form) for quantile in quantiles]
+    rows = _quantile_rows(summary)
     lines = [f"{label:<12} {fact}" for label, fact in facts.items() if fact]
     lines += ["", _aligned(rows, "per track", "min", "5%", "median", "95%", "max")]
     if dataset.repairs:
@@ -191,6 +183,21 @@ def _show(arguments: Namespace) -> int:
     ]
     print(*lines, sep="\n")
     return DONE
+
+
+def _quantile_rows(summary: pd.DataFrame) -> dict[str, list[str]]:
+    """Return quantiles over the tracks as texts, from the least to the largest."""
+    rows = {}
+    for label, column, form in (
+        ("duration, s", "duration_s", ".2f"),
+        ("mean speed, m/s", "speed_mean_mps", ".2f"),
+        ("sd of step speed, m/s", "speed_sd_mps", ".2f"),
+        (f"steps below {datasets.SLOW_MPS:g} m/s", "slow_share", ".1%"),
+        ("steps of no length", "still_share", ".1%"),
+    ):
+        quantiles = summary[column].quantile([0.0, 0.05, 0.5, 0.95, 1.0])
+        rows[label] = [format(quantile, form) for quantile in quantiles]
+    return rows
 
 
 def _fetch(arguments: Namespace) -> int:
