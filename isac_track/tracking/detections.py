@@ -151,17 +151,9 @@ def detect_people(
     model = np.concatenate([present, clutter.model])
     sigma_m = sensed.sigma_raw[model]
     variance_m2 = axis_variance(sigma_m=sigma_m, law=sensed.law)
-    cov = scalar_covariance(variance_m2)
+    cov = _covariance(xy, variance_m2, settings=settings, sensing=sensing)
     if settings.measurement == "range_bearing":
-        cov = range_bearing_covariance(
-            xy=xy,
-            station_m=(sensing.bs_x_m, sensing.bs_y_m),
-            variance_m2=variance_m2,
-            bandwidth_mhz=sensing.bandwidth_mhz,
-            n_antennas=settings.n_antennas,
-            scaling=settings.scaling,
-        )
-        # The factor of a covariance of mean 1 shapes the standardised error.
+        # The factor of a covariance relative to the scalar shapes the unit error.
         factor = np.linalg.cholesky(cov / variance_m2[:, None, None])
         unit_error = np.einsum("mab,mb->ma", factor, unit_error)
     scan = np.concatenate([patrol.scan[present], clutter.scan])
@@ -191,6 +183,26 @@ def detect_people(
                 np.full(clutter.scan.size, CLUTTER),
             ]
         ),
+    )
+
+
+def _covariance(
+    xy: Floats,
+    variance_m2: Floats,
+    *,
+    settings: DetectionSettings,
+    sensing: SensingSettings,
+) -> Floats:
+    """Return the covariance of the error at true places, (D, 2, 2) m^2."""
+    if settings.measurement == "scalar":
+        return scalar_covariance(variance_m2)
+    return range_bearing_covariance(
+        xy=xy,
+        station_m=(sensing.bs_x_m, sensing.bs_y_m),
+        variance_m2=variance_m2,
+        bandwidth_mhz=sensing.bandwidth_mhz,
+        n_antennas=settings.n_antennas,
+        scaling=settings.scaling,
     )
 
 
