@@ -25,7 +25,7 @@ from isac_track.tracking.association import (
     nearest_assignment,
     unused_detections,
 )
-from isac_track.tracking.detections import DetectedPatrol, Detections
+from isac_track.tracking.detections import CLUTTER, DetectedPatrol, Detections
 from isac_track.tracking.filters import (
     States,
     first_states,
@@ -36,8 +36,10 @@ from isac_track.tracking.filters import (
 )
 from isac_track.types import Bools, Floats, Ints
 
-Method: TypeAlias = Literal["oracle", "gnn", "jpda"]
+Method: TypeAlias = Literal["oracle", "genie", "gnn", "jpda"]
 METHODS: Final[tuple[Method, ...]] = get_args(Method)
+REFERENCES: Final[tuple[Method, ...]] = ("oracle", "genie")
+"""Methods that read the truth."""
 _TENTATIVE: Final = -1
 _HALF: Final = 0.5
 _NEGLIGIBLE: Final = 1e-6  # Probability of an association that is left out.
@@ -109,18 +111,21 @@ class Tracked:
 def run_tracker(detected: DetectedPatrol, *, settings: TrackerSettings) -> Tracked:
     """Return the tracks of a patrol's detections.
 
-    Only `oracle` reads who is behind a detection (`DetectedPatrol.person`): it is a
-    reference, with one track for each person who is detected.
+    Two references read the truth, and have one track for each person. `oracle` reads
+    who is behind a detection, `genie` where everybody is (`assign_by_truth`).
     """
     if settings.method == "oracle":
         return track_by_truth(detected, settings=settings)
+    if settings.method == "genie":
+        person = assign_by_truth(detected, likelihood=settings.likelihood)
+        return track_by_truth(replace(detected, person=person), settings=settings)
     return track_detections(detected.detections, settings=settings)
 
 
 def track_detections(detections: Detections, *, settings: TrackerSettings) -> Tracked:
     """Return the tracks of unlabelled detections by `gnn` or `jpda`."""
-    if settings.method == "oracle":
-        raise SettingsError("the oracle needs the truth: track_by_truth")
+    if settings.method in REFERENCES:
+        raise SettingsError(f"{settings.method} needs the truth: use run_tracker")
     live, history, n_begun = _no_tracks(), _History(), 0
     for scan in range(detections.scan_s.size):
         live = _moved(live, detections, scan, settings)
@@ -163,6 +168,36 @@ def track_by_truth(detected: DetectedPatrol, *, settings: TrackerSettings) -> Tr
         )
         history.write(scan, live)
     return history.tracked()
+
+
+def assign_by_truth(detected: DetectedPatrol, *, likelihood: Likelihood) -> Ints:
+    """Return the most probable person of each detection given true places, (D,).
+
+    The places are those of the people who are detected at the scan. With errors that
+    are independent between scans, other scans add nothing to true places: no tracker
+    assigns better on average. A detection without a person is `CLUTTER`.
+    """
+    detections, sensed = detected.detections, detected.sensed
+    truth = sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error
+    person = np.full(len(detections), CLUTTER)
+    for scan in range(detections.scan_s.size):
+        points = np.arange(*detections.offsets[scan : scan + 2])
+        present = points[detected.person[points] != CLUTTER]
+        places = first_states(
+            xy=truth[present],
+            cov=np.zeros((present.size, 2, 2)),
+            speed_std_mps=1.0,
+        )
+        ratios = likelihood_ratios(
+            places,
+            xy=detections.xy[points],
+            cov=detections.cov[points],
+            likelihood=likelihood,
+        )
+        column = nearest_assignment(ratios)
+        is_hit = column != UNASSIGNED
+        person[points[column[is_hit]]] = detected.person[present[is_hit]]
+    return person
 
 
 @dataclass(frozen=True, eq=False, slots=True)
