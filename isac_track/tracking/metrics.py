@@ -1,0 +1,138 @@
+"""Metrics of the tracking field: GOSPA and its parts, purity, switches, fragments.
+
+References
+----------
+Rahmathullah, Garcia-Fernandez, Svensson, "Generalized optimal sub-pattern assignment
+metric", FUSION 2017. Bernardin, Stiefelhagen, "Evaluating multiple object tracking
+performance: the CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from isac_track.patrols.patrol import Patrol
+from isac_track.tracking.detections import CLUTTER
+from isac_track.tracking.sharing import SharedTracks
+from isac_track.tracking.trackers import Tracked
+from isac_track.types import Bools, Floats, Ints, positive, squared_lengths
+
+
+@dataclass(frozen=True, slots=True)
+class Gospa:
+    """GOSPA of two sets of positions with alpha = 2, and its parts.
+
+    ``distance^p = localisation + c^p / 2 * (missed + false)``, in m^p.
+    """
+
+    distance: float  # m
+    localisation: float  # m^p, sum over matched pairs.
+    matched: int
+    missed: int
+    false: int
+
+
+def gospa(truth: Floats, tracks: Floats, *, cutoff_m: float, p: float = 2.0) -> Gospa:
+    """Return the GOSPA of tracks, (B, 2) m, against the truth, (A, 2) m.
+
+    A pair at the cut-off or beyond counts as a miss and a false track. ValueError if
+    the cut-off is not positive or p is below 1.
+    """
+    positive("cutoff_m", cutoff_m)
+    if not p >= 1.0:
+        raise ValueError(f"p must be 1 or more, got {p}")
+    limit = cutoff_m**p
+    gap = truth[:, None] - tracks[None]
+    cost = np.minimum(squared_lengths(gap) ** (p / 2.0), limit)
+    rows, columns = linear_sum_assignment(cost)
+    pairs = cost[rows, columns]
+    matched = int((pairs < limit).sum())
+    localisation = float(pairs[pairs < limit].sum())
+    missed, false = len(truth) - matched, len(tracks) - matched
+    total = localisation + limit / 2.0 * (missed + false)
+    return Gospa(total ** (1.0 / p), localisation, matched, missed, false)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GospaScans:
+    """GOSPA of each of K scans with p = 2, and its parts."""
+
+    distance: Floats  # (K,) m
+    localisation: Floats  # (K,) m^2
+    matched: Ints  # (K,)
+    missed: Ints  # (K,)
+    false: Ints  # (K,)
+
+
+def gospa_scans(patrol: Patrol, tracked: Tracked, *, cutoff_m: float) -> GospaScans:
+    """Return the GOSPA of the reported tracks at each scan of a patrol."""
+    n_scans = int(patrol.scan.max()) + 1
+    order = np.argsort(patrol.scan, kind="stable")
+    truth = np.split(patrol.people.xy[order], np.cumsum(np.bincount(patrol.scan))[:-1])
+    row = np.flatnonzero(tracked.is_reported)
+    row = row[np.argsort(tracked.scan[row], kind="stable")]
+    counts = np.bincount(tracked.scan[row], minlength=n_scans)
+    reported = np.split(tracked.xy[row], np.cumsum(counts)[:-1])
+    scans = [
+        gospa(people, tracks, cutoff_m=cutoff_m)
+        for people, tracks in zip(truth, reported, strict=True)
+    ]
+    return GospaScans(
+        distance=np.array([scan.distance for scan in scans]),
+        localisation=np.array([scan.localisation for scan in scans]),
+        matched=np.array([scan.matched for scan in scans]),
+        missed=np.array([scan.missed for scan in scans]),
+        false=np.array([scan.false for scan in scans]),
+    )
+
+
+def track_owners(shared: SharedTracks) -> Ints:
+    """Return the person who has most samples of each track, (N,), or `CLUTTER`.
+
+    Of equals it is the person of the lower row.
+    """
+    n_tracks = len(shared.release)
+    if not n_tracks:
+        return np.zeros(0, dtype=np.int64)
+    track = np.repeat(np.arange(n_tracks), np.diff(shared.release.offsets))
+    pairs, count = np.unique(
+        np.stack([track, shared.person]), axis=1, return_counts=True
+    )
+    order = np.lexsort((pairs[1], -count, pairs[0]))
+    _, first = np.unique(pairs[0][order], return_index=True)
+    return np.asarray(pairs[1][order][first])
+
+
+def pure_samples(shared: SharedTracks) -> Bools:
+    """Return which samples are of the person who owns their track, (S,).
+
+    Purity is their share. Clutter is never pure.
+    """
+    owner = np.repeat(track_owners(shared), np.diff(shared.release.offsets))
+    return np.asarray((shared.person == owner) & (owner != CLUTTER))
+
+
+def identity_switches(shared: SharedTracks) -> Ints:
+    """Return the scans at which the track of a person changes, (W,), a row each.
+
+    The samples of a person are taken in time; a switch is a sample in another track
+    than the sample before. Of two tracks at the same scan the earlier track is first.
+    """
+    sizes = np.diff(shared.release.offsets)
+    track = np.repeat(np.arange(sizes.size), sizes)
+    row = np.flatnonzero(shared.person != CLUTTER)
+    row = row[np.lexsort((track[row], shared.scan[row], shared.person[row]))]
+    person = shared.person[row]
+    is_switch = (np.diff(person) == 0) & (np.diff(track[row]) != 0)
+    return np.asarray(shared.scan[row[1:]][is_switch])
+
+
+def fragment_starts(shared: SharedTracks) -> Ints:
+    """Return the first scans of tracks whose owner has an earlier track, (F,)."""
+    owner = track_owners(shared)
+    first = shared.scan[shared.release.offsets[:-1]]
+    row = np.flatnonzero(owner != CLUTTER)
+    row = row[np.lexsort((first[row], owner[row]))]
+    is_further = np.diff(owner[row], prepend=CLUTTER) == 0
+    return np.asarray(first[row[is_further]])
