@@ -177,8 +177,8 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     """Return the features of a smoothed passage, (F,)."""
     t_s = t_s - t_s[0]
     grid_s = np.arange(0.0, min(float(t_s[-1]), LONGEST_S) + 1e-9, STEP_S)
-    z = CubicSpline(t_s, xy[:, 0] + 1j * xy[:, 1])(grid_s)
-    surge, sway, speed = _body_frame(z)
+    x, y = CubicSpline(t_s, xy)(grid_s).T
+    surge, sway, speed = _body_frame(x + 1j * y)
     cells = min(grid_s.size, SEGMENT_CELLS)
     sides, steps = (_amplitudes(x, _harmonics(cells)) for x in (sway, surge))
     side_m2, step_m2 = (np.mean(np.abs(x) ** 2, axis=2) for x in (sides, steps))
