@@ -153,7 +153,11 @@ def _correlation(scaled: Floats, shrinkage: float) -> Floats:
 
 @memoised_by_track()
 def features(release: Release, q: float = _Q) -> Floats:
-    """Return the features of each passage, (N, F) in the order of `NAMES`."""
+    """Return the features of each passage, (N, F) in the order of `NAMES`.
+
+    The cadence of slow strides, 0.6 Hz, comes out up to 12 % too slow: their spectral
+    line is wide, and slow motion has more weight. It does so for everybody.
+    """
     variance_m2 = noise_m2(release)
     batch = Batch(
         t=release.t,
