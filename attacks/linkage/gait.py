@@ -153,7 +153,11 @@ def _correlation(scaled: Floats, shrinkage: float) -> Floats:
 
 @memoised_by_track()
 def features(release: Release, q: float = _Q) -> Floats:
-    """Return the features of each passage, (N, F) in the order of `NAMES`."""
+    """Return the features of each passage, (N, F) in the order of `NAMES`.
+
+    The cadence of slow strides, 0.6 Hz, comes out up to 12 % too slow: their spectral
+    line is wide, and slow motion has more weight. It does so for everybody.
+    """
     variance_m2 = noise_m2(release)
     batch = Batch(
         t=release.t,
@@ -177,8 +181,8 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     """Return the features of a smoothed passage, (F,)."""
     t_s = t_s - t_s[0]
     grid_s = np.arange(0.0, min(float(t_s[-1]), LONGEST_S) + 1e-9, STEP_S)
-    z = CubicSpline(t_s, xy[:, 0] + 1j * xy[:, 1])(grid_s)
-    surge, sway, speed = _body_frame(z)
+    x, y = CubicSpline(t_s, xy)(grid_s).T
+    surge, sway, speed = _body_frame(x + 1j * y)
     cells = min(grid_s.size, SEGMENT_CELLS)
     sides, steps = (_amplitudes(x, _harmonics(cells)) for x in (sway, surge))
     side_m2, step_m2 = (np.mean(np.abs(x) ** 2, axis=2) for x in (sides, steps))

@@ -225,7 +225,7 @@ def _logistic(means: Floats, returning: Returning, rows: Ints, aside: int) -> Fl
     """Return the slope of each linker and the intercept, (L + 1,), from some probes."""
     person = returning.person[rows]
     part = means[:, rows]
-    usable = np.isfinite(part).all(axis=0)
+    usable: Bools = np.asarray(np.isfinite(part).all(axis=0))
     if aside >= 0:
         usable[:, aside] = False
     same = np.zeros(usable.shape, dtype=bool)
