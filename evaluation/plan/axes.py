@@ -344,7 +344,7 @@ def axes(settings: Settings) -> Axes:
         ceiling,
         utility=frozenset(utility),
         adversaries=_stronger_adversaries(settings, preset),
-        skips_oracle=preset.skips_oracle and ORACLE not in settings.adversaries,
+        skips_oracle=_skips_oracle(settings, preset),
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
         worlds=worlds,
         slow_in_worlds=settings.preset == "audit",
@@ -358,6 +358,13 @@ def axes(settings: Settings) -> Axes:
     )
     _check_adversaries_used(crossed, settings)
     return crossed
+
+
+def _skips_oracle(settings: Settings, preset: Preset) -> bool:
+    """Whether the oracle attacks only where no lesser adversary can."""
+    if not preset.skips_oracle or ORACLE in settings.adversaries:
+        return False
+    return not (preset.named_meet_oracle and settings.choice("attacks").replaces)
 
 
 def _patrolled(

@@ -53,6 +53,8 @@ class Preset:
     """Whether an adversary who knows routes and policy follows people, too."""
     skips_oracle: bool = False
     """Whether the oracle, a reference, attacks only where no lesser adversary can."""
+    named_meet_oracle: bool = False
+    """Whether it attacks all the same where a user names the attacks of a run."""
     # At most so many people in a task of a model: the optimum takes all pairs and lags.
     model_people: int = 100
 
@@ -155,6 +157,8 @@ _SMOKE = Preset(
     # In split and new_traversal no linker of `paper` beats guessing on plaza; the
     # longer silences repeat the shortest. A single session has no cross_session.
     tasks=("rerelease", "handover-1s", "cross_session"),
+    skips_oracle=True,
+    named_meet_oracle=True,
     summary="40 scenes, the 5 levels that the paper gives numbers for",
 )
 _POLICIES = ("everything", "window:4", "near:3.5", "ahead:2", "state:2", "flag")
@@ -166,6 +170,7 @@ _PAPER = replace(
     mechanisms=(*_SWEEP, *DISSOCIATION),
     attacks=(*_SMOOTHERS, *_LINKERS),
     tasks=(*TASKS,),
+    skips_oracle=False,
     protections=PROTECTIONS,
     against_slow=("ou_rts",),
     other_law=SMOKE_LEVELS,

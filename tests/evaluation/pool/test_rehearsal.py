@@ -164,7 +164,9 @@ def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
 class TestHowLong:
     def test_every_built_in_consumer_has_a_rate(self):
         crossed = axes(Settings(preset="paper"))
-        readers = [crossed.readers(task) for task in crossed.tasks]
+        # Of plaza, where nobody comes back.
+        tasks = [task for task in crossed.tasks if not task.comes_back]
+        readers = [crossed.readers(task) for task in tasks]
         names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
