@@ -45,11 +45,17 @@ _LOG_METRICS: Final = (
 _FOLLOWED_METRICS: Final = (
     "known_share",
     "followed_s",
-    "followed_ceiling_s",
     "followed_10s",
-    "followed_30s",
     "time_to_confusion_s",
 )
+_ROBOT_METRICS: Final = (
+    "missed_future_rate",
+    "missed_future_at_equal_alarms",
+    "missed_encounter_rate",
+    "withheld_share",
+    "false_alarms_per_min",
+)
+"""Metrics that the tables show, and no more."""
 _ADVERSARIES: Final = ("blind", "informed", "shuffled")
 Array = np.ndarray[Any, np.dtype[Any]]
 Record = TypeVar("Record", Known, Following, AlarmCurve)
@@ -224,6 +230,8 @@ def _robot_numbers(
                 seed=counts.seed,
             )
         for name, estimate in metrics.items():
+            if name not in _ROBOT_METRICS:
+                continue
             is_noted = is_built_in and (name, estimate.value) == ("withheld_share", 0.0)
             note = "by construction" if is_noted else ""
             yield _number(
