@@ -20,7 +20,7 @@ Row: TypeAlias = Mapping[str, str]
 _SHORT: Final = {"fixed:0.7,adding=independent": "fixed:0.7, independent"}
 _MISSES: Final = (
     ("missed future", "missed_future_rate"),
-    ("... at equal alarms", "missed_future_at_equal_alarms"),
+    ("... at equal alarms", "missed_future_at_equal_false_alarms"),
     ("missed encounters", "missed_encounter_rate"),
     ("withheld", "withheld_share"),
     ("false alarms / min", "false_alarms_per_min"),
@@ -52,7 +52,7 @@ _OF_FLEET: Final = (
 _NO_SHARES: Final = ("false_alarms_per_min", "followed_s", "time_to_confusion_s")
 _CRITERIA: Final = {
     "missed_future_rate": "0.9 m",
-    "missed_future_at_equal_alarms": "equal alarms",
+    "missed_future_at_equal_false_alarms": "equal alarms",
 }
 _MATCHED_HEADS: Final = (
     "robot",
