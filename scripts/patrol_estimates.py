@@ -24,7 +24,7 @@ from attacks.following.logs import Following
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
-from isac_track.patrols.equal_alarms import AlarmCurve, missed_at_equal_alarms
+from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.knowledge import ESTIMATORS, Known
 from isac_track.patrols.metrics import (
     SHARES,
@@ -34,7 +34,8 @@ from isac_track.patrols.metrics import (
 )
 
 SCAN_S: Final = 0.0836
-FARTHEST: Final = 36  # Scans, 3 s: the horizon with a curve over the alarm distance.
+FARTHEST: Final = 36  # Scans, 3 s: the horizon at which equal false alarms are shown.
+_AT_EQUAL: Final = "missed_future_at_equal_false_alarms"
 _LOG_METRICS: Final = (
     "disclosed_share",
     "people_seen",
@@ -45,14 +46,20 @@ _LOG_METRICS: Final = (
 _FOLLOWED_METRICS: Final = (
     "known_share",
     "followed_s",
-    "followed_ceiling_s",
     "followed_10s",
-    "followed_30s",
     "time_to_confusion_s",
 )
+_ROBOT_METRICS: Final = (
+    _AT_EQUAL,
+    "missed_future_rate",
+    "withheld_share",
+    "missed_encounter_rate",
+    "false_alarms_per_min",
+)
+"""Metrics that the tables show, and no more."""
 _ADVERSARIES: Final = ("blind", "informed", "shuffled")
 Array = np.ndarray[Any, np.dtype[Any]]
-Record = TypeVar("Record", Known, Following, AlarmCurve)
+Record = TypeVar("Record", Known, Following, AlarmCounts)
 
 
 @dataclass(frozen=True)
@@ -128,6 +135,8 @@ class Counts:
             trials={name: self.arrays[f"{place}.{name}.trials"] for name in SHARES},
             false_alarms=self.arrays[f"{place}.false_alarms"],
             walked_s=float(self.arrays[f"{place}.walked_s"]),
+            by_distance=self.record(AlarmCounts, f"{place}.by_distance"),
+            allowed=self.arrays[f"{place}.allowed"],
         )
 
 
@@ -154,7 +163,7 @@ def _run(options: argparse.Namespace) -> int:
             astuple(number)
             for counts in loaded
             if counts.place[2] in MECHANISMS and counts.place[3] in POLICIES
-            for number in _numbers(counts, loaded)
+            for number in _numbers(counts)
         ),
     )
     matched = (
@@ -187,7 +196,7 @@ def _written(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _numbers(counts: Counts, loaded: Sequence[Counts]) -> Iterator[Number]:
+def _numbers(counts: Counts) -> Iterator[Number]:
     """Yield all numbers of a mechanism and a policy."""
     known = counts.record(Known, "log")
     metrics = knowledge_metrics(known, group=counts.group, seed=counts.seed)
@@ -203,47 +212,29 @@ def _numbers(counts: Counts, loaded: Sequence[Counts]) -> Iterator[Number]:
         for name in _FOLLOWED_METRICS:
             yield _number(counts, name, followed[name], knowledge=adversary)
     for robot in counts.robots:
-        yield from _robot_numbers(counts, robot, loaded)
+        yield from _robot_numbers(counts, robot)
 
 
-def _robot_numbers(
-    counts: Counts, robot: str, loaded: Sequence[Counts]
-) -> Iterator[Number]:
+def _robot_numbers(counts: Counts, robot: str) -> Iterator[Number]:
     """Yield what a robot misses at each horizon."""
     is_built_in = bool(counts.arrays[f"{robot}.built_in"])
     for horizon in counts.horizons(robot):
-        metrics = dict(
-            estimate_utility(
-                counts.utility(robot, horizon), group=counts.group, seed=counts.seed
-            )
+        metrics = estimate_utility(
+            counts.utility(robot, horizon), group=counts.group, seed=counts.seed
         )
-        if horizon == FARTHEST:
-            metrics["missed_future_at_equal_alarms"] = missed_at_equal_alarms(
-                counts.record(AlarmCurve, f"{robot}@{horizon}.curve"),
-                reference=reference_alarms(counts, robot, loaded),
-                seed=counts.seed,
-            )
-        for name, estimate in metrics.items():
+        for name in _ROBOT_METRICS:
+            if name == _AT_EQUAL and horizon != FARTHEST:
+                continue
+            estimate = metrics[name]
             is_noted = is_built_in and (name, estimate.value) == ("withheld_share", 0.0)
-            note = "by construction" if is_noted else ""
             yield _number(
                 counts,
                 name,
                 estimate,
                 consumer=robot,
                 horizon_s=round(horizon * SCAN_S, 2),
-                note=note,
+                note="by construction" if is_noted else "",
             )
-
-
-def reference_alarms(counts: Counts, robot: str, loaded: Sequence[Counts]) -> Array:
-    """Return the false alarms of a robot that is sent everything raw, (R,)."""
-    place = (*counts.place[:2], "raw", "everything")
-    for other in loaded:
-        if other.place == place:
-            alarms = other.arrays[f"{robot}@{FARTHEST}.reference_alarms"]
-            return np.asarray(alarms, dtype=np.float64)
-    raise DataError(f"{counts.dataset}: the counts of everything with raw are missing")
 
 
 def _number(
@@ -295,16 +286,8 @@ def _options(dataset: str, loaded: Sequence[Counts]) -> list[Option]:
                     "true identities": known.known[known.best],
                     "own chains": counts.record(Following, "blind").known,
                 },
-                curves={
-                    robot: counts.record(AlarmCurve, f"{robot}@{FARTHEST}.curve")
-                    for robot in counts.robots
-                },
                 misses={
                     robot: counts.utility(robot, FARTHEST) for robot in counts.robots
-                },
-                reference={
-                    robot: reference_alarms(counts, robot, loaded)
-                    for robot in counts.robots
                 },
             )
         )

@@ -14,7 +14,7 @@ import numpy as np
 
 from attacks.following.logs import first_half
 from isac_track.intervals import Estimate, effective_clusters, estimate_from_replicates
-from isac_track.patrols.equal_alarms import AlarmCurve, drawn_misses
+from isac_track.patrols.equal_alarms import alarm_curve, drawn_misses
 from isac_track.patrols.intervals import cluster_numbers, sum_clusters, two_way_weights
 from isac_track.patrols.metrics import UtilityCounts
 
@@ -29,7 +29,7 @@ PAIRED_POLICIES: Final = ("near:3.5", "ahead:2", "ahead:1.2", "state:2")
 LEAST_NOISES: Final = 5
 """Mechanisms with `everything` below which a recording is not compared."""
 MISSED: Final = "missed_future_rate"
-CRITERIA: Final = (MISSED, "missed_future_at_equal_alarms")
+CRITERIA: Final = (MISSED, "missed_future_at_equal_false_alarms")
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
@@ -43,9 +43,7 @@ class Option:
     seed: int
     instants: Array  # (N,)
     known: Mapping[str, Array]  # (N, F)
-    curves: Mapping[str, AlarmCurve]
     misses: Mapping[str, UtilityCounts]
-    reference: Mapping[str, Array]  # (R,)
 
     @property
     def family(self) -> str:
@@ -145,7 +143,7 @@ def compare_options(dataset: str, options: Sequence[Option]) -> Iterator[Matched
         known_by: _known_totals(compared, known_by, draws)
         for known_by in compared[0].known
     }
-    for robot in compared[0].curves:
+    for robot in compared[0].misses:
         for criterion in CRITERIA:
             missed = _missed_totals(compared, robot, criterion, draws)
             for known_by in known:
@@ -183,7 +181,7 @@ def _draws(option: Option) -> Draws:
     cluster = cluster_numbers(option.group)
     is_first = np.zeros(int(cluster.max()) + 1, dtype=bool)
     is_first[cluster] = first_half(option.group)
-    n_routes = next(iter(option.reference.values())).size
+    n_routes = next(iter(option.misses.values())).allowed.size
     people, routes = two_way_weights(
         n_clusters=is_first.size, n_routes=n_routes, seed=option.seed
     )
@@ -208,17 +206,18 @@ def _missed_totals(
     """Return the future conflicts that a robot misses of all."""
     hits, trials = [], []
     for option in options:
-        counts, curve = option.misses[robot], option.curves[robot]
+        counts = option.misses[robot]
         total = _drawn(sum_clusters(counts.trials[MISSED], draws.cluster), draws)
         trials.append(total)
         if criterion == MISSED:
             missed = sum_clusters(counts.hits[MISSED], draws.cluster)
             hits.append(_drawn(missed, draws))
             continue
+        curve = alarm_curve(counts.by_distance, cluster=draws.cluster)
         shares = [
             drawn_misses(
                 replace(curve, missed=curve.missed[:, half], trials=curve.trials[half]),
-                reference=option.reference[robot],
+                reference=counts.allowed.astype(np.float64),
                 people=draws.people[:, half],
                 routes=draws.routes,
             )

@@ -31,8 +31,7 @@ from isac_track.patrols.answers import (
     sense_patrol,
     share_sensed,
 )
-from isac_track.patrols.equal_alarms import AlarmCurve, alarm_curve
-from isac_track.patrols.intervals import cluster_numbers
+from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.knowledge import (
     ESTIMATORS,
     Known,
@@ -172,17 +171,15 @@ def _count(
     sensed = sense_patrol(patrol, forecaster=KalmanCV(), settings=settings, seed=seed)
     guesses = guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m)
     raw = share_sensed(sensed, mechanism=parse("mechanisms", "raw")[0].instance)
+    # Robots without noise, at whose false alarms all others are compared.
+    reference = _tasks(raw, [None] * len(job.robots), job=job)
     on_raw: dict[str, Disclosure] = {}  # Answers that no mechanism changes.
     for mechanism in mechanisms:
         missing = pairs[mechanism.spec]
         if not missing:
             continue
         network = share_sensed(sensed, mechanism=mechanism.instance)
-        everything = disclose(network, Everything())
-        tasks = [
-            robot_task(network, everything, predictor=robot.instance, settings=settings)
-            for robot in job.robots
-        ]
+        tasks = _tasks(network, reference, job=job)
         for policy in missing:
             disclosure = _disclose(network, raw, policy, on_raw)
             counts = _log_counts(network, disclosure, policy.instance, guesses, job=job)
@@ -197,6 +194,23 @@ def _count(
                 np.savez_compressed(file, **counts)
             part.rename(path)
             yield f"{path.parent.parent.name} {path.parent.name} {path.stem}"
+
+
+def _tasks(
+    network: Network, reference: Sequence[RobotTask | None], *, job: Job
+) -> list[RobotTask]:
+    """Return the task of each robot, beside its reference."""
+    everything = disclose(network, Everything())
+    return [
+        robot_task(
+            network,
+            everything,
+            predictor=robot.instance,
+            settings=job.settings,
+            reference=beside,
+        )
+        for robot, beside in zip(job.robots, reference, strict=True)
+    ]
 
 
 def file_of(out: Path, mechanism: str, policy: str) -> Path:
@@ -260,15 +274,11 @@ def _log_counts(
 def _robot_counts(
     task: RobotTask, disclosure: Disclosure, policy: Policy, *, name: str
 ) -> dict[str, Array]:
-    """Return what a robot misses, by `ROBOT@HORIZON.FIELD`, horizons in scans.
-
-    At the farthest horizon also over the alarm distance (`curve`).
-    """
+    """Return what a robot misses, by `ROBOT@HORIZON.FIELD`, horizons in scans."""
     foreseen = foresee(task, disclosure)
-    horizons = horizon_scans(task.settings)
     built_in = is_by_construction(task.network, policy, task.predictor)
     counts: dict[str, Array] = {f"{name}.built_in": np.array(built_in)}
-    for horizon in horizons:
+    for horizon in horizon_scans(task.settings):
         utility = count_utility(task, foreseen, horizon=horizon)
         place = f"{name}@{horizon}"
         for metric in utility.hits:
@@ -276,16 +286,12 @@ def _robot_counts(
             counts[f"{place}.{metric}.trials"] = utility.trials[metric].astype(np.int32)
         counts[f"{place}.false_alarms"] = utility.false_alarms
         counts[f"{place}.walked_s"] = np.array(utility.walked_s)
-    horizon = max(horizons)
-    utility = count_utility(task, foreseen, horizon=horizon)
-    cluster = cluster_numbers(task.network.patrol.people.group)
-    curve = alarm_curve(utility.by_distance, cluster=cluster)
-    counts |= _arrays(f"{name}@{horizon}.curve", curve)
-    counts[f"{name}@{horizon}.reference_alarms"] = task.allowed[horizon]
+        counts[f"{place}.allowed"] = utility.allowed
+        counts |= _arrays(f"{place}.by_distance", utility.by_distance)
     return counts
 
 
-def _arrays(prefix: str, record: Known | Following | AlarmCurve) -> dict[str, Array]:
+def _arrays(prefix: str, record: Known | Following | AlarmCounts) -> dict[str, Array]:
     """Return the fields of a record of arrays, whole numbers in four bytes."""
     values: Mapping[str, Array] = {
         field.name: np.asarray(getattr(record, field.name)) for field in fields(record)

@@ -20,6 +20,7 @@ Row: TypeAlias = Mapping[str, str]
 _SHORT: Final = {"fixed:0.7,adding=independent": "fixed:0.7, independent"}
 _MISSES: Final = (
     ("missed future", "missed_future_rate"),
+    ("... at equal alarms", "missed_future_at_equal_false_alarms"),
     ("missed encounters", "missed_encounter_rate"),
     ("withheld", "withheld_share"),
     ("false alarms / min", "false_alarms_per_min"),
@@ -51,7 +52,7 @@ _OF_FLEET: Final = (
 _NO_SHARES: Final = ("false_alarms_per_min", "followed_s", "time_to_confusion_s")
 _CRITERIA: Final = {
     "missed_future_rate": "0.9 m",
-    "missed_future_at_equal_alarms": "equal alarms",
+    "missed_future_at_equal_false_alarms": "equal alarms",
 }
 _MATCHED_HEADS: Final = (
     "robot",
@@ -82,6 +83,10 @@ class Numbers:
         }
         self._places = {key[:5] for key in self._rows}
         self.horizons_s = sorted({key[6] for key in self._rows} - {""}, reverse=True)
+
+    def metrics(self, horizon_s: str) -> set[str]:
+        """Return the metrics of robots at a horizon."""
+        return {key[7] for key in self._rows if key[6] == horizon_s}
 
     def cells(
         self, name: str, robots: Sequence[int], consumers: Sequence[str]
@@ -188,7 +193,12 @@ def _recording_page(numbers: Numbers, name: str) -> Iterator[str]:
 
 
 def _robot_table(numbers: Numbers, name: str, horizon_s: str) -> Iterator[str]:
-    columns = [(robot, head, metric) for robot in ROBOTS for head, metric in _MISSES]
+    columns = [
+        (robot, head, metric)
+        for robot in ROBOTS
+        for head, metric in _MISSES
+        if metric in numbers.metrics(horizon_s)
+    ]
     heads = [f"{ROBOTS[robot]}: {head}" for robot, head, _ in columns]
     rows = (
         [

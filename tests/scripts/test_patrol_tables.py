@@ -16,7 +16,7 @@ from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import disclose, share_patrol
-from isac_track.patrols.equal_alarms import AlarmCurve
+from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import UtilityCounts, knowledge_metrics
 from isac_track.place import placed
@@ -88,9 +88,24 @@ def test_without_counts_the_way_out_is_named(tmp_path, capsys):
 def make_option(mechanism, policy, *, known, missed):
     """An option that knows and misses the same shares of everybody on all routes."""
     n_routes, trials = 20, np.full((PEOPLE, 20), 10)
-    hits = np.full((PEOPLE, n_routes), round(10 * missed))
-    names = patrol_matching.MISSED
-    alarms = np.arange(3.0)[:, None] * np.ones((1, n_routes))
+    n_missed = round(10 * missed)
+    hits = np.full((PEOPLE, n_routes), n_missed)
+    metric = patrol_matching.MISSED
+    person, route, number = np.indices((PEOPLE, n_routes, 10)).reshape(3, -1)
+    by_distance = AlarmCounts(
+        alarms=np.arange(3)[:, None] * np.ones((1, n_routes), dtype=int),
+        person=person,
+        route=route,
+        step=np.where(number < n_missed, 3, 0),  # Missed at every distance, or at none.
+    )
+    counts = UtilityCounts(
+        hits={metric: hits},
+        trials={metric: trials},
+        false_alarms=np.zeros(n_routes, dtype=int),
+        walked_s=1.0,
+        by_distance=by_distance,
+        allowed=np.ones(n_routes, dtype=int),
+    )
     return patrol_matching.Option(
         mechanism=mechanism,
         policy=policy,
@@ -98,20 +113,7 @@ def make_option(mechanism, policy, *, known, missed):
         seed=0,
         instants=np.full(PEOPLE, 100),
         known={"own chains": np.full((PEOPLE, n_routes), round(100 * known))},
-        curves={
-            "kalman_cv": AlarmCurve(
-                alarms=alarms, missed=np.stack([hits, hits, hits]), trials=trials
-            )
-        },
-        misses={
-            "kalman_cv": UtilityCounts(
-                hits={names: hits},
-                trials={names: trials},
-                false_alarms=np.zeros(n_routes, dtype=int),
-                walked_s=1.0,
-            )
-        },
-        reference={"kalman_cv": np.ones(n_routes)},
+        misses={"kalman_cv": counts},
     )
 
 
