@@ -30,7 +30,6 @@ from evaluation.compute.patrols import (
 )
 from evaluation.compute.tables import ROWS
 from evaluation.estimates.metrics import KNOWN_SHARE, METRICS, WITHHELD
-from evaluation.plan.address import Address
 from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.patrols.metrics import estimate_utility, knowledge_metrics
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from evaluation.compute.tables import Rows
+    from evaluation.plan.address import Address
     from evaluation.store.entries import Entry
     from isac_track.intervals import Estimate
 
@@ -124,9 +124,7 @@ def _read(
     return rows, tuple(_names(table)[::n_routes])
 
 
-def _read_alarms(
-    out: Path, entry: Entry, group: Sequence[str]
-) -> dict[str, Rows]:
+def _read_alarms(out: Path, entry: Entry, group: Sequence[str]) -> dict[str, Rows]:
     """Return the further tables of a robot's cell; `group` is the people's cluster.
 
     A conflict names the first person of its cluster, for any other: only the cluster

@@ -155,9 +155,7 @@ def _between(alarms: Floats, allowed: Floats) -> tuple[Ints, Ints, Floats]:
     return before, after, np.clip(share, 0.0, 1.0)
 
 
-def _misses_at(
-    missed: Floats, step: Ints, *, people: Floats, routes: Floats
-) -> Floats:
+def _misses_at(missed: Floats, step: Ints, *, people: Floats, routes: Floats) -> Floats:
     """Return the misses of each replicate at a distance of its own, (B,)."""
     drawn = np.empty(step.size)
     for number in np.unique(step).tolist():  # Replicates agree on a few distances.
