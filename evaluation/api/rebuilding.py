@@ -50,6 +50,7 @@ from evaluation.verdict.patrols import (
     built_in,
     choose_policy,
     farthest_horizon,
+    lacking_part,
     patrol_options,
 )
 from evaluation.verdict.what_to_share import leading_handover
@@ -177,6 +178,7 @@ def _patrol_verdict(
             options, USUAL_LIMITS, horizon_s=farthest_horizon(options)
         ),
         "options": options,
+        "lacks": lacking_part(numbers),
         "by_construction": built_in(numbers),
     }
 

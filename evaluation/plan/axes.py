@@ -21,7 +21,11 @@ from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, WORLDS, World
 from isac_track import plugins
 from isac_track.errors import SettingsError, quoted
 from isac_track.kalman.slow_errors import added_error
+from isac_track.patrols import forecast_instants
 from isac_track.plugins import Plugin
+from isac_track.policies.query import check_reach
+from isac_track.policies.samples import Ahead
+from isac_track.policies.summaries import State
 from isac_track.protocols import USUAL, attack_kind, grants
 from isac_track.types import Knowledge
 
@@ -332,6 +336,7 @@ def axes(settings: Settings) -> Axes:
     worlds: dict[World, tuple[Plugin, ...]] = {}
     # A user who names mechanisms has asked for these alone.
     policies = plugins.parse_all("policies", names["policies"])
+    _check_policies(policies, settings)
     if not chosen["mechanisms"].replaces:
         worlds = _worlds(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
@@ -365,6 +370,19 @@ def _skips_oracle(settings: Settings, preset: Preset) -> bool:
     if not preset.skips_oracle or ORACLE in settings.adversaries:
         return False
     return not (preset.named_meet_oracle and settings.choice("attacks").replaces)
+
+
+def _check_policies(policies: Iterable[Plugin], settings: Settings) -> None:
+    """Raise SettingsError for a policy that looks farther than the network forecasts."""
+    ahead_s = forecast_instants(settings.stages)
+    for policy in policies:
+        instance = policy.instance
+        # A state of everybody asks for no forecast.
+        if isinstance(instance, Ahead | State) and instance.metres is not None:
+            try:
+                check_reach(instance.horizon_s, ahead_s=ahead_s)
+            except ValueError as error:
+                raise SettingsError(f"policy {policy.spec}: {error}") from None
 
 
 def _patrolled(

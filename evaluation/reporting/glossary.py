@@ -237,6 +237,10 @@ _METRICS: Final = {
     "residual risk": (
         "Rank 1 above chance, as a share of all that is possible above chance."
     ),
+    "at equal false alarms": (
+        "Future conflicts missed at the false alarms that a robot has if all is sent"
+        " raw."
+    ),
     "missed encounters": "Share of first entries of which a robot was not warned.",
     "withheld": (
         "Share of conflicts that a robot would foresee if all were sent, and does not."

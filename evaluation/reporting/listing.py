@@ -112,6 +112,8 @@ SETTINGS: Final = {
     "patrol.scan_s": "interval of the clock of all people",
     "patrol.segment_s": "recording that is walked; quick: 200, else 300",
     "patrol.grid_s": "step of the instants that are judged",
+    "patrol.errors": "errors last for a walk, or are fresh at every query",
+    "patrol.pseudonyms": "pseudonyms last for a query, or for an encounter",
 }
 """The meaning of each stage setting; others are listed with name, value and unit."""
 

@@ -8,6 +8,7 @@ from evaluation.estimates.families import Family
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import listed
 from evaluation.reporting.patrol_words import (
+    lacking_text,
     proposal_sentence,
     shared_name,
 )
@@ -64,7 +65,7 @@ def answer_on_patrol(
     options = patrols.get("options", ())
     proposal = choose_policy(options, limits, horizon_s=horizon_s, robot=robot)
     if not proposal:
-        lacking = _lacking(options, robot=robot, horizon_s=horizon_s)
+        lacking = _lacking(patrols, robot=robot, horizon_s=horizon_s)
         return PatrolAnswer(f"On patrol: {lacking}", {}, (), is_asked)
     own = [
         option
@@ -77,10 +78,11 @@ def answer_on_patrol(
     return PatrolAnswer(text, proposal, own, is_asked)
 
 
-def _lacking(options: Sequence[Option], *, robot: str, horizon_s: float | None) -> str:
+def _lacking(patrols: Mapping[str, Any], *, robot: str, horizon_s: float | None) -> str:
     """Return what a run lacks for a proposal on patrols."""
+    options = patrols.get("options", ())
     if not options:
-        return "nothing to compare; add --policy everything --policy state:2."
+        return lacking_text(patrols)
     judged = [option for option in options if option["horizon_s"] == horizon_s]
     if not judged:
         name = "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s"

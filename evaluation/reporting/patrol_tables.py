@@ -41,12 +41,21 @@ _FEW: Final = (
 )
 
 
+_OF_PEOPLE_MET: Final = (*_ROBOT, "time_to_confusion_s")
+_NOBODY: Final = (
+    "Empty: a robot met nobody, had no warning that could be withheld, or its log has"
+    " nobody. Longer patrols (--set patrol.segment_s=600) or more routes meet more."
+)
+
+
 def patrol_tables(run: Results) -> list[Table]:
     """Return the tables of patrols: of logs, and of each robot; empty without any."""
     rows = run.patrols
     if rows.empty:
         return []
     notes = [] if rows["ci_low"].notna().any() else [_FEW]
+    if rows.loc[rows["metric"].isin(_OF_PEOPLE_MET), "value"].isna().any():
+        notes.append(_NOBODY)
     return [_log_table(run, rows, notes), _robot_table(run, rows, notes)]
 
 

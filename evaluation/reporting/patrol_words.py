@@ -10,6 +10,7 @@ from evaluation.reporting.names import mechanism_name, mechanism_phrase, robot_s
 from evaluation.reporting.rows import Results
 from evaluation.verdict.patrols import (
     EVERYTHING,
+    Lacking,
     Option,
     PatrolLimits,
     exceeded,
@@ -18,10 +19,35 @@ from evaluation.verdict.patrols import (
 NO_INTERVALS: Final = "no intervals: few routes or people"
 
 
+_LACKS: Final[Mapping[Lacking, str]] = {
+    "": "nothing to compare; add --policy everything --policy state:2",
+    "robots": "no robot patrols; add --predictor kalman_cv",
+    "raw everything": (
+        "others are compared with raw positions of everybody; add --policy +everything"
+        " --mechanism +raw"
+    ),
+    "conflicts": (
+        "no robot meets anybody; add --set patrol.fleets=20 or --set patrol.segment_s=inf"
+    ),
+}
+"""What a run lacks for a proposal, and which option adds it."""
+
+
 def patrol_sentence(run: Results) -> str:
-    """Return the policy and mechanism that a run proposes for patrols; or empty."""
-    proposal = run.verdict.get("patrols", {}).get("recommended", {})
-    return proposal_sentence(proposal, families=run.families) if proposal else ""
+    """Return the policy and mechanism that a run proposes for patrols.
+
+    Where it proposes none the sentence says why; it is empty without patrols.
+    """
+    patrols = run.verdict.get("patrols", {})
+    if proposal := patrols.get("recommended", {}):
+        return proposal_sentence(proposal, families=run.families)
+    lacks = patrols.get("lacks", "")
+    return f"Nothing is proposed: {_LACKS[lacks]}." if lacks else ""
+
+
+def lacking_text(patrols: Mapping[str, Any]) -> str:
+    """Return what a run without a proposal lacks; `patrols` is of `verdict.json`."""
+    return f"{_LACKS[patrols.get('lacks', '')]}."
 
 
 def proposal_sentence(

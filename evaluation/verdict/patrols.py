@@ -6,7 +6,7 @@ First screen, page and `evaluation.design` ask `choose_policy` alone. It reads o
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from isac_track.intervals import Estimate, difference
 Option: TypeAlias = "Mapping[str, Any]"
 """Numbers of a robot, at a horizon, under a policy with a mechanism."""
 Proposal: TypeAlias = "dict[str, Any]"
+Lacking: TypeAlias = Literal["", "robots", "raw everything", "conflicts"]
+"""What a run needs for a proposal: robots, what they are compared with, conflicts."""
 MOST_LOST: Final = 0.05  # Usual limit on the rise of missed future conflicts.
 EVERYTHING: Final = "everything"
 _MEASURED: Final = ("lost", "missed", "known", "followed")
@@ -100,6 +102,22 @@ def patrol_options(
             }
         )
     return options
+
+
+def lacking_part(numbers: Sequence[PatrolNumber]) -> Lacking:
+    """Return what a run without options lacks; empty if it has some."""
+    missed = [
+        number for number in numbers if number.address.metric == FUTURE_EQUAL_ALARMS
+    ]
+    raw_cases = [
+        number for number in missed if number.address == _raw_case(number.address)
+    ]
+    if not missed:
+        return "robots"
+    if not raw_cases:
+        return "raw everything"
+    is_met = any(np.isfinite(number.estimate.value) for number in raw_cases)
+    return "" if is_met else "conflicts"
 
 
 def _raw_case(address: Address) -> Address:

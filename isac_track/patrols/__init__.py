@@ -3,11 +3,12 @@
 from isac_track.patrols.patrol import (
     Patrol,
     Presences,
+    forecast_instants,
     horizon_scans,
     make_patrol,
     query_scans,
     sense_people,
 )
 
-__all__ = ["Patrol", "Presences"]
+__all__ = ["Patrol", "Presences", "forecast_instants"]
 __all__ += ["horizon_scans", "make_patrol", "query_scans", "sense_people"]

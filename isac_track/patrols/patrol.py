@@ -94,6 +94,15 @@ def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
     return tuple(max(1, step) for step in steps)
 
 
+def forecast_instants(settings: StageSettings) -> Floats:
+    """Return the instants of a forecast after now, (H,) s, one a scan from 0 on.
+
+    They reach a query interval beyond the farthest horizon of conflicts.
+    """
+    n_ahead = 1 + max(horizon_scans(settings)) + query_scans(settings.patrol)
+    return settings.patrol.scan_s * np.arange(float(n_ahead))
+
+
 def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patrol:
     """Return the patrol through a recording.
 
@@ -115,9 +124,9 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
     grid = _on_clock(recorded, walks, start_s=start_s, end_s=end_s, step_s=rules.grid_s)
     scan = np.rint((people.t - start_s) / rules.scan_s).astype(np.int64)
     n_scans = int(scan.max()) + 1
-    n_ahead = 1 + max(horizon_scans(settings)) + query_scans(rules)
+    ahead_s = forecast_instants(settings)
     query_scan = _query_scans(n_scans, rules)
-    clock_s = start_s + rules.scan_s * np.arange(float(n_scans + n_ahead))
+    clock_s = start_s + rules.scan_s * np.arange(float(n_scans + ahead_s.size))
     return Patrol(
         people=people,
         scan=scan,
@@ -128,7 +137,7 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
         ),
         query_scan=query_scan,
         query_s=rules.query_s,
-        ahead_s=rules.scan_s * np.arange(float(n_ahead)),
+        ahead_s=ahead_s,
         presences=_find_presences(scan, people.offsets, query_scan),
         robots_per_fleet=rules.robots,
         n_unseen=len(recorded) - len(people),

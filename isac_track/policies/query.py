@@ -13,6 +13,17 @@ Form: TypeAlias = Literal["samples", "state", "flag"]
 SelectOn: TypeAlias = Literal["raw", "shared"]
 """Positions on which a selection rests: as sensed, or as the mechanism shares them."""
 _ROUNDING_S = 1e-9  # Tolerance of comparisons of times.
+_ROUNDING_SCANS = 2  # By which clocks may shorten a forecast.
+
+
+def check_reach(horizon_s: float, *, ahead_s: Floats) -> None:
+    """Raise ValueError if forecasts at instants (H,) s end before a horizon."""
+    if horizon_s > ahead_s[-1] + _ROUNDING_SCANS * (ahead_s[1] - ahead_s[0]):
+        raise ValueError(
+            f"horizon_s={horizon_s:g} is beyond the {ahead_s[-1]:.3g} s that the network"
+            " forecasts: name a shorter horizon_s, or a longer one of conflicts by"
+            f" --set conflict.horizons_s=3,{horizon_s:g}"
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,9 +91,10 @@ class Query:
 
         Distances are time-aligned, up to `horizon_s`. The margin grows by `stds`
         standard deviations of the forecast, per axis; ValueError if the forecast then
-        has no covariance.
+        has no covariance, or ends before the horizon.
         """
         forecast = self.view(select_on).forecast
+        check_reach(horizon_s, ahead_s=self.ahead_s)
         n_steps = int((self.ahead_s <= horizon_s + _ROUNDING_S).sum())
         gap = forecast.mean[:, :n_steps] - self.robot_xy[:n_steps]
         reach_m: Floats = np.full(gap.shape[:2], margin_m)

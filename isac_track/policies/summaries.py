@@ -12,7 +12,7 @@ from isac_track.types import Bools, positive
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """Send one filtered position and velocity of each person, with their covariance.
+    """Send a filtered position, velocity and covariance of each person.
 
     The network filters the shared samples up to now; the robot extrapolates the state
     at constant velocity. The policy selects the sample at the time of the state.

@@ -1,11 +1,12 @@
 """Missed future conflicts against what a log tells: a curve for each policy."""
 
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
+from evaluation.estimates.families import RAW
 from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.metrics import (
     FOLLOWED,
@@ -21,12 +22,12 @@ from evaluation.reporting.charts import (
     Chart,
     Curve,
     Look,
+    Mark,
     curves_chart,
-    label_room,
 )
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS, find_family
-from evaluation.reporting.names import robot_name, short_mechanism_name
+from evaluation.reporting.names import robot_subject, short_mechanism_name
 from evaluation.reporting.patrol_words import ahead_text, patrol_sentence
 from evaluation.reporting.rows import Results
 
@@ -54,50 +55,81 @@ def figures(run: Results) -> Iterator[Figure]:
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for metric, label in _PANELS.items():
         revealed = rows[(rows["metric"] == metric) & (rows["knowledge"] == _CHAINS)]
-        curves = list(_curves(run, missed, revealed))
-        if not curves:
+        both = _options(missed, revealed)
+        if both.empty:
             continue
-        if not label_room(curves):
-            key |= {curve.label: curve.look for curve in curves}
-        y = Axis("missed future conflicts (%)")
-        panels.append((METRICS[metric].head, curves_chart(curves, x=Axis(label), y=y)))
-    ahead = ahead_text(proposal["horizon_s"])
+        looks = {
+            policy: Look(place % (LOOKS - 1), turn=place // (LOOKS - 1))
+            for place, policy in enumerate(both["policy"].unique())
+        }
+        key |= looks
+        chart = curves_chart(
+            list(_curves(run, both, looks)),
+            x=Axis(label),
+            y=Axis("missed at equal alarms (%)"),
+            marked=list(_raw_marks(both, looks)),
+        )
+        panels.append((METRICS[metric].head, chart))
     yield Figure(
         name="patrols",
         section="plane",
-        title=f"Policies on patrol: robot {robot_name(proposal['robot'])}, conflicts{ahead}",
+        title=(
+            f"Policies on patrol: {robot_subject(proposal['robot'])}, future conflicts"
+            f"{ahead_text(proposal['horizon_s'])}"
+        ),
         panels=panels,
         columns=2,
         key=key,
         caption=patrol_sentence(run),
         note=(
-            "Along a curve: the mechanisms, from the one by which least is known. Lower"
-            " and further left is better. The adversary joins answers without"
-            " identities."
+            "Filled: raw positions. Hollow: the same policy with a mechanism, joined"
+            " along its levels. Lower and further left is better. The adversary joins"
+            " answers without identities."
         ),
     )
 
 
-def _curves(
-    run: Results, missed: pd.DataFrame, revealed: pd.DataFrame
-) -> Iterator[Curve]:
-    """Yield the curve of each policy, over its mechanisms, with intervals of misses."""
+def _options(missed: pd.DataFrame, revealed: pd.DataFrame) -> pd.DataFrame:
+    """Return the rows that have both numbers, which are `value` and `value_x`."""
     both = missed.merge(revealed, on=_KEYS, suffixes=("", "_x"))
-    both = both[np.isfinite(both["value"]) & np.isfinite(both["value_x"])]
-    for place, (policy, rows) in enumerate(both.groupby("policy", sort=False)):
-        ordered = rows.sort_values("value_x", kind="stable")
-        names = [
-            short_mechanism_name(
-                find_family(run.families, row["mechanism"]),
-                None if pd.isna(row["level"]) else row["level"],
+    return both[np.isfinite(both["value"]) & np.isfinite(both["value_x"])]
+
+
+def _curves(
+    run: Results, both: pd.DataFrame, looks: Mapping[str, Look]
+) -> Iterator[Curve]:
+    """Yield the curve of each policy over the levels of each mechanism, from raw on.
+
+    Each has the intervals of misses.
+    """
+    for policy, rows in both.groupby("policy", sort=False):
+        is_raw = rows["mechanism"] == RAW
+        groups = [own for _, own in rows[~is_raw].groupby("mechanism", sort=False)]
+        for own in groups or [rows[:0]]:
+            ordered = pd.concat([rows[is_raw], own.sort_values("level")])
+            names = [_point_name(run, row) for row in row_dicts(ordered)]
+            yield Curve(
+                look=looks[str(policy)]._replace(hollow=True),
+                name=f"{policy}: {'; '.join(names)}",
+                x=ordered["value_x"].to_numpy(dtype=np.float64) * PERCENT,
+                y=ordered[ENDS].to_numpy(dtype=np.float64).T * PERCENT,
             )
-            + f" {PERCENT * row['value']:.0f} % missed, {PERCENT * row['value_x']:.0f} %"
-            for row in row_dicts(ordered)
-        ]
-        yield Curve(
-            look=Look(place % LOOKS, hollow=place >= LOOKS),
-            name=f"{policy}: {'; '.join(names)}",
-            x=ordered["value_x"].to_numpy(dtype=np.float64) * PERCENT,
-            y=ordered[ENDS].to_numpy(dtype=np.float64).T * PERCENT,
-            label=str(policy),
+
+
+def _raw_marks(both: pd.DataFrame, looks: Mapping[str, Look]) -> Iterator[Mark]:
+    """Yield the mark of each policy with raw positions."""
+    for row in row_dicts(both[both["mechanism"] == RAW]):
+        yield Mark(
+            look=looks[row["policy"]],
+            name=f"{row['policy']} with raw positions",
+            x=PERCENT * row["value_x"],
+            y=PERCENT * row["value"],
         )
+
+
+def _point_name(run: Results, row: Mapping[str, Any]) -> str:
+    """Return a level with its numbers, for the pointer."""
+    level = None if pd.isna(row["level"]) else row["level"]
+    name = short_mechanism_name(find_family(run.families, row["mechanism"]), level)
+    missed, known = PERCENT * row["value"], PERCENT * row["value_x"]
+    return f"{name} {missed:.0f} % missed, {known:.0f} %"

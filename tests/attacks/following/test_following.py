@@ -26,7 +26,7 @@ from attacks.following.links import (
     next_pieces,
     probabilities,
 )
-from attacks.following.logs import Ending, follow_fleets
+from attacks.following.logs import Ending, _chain_log, follow_fleets
 from attacks.following.pieces import Q, collect_pieces
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import disclose
@@ -120,6 +120,15 @@ class TestErrorsOfEveryQuery:
             for network in (crowd, fresh)
         )
         assert 0.0 < fresh_s < lasting_s
+
+
+def test_entries_of_a_chain_that_mixes_people_are_in_the_order_of_time(crowd):
+    pieces = pieces_of(crowd, Near(3.0))
+    assert np.unique(pieces.person).size > 1
+    log = _chain_log(crowd, pieces, np.zeros(len(pieces), dtype=np.int64))
+    assert log.t.size == pieces.sample.size
+    assert (np.diff(log.t) >= 0.0).all()
+    np.testing.assert_array_equal(log.xy, crowd.release.xy[log.sample])
 
 
 def follow_past(policy, tracks, *robots, **options):

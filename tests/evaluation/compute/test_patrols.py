@@ -1,13 +1,17 @@
 """Patrols of a run: the numbers of the library, whatever else is in the run."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
+from helpers.commands import assert_refused
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from attacks.following.followed import following_metrics
 from attacks.following.logs import follow_fleets
+from evaluation import matrix
 from evaluation.compute.patrols import (
     followed_from_rows,
     followed_rows,
@@ -16,8 +20,11 @@ from evaluation.compute.patrols import (
     utility_counts,
     utility_tables,
 )
+from evaluation.plan.axes import axes
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.pool.failures import failed_lines
+from evaluation.reporting.patrol_tables import patrol_tables
+from evaluation.reporting.patrol_words import patrol_sentence
 from isac_track import datasets
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import disclose, share_patrol
@@ -185,6 +192,51 @@ def test_options_of_a_log_reach_the_numbers(recording):
     ours = value(results, "near:3", "log", "followed_s", knowledge="blind")
     expected = following_metrics(following, group=patrol.people.group, seed=0)
     assert ours == expected["followed_s"].value
+
+
+@pytest.mark.parametrize(
+    ("policy", "says"),
+    [
+        ("window:0", "'window:0': seconds must be positive, got 0.0"),
+        ("near:-1", "'near:-1': metres must be positive, got -1.0"),
+        ("random:2", "'random:2': share must lie within 0 to 1, got 2.0"),
+        ("nearr:2", "unknown policy 'nearr'; did you mean 'near'?"),
+        (
+            "ahead:2,horizon_s=9",
+            "policy ahead:2,horizon_s=9: horizon_s=9 is beyond the 4.01 s that",
+        ),
+        ("state:2,horizon_s=9", "--set conflict.horizons_s=3,9"),
+    ],
+)
+def test_a_policy_that_cannot_be_meant_is_one_line(ran, recording, policy, says):
+    words = ["--preset", "smoke", "--dataset", recording, "--out", "never"]
+    assert_refused(ran(matrix, *words, "--policy", policy), says)
+
+
+@pytest.mark.parametrize("horizon", ["horizon_s=9", "horizon_s=4.1"])
+def test_a_longer_horizon_of_conflicts_makes_room_for_that_of_a_policy(horizon):
+    settings = smoke("plaza", policies=(f"ahead:2,{horizon}",))
+    stages = settings.stages.changed({"conflict.horizons_s": (9.0,)})
+    assert axes(replace(settings, stages=stages)).policies
+
+
+@pytest.mark.usefixtures("single_process")
+def test_a_robot_that_meets_nobody_and_a_single_person_are_said(recording, tmp_path):
+    brief = FEW | {"patrol.segment_s": 0.5, "patrol.fleets": 1}
+    named = {"policies": ("everything", "near:0.2"), "mechanisms": ("raw",)}
+    nobody = run(recording, tmp_path / "brief", stages=brief, **named)
+    met = nobody.patrols[nobody.patrols["metric"] == "missed_future_rate"]
+    assert met["value"].isna().all()
+    assert patrol_sentence(nobody).startswith(
+        "Nothing is proposed: no robot meets anybody; add --set patrol.fleets=20"
+    )
+    robots = patrol_tables(nobody)[1]
+    assert any(note.startswith("Empty: a robot met nobody") for note in robots.notes)
+    alone = write_walks(tmp_path / "alone.csv", n_people=1)
+    single = run(alone, tmp_path / "alone", stages=FEW | {"scenes.agents": 1}, **named)
+    shares = single.patrols[single.patrols["metric"] == "known_share"]
+    assert np.isfinite(shares["value"]).all()
+    assert "no policy tried reveals less" in patrol_sentence(single)
 
 
 @pytest.mark.usefixtures("single_process")

@@ -92,6 +92,7 @@ class TestTheTextFile:
             "kind": "attack",
             "consumer": "mine",
             "knowledge": "blind",
+            "policy": "",
         }
         run = make_run(failed=pd.DataFrame([row | {"block": 0, "why": "it broke"}]))
         run.manifest["dataset"]["simulated"] = True
