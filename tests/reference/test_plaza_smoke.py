@@ -8,7 +8,6 @@ import pandas as pd
 import pytest
 
 import evaluation
-from evaluation.plan.presets import PRESETS
 from evaluation.reporting.tables import filled
 
 ROOT = Path(evaluation.__file__).parent.parent
