@@ -175,7 +175,7 @@ def assign_by_truth(detected: DetectedPatrol, *, likelihood: Likelihood) -> Ints
 
     The places are those of the people who are detected at the scan. With errors that
     are independent between scans, other scans add nothing to true places: no tracker
-    assigns better on average. A detection without a person is `CLUTTER`.
+    assigns a whole scan rightly more often. A detection without a person is `CLUTTER`.
     """
     detections, sensed = detected.detections, detected.sensed
     truth = sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error
