@@ -11,9 +11,8 @@ from isac_track.linkability.ranks import standing
 from isac_track.protocols import AttackContext, LinkageTrainingSet, Linker
 from isac_track.types import Floats, Ints, Knowledge, Release, read_only
 
-# Pairs of two releases of which all scores are memoised, 4 MB for each linker and
-# adversary.
-_MOST_PAIRS = 2**19
+MOST_PAIRS = 2**19
+"""Pairs of two releases of which all scores are memoised, 4 MB a linker, adversary."""
 # With fewer mated pairs learning would be unreliable: defaults stay.
 LEAST_MATES = 8
 MARGIN = 0.02  # Of the mean log rank: with 90 pairs a smaller gain is as likely chance.
@@ -26,7 +25,7 @@ def make_linker(score: Callable[..., Floats], *chosen: object) -> Linker:
     """
 
     def link(probe: Release, gallery: Release) -> Floats:
-        if len(probe) * len(gallery) > _MOST_PAIRS:
+        if len(probe) * len(gallery) > MOST_PAIRS:
             return _score_many(probe, gallery, score, *chosen)
         return _score_few(probe, gallery, score, *chosen)
 

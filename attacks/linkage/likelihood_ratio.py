@@ -1,6 +1,6 @@
 """Link walks by their likelihood ratio: Gaussian walks behind known errors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from types import ModuleType
 from typing import ClassVar, TypeAlias
@@ -8,7 +8,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 from scipy.special import logsumexp
 
-from attacks.linkage.learning import make_linker
+from attacks.linkage.learning import MOST_PAIRS, make_linker
 from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import find_origin, memoised
@@ -90,13 +90,33 @@ class LikelihoodRatio:
         # Twice as many passes help where errors are added linearly, and harm elsewhere.
         adding = getattr(context.mechanism, "adding", "") if knows_mechanism else ""
         passes = RadialRTS.USUAL_PASSES * (2 if adding == "linear" else 1)
-        return make_linker(_ratios, self, slow, passes)
+        score = _one_to_one if self.one_to_one else _ratios
+        return make_linker(score, replace(self, one_to_one=False), slow, passes)
+
+
+def _one_to_one(
+    probe: Release, gallery: Release, attack: LikelihoodRatio, slow: _Slow, passes: int
+) -> Floats:
+    """Return the probability of every pair given all others, (P, G).
+
+    Where there are more or fewer candidates than probes, it is the score of `_ratios`.
+    """
+    score = _ratios(probe, gallery, attack, slow, passes)
+    return soft_matches(score) if len(probe) == len(gallery) else score
 
 
 def _ratios(
     probe: Release, gallery: Release, attack: LikelihoodRatio, slow: _Slow, passes: int
 ) -> Floats:
-    """Return the score of every pair, (P, G)."""
+    """Return the log ratio of every pair, (P, G); with `one_to_one` or without."""
+    is_small = len(probe) * len(gallery) <= MOST_PAIRS
+    compute = _remembered_ratios if is_small else _compute_ratios
+    return compute(probe, gallery, attack, slow, passes)
+
+
+def _compute_ratios(
+    probe: Release, gallery: Release, attack: LikelihoodRatio, slow: _Slow, passes: int
+) -> Floats:
     lags_s, spread_m2 = _lags_s(attack), _spread_m2(attack)
     log_lag = -np.abs(lags_s) / attack.lag_s
     log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
@@ -107,9 +127,11 @@ def _ratios(
         sides.append(tuple(array.take(rows, axis=2) for array in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
-    if attack.one_to_one and len(probe) == len(gallery):
-        return soft_matches(score)
-    return score
+    return read_only(score)
+
+
+_remembered_ratios = memoised(_compute_ratios)
+"""Memoised for as long as the probe is alive: both ways to score take the same ratios."""
 
 
 def _lags_s(attack: LikelihoodRatio) -> Floats:

@@ -304,7 +304,7 @@ class TestControls:
         "most_pairs", [2**19, 1]
     )  # beyond, scores are in single precision
     def test_shuffled_mates_are_those_of_a_real_attack(self, monkeypatch, most_pairs):
-        monkeypatch.setattr("attacks.linkage.learning._MOST_PAIRS", most_pairs)
+        monkeypatch.setattr("attacks.linkage.learning.MOST_PAIRS", most_pairs)
         result = task_links("rerelease", SHAPE, by="clean", controls=True)
         real = result["rerelease/shape", "blind"]
         shuffled = result["rerelease/control-shuffled", ""]
