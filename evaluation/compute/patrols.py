@@ -287,7 +287,7 @@ def utility_tables(counts: UtilityCounts) -> dict[str, Rows]:
     rows["walked_s"] = np.full(n_people * n_routes, counts.walked_s)
     by_distance = counts.by_distance
     n_steps = len(by_distance.alarms)
-    conflicts = {
+    conflicts: Rows = {
         "track": by_distance.person,
         "route": by_distance.route.astype(np.int32),
         "step": by_distance.step.astype(np.int32),
