@@ -92,7 +92,7 @@ def _lacking(patrols: Mapping[str, Any], *, robot: str, horizon_s: float | None)
             else f"; add --set conflict.horizons_s={horizon_s:g}"
         )
         return f"no conflicts within {name} were judged{add}."
-    robots = listed(dict.fromkeys(str(option["robot"]) for option in judged))
+    robots = listed([*dict.fromkeys(str(option["robot"]) for option in judged)])
     return f"{robot} does not patrol; the robots of patrols are {robots}."
 
 
