@@ -292,7 +292,7 @@ def utility_tables(counts: UtilityCounts) -> dict[str, Rows]:
         "route": by_distance.route.astype(np.int32),
         "step": by_distance.step.astype(np.int32),
     }
-    alarms = {
+    alarms: Rows = {
         "route": np.repeat(np.arange(n_routes, dtype=np.int32), n_steps),
         "step": np.tile(np.arange(n_steps, dtype=np.int32), n_routes),
         "alarms": by_distance.alarms.T.astype(np.int32).ravel(),

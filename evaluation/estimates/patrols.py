@@ -52,9 +52,9 @@ _ROBOT_BESIDE: Final = (
     *ALARM_COLUMNS,
 )
 """Columns of all tables of a robot."""
-_OF_ANSWERS: Final = ("disclosed_share", "people_seen", "plr_walk")
+_ANSWER_METRICS: Final = ("disclosed_share", "people_seen", "plr_walk")
 """Metrics of the answers themselves, which no adversary changes."""
-_OF_LOGS: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
+_LOG_METRICS: Final = ("known_share", "known_worst_tenth", "known_undisclosed")
 
 
 class PatrolNumber(NamedTuple):
@@ -108,8 +108,11 @@ def _numbers(out: Path, entry: Entry, *, seed: int) -> list[PatrolNumber]:
         replace(reader, plugin=name, adversary="") for name in (SHARED, MAP)
     )
     return [
-        *(PatrolNumber(answers.measured(name), metrics[name]) for name in _OF_ANSWERS),
-        *(PatrolNumber(reader.measured(name), metrics[name]) for name in _OF_LOGS),
+        *(
+            PatrolNumber(answers.measured(name), metrics[name])
+            for name in _ANSWER_METRICS
+        ),
+        *(PatrolNumber(reader.measured(name), metrics[name]) for name in _LOG_METRICS),
         PatrolNumber(by_map.measured(KNOWN_SHARE), metrics["known_by_map"]),
     ]
 

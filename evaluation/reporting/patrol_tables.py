@@ -41,7 +41,7 @@ _FEW: Final = (
 )
 
 
-_OF_PEOPLE_MET: Final = (*_ROBOT, "time_to_confusion_s")
+_MEETING_METRICS: Final = (*_ROBOT, "time_to_confusion_s")
 _NOBODY: Final = (
     "Empty: a robot met nobody, had no warning that could be withheld, or its log has"
     " nobody. Longer patrols (--set patrol.segment_s=600) or more routes meet more."
@@ -54,7 +54,7 @@ def patrol_tables(run: Results) -> list[Table]:
     if rows.empty:
         return []
     notes = [] if rows["ci_low"].notna().any() else [_FEW]
-    if rows.loc[rows["metric"].isin(_OF_PEOPLE_MET), "value"].isna().any():
+    if rows.loc[rows["metric"].isin(_MEETING_METRICS), "value"].isna().any():
         notes.append(_NOBODY)
     return [_log_table(run, rows, notes), _robot_table(run, rows, notes)]
 

@@ -92,7 +92,7 @@ def figures(run: Results) -> Iterator[Figure]:
 def _options(missed: pd.DataFrame, revealed: pd.DataFrame) -> pd.DataFrame:
     """Return the rows that have both numbers, which are `value` and `value_x`."""
     both = missed.merge(revealed, on=_KEYS, suffixes=("", "_x"))
-    return both[np.isfinite(both["value"]) & np.isfinite(both["value_x"])]
+    return both.dropna(subset=["value", "value_x"])
 
 
 def _curves(
