@@ -96,6 +96,7 @@ QUESTIONS: Final = {  # In the order of the first screen; all in fractions.
 }
 _TAIL: Final = 0.5 + CONFIDENCE / 2.0
 _NORMAL: Final = float(ndtri(_TAIL))
+_WIDTH: Final = 2.0 * _NORMAL  # Of an interval, in standard errors.
 _STRICT: Final = 1.0  # Threshold of FID in the questions.
 _CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"}
 _VERDICT_ITEMS: Final[dict[str, dict[str, Any]]] = {
@@ -304,6 +305,7 @@ class Answered:
     rows: Sequence[Mapping[str, Any]]  # Averages over seeds, simulated recordings last.
     real: int  # Number of rows of real people.
     pooled: Pooled | None
+    n_pooled: int  # Real recordings that have an interval, and so are pooled.
 
     @property
     def sentence(self) -> str:
@@ -338,8 +340,10 @@ class Answered:
         if self.pooled:
             value, *ends = (100 * number for number in self.pooled[:5])
             low, high, further_low, further_high = ends
+            without = self.real - self.n_pooled
+            over = f" without {without} that have no interval" if without else ""
             text += (
-                f"; pooled {value:+.1f} [{low:.1f}, {high:.1f}], of a further recording"
+                f"; pooled{over} {value:+.1f} [{low:.1f}, {high:.1f}], of a further recording"
                 f" [{further_low:.1f}, {further_high:.1f}]"
             )
         return f"{text}."
@@ -367,15 +371,24 @@ def answered(
         recordings = sorted(seeds, key=simulated.__contains__)
         averages = [_mean_of_seeds(seeds[name]) for name in recordings]
         real = [row for row in averages if row["recording"] not in simulated]
-        errors = [(row["ci_high"] - row["ci_low"]) / (2.0 * _NORMAL) for row in real]
+        # A recording of too few people has no interval, and so no weight.
+        weighed = [row for row in real if row["ci_high"] > row["ci_low"]]
         pooled = None
-        if (
-            len(real) >= FEWEST
-            and not question.endswith(OWN_GALLERY)
-            and all(error > 0.0 for error in errors)
-        ):
-            pooled = pool([row["value"] for row in real], errors)
-        answers.append(Answered(question, adding, law, averages, len(real), pooled))
+        if len(weighed) >= FEWEST and not question.endswith(OWN_GALLERY):
+            values = [row["value"] for row in weighed]
+            errors = [(row["ci_high"] - row["ci_low"]) / _WIDTH for row in weighed]
+            pooled = pool(values, errors)
+        answers.append(
+            Answered(
+                question,
+                adding,
+                law,
+                averages,
+                len(real),
+                pooled,
+                n_pooled=len(weighed),
+            )
+        )
     return answers
 
 
@@ -400,6 +413,10 @@ def to_frame(
             value, *ends, tau2 = answer.pooled
             for name, (low, high) in ((POOLED, ends[:2]), (FURTHER, ends[2:])):
                 numbers = {"value": value, "ci_low": low, "ci_high": high, "tau2": tau2}
-                about = {"recording": name, "n": answer.real, "distance_m": math.nan}
+                about = {
+                    "recording": name,
+                    "n": answer.n_pooled,
+                    "distance_m": math.nan,
+                }
                 table.append({**answer.rows[0], **about, **numbers})
     return pd.DataFrame(table, columns=COLUMNS)

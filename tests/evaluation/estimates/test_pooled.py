@@ -119,6 +119,20 @@ def test_settings_are_told_as_they_are_typed_without_the_law():
     assert settings_text(StageSettings().flat()) == ""
 
 
+def test_a_recording_without_an_interval_is_named_and_has_no_weight():
+    rows = [row(name, value) for name, value in zip("abcde", VALUES, strict=True)]
+    few = row("f", 0.9) | {"ci_low": np.nan, "ci_high": np.nan}
+    (five,) = answered(rows, simulated=frozenset())
+    (six,) = answered([*rows, few], simulated=frozenset())
+    assert six.pooled == five.pooled
+    frame = to_frame([*rows, few], [six])
+    assert frame[frame["recording"] == POOLED].iloc[0]["n"] == 5
+    assert "Same sign in 6 of 6" in six.sentence
+    assert "; pooled without 1 that have no interval +" in six.sentence
+    (four,) = answered([*rows[:4], few], simulated=frozenset())
+    assert four.pooled is None
+
+
 def test_five_real_recordings_are_pooled_and_a_crowd_is_none():
     rows = [row(name, value) for name, value in zip("abcde", VALUES, strict=True)]
     crowd = row("plaza", -5.0)
