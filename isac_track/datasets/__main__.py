@@ -1,12 +1,12 @@
 """``python -m isac_track.datasets``: list, show and fetch data sets."""
 
+from __future__ import annotations
+
 import sys
-from argparse import Namespace
 from collections.abc import Mapping, Sequence
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
-import pandas as pd
 
 from isac_track import datasets
 from isac_track.command_line import DONE, WRONG, Parser, exit_code
@@ -15,6 +15,11 @@ from isac_track.datasets import people, registry
 from isac_track.datasets.recording import listed
 from isac_track.datasets.registry import KNOWN, shown
 from isac_track.errors import IsacTrackError
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+
+    import pandas as pd
 
 _USUAL: Final = StageSettings()
 _LONG_S: Final = (_USUAL.linkage.window_s, _USUAL.resample.min_duration_s)

@@ -12,6 +12,7 @@ import numpy as np
 from isac_track.config import PatrolSettings, StageSettings
 from isac_track.errors import DataError, SettingsError
 from isac_track.patrols.routes import draw_waypoints, places_along, walked_cells
+from isac_track.policies.samples import HORIZON_S
 from isac_track.resample import Walk, walk
 from isac_track.rng import stream
 from isac_track.sensing import draw_walk_channel, recorded_walk, sense, walked_within
@@ -97,9 +98,12 @@ def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
 def forecast_instants(settings: StageSettings) -> Floats:
     """Return the instants of a forecast after now, (H,) s, one a scan from 0 on.
 
-    They reach a query interval beyond the farthest horizon of conflicts.
+    They reach a query interval beyond the farthest horizon of conflicts, and beyond the
+    usual horizon of policies: these must work in a run without further horizons.
     """
-    n_ahead = 1 + max(horizon_scans(settings)) + query_scans(settings.patrol)
+    usual_scans = round(HORIZON_S / settings.patrol.scan_s)
+    farthest = max(usual_scans, *horizon_scans(settings))
+    n_ahead = 1 + farthest + query_scans(settings.patrol)
     return settings.patrol.scan_s * np.arange(float(n_ahead))
 
 

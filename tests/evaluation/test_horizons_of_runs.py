@@ -12,10 +12,10 @@ import evaluation
 from evaluation.estimates.decisions import curve
 from evaluation.estimates.frontier import usual_price
 from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
-from evaluation.estimates.keys import horizons_in, row_worlds
+from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import MISSED_FUTURE, MISSED_RATE
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import parse_consumer
+from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.presets import BASELINE, PRESETS
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.reporting import tables
@@ -25,6 +25,7 @@ from evaluation.reporting.first_screen import first_screen, screen_columns
 from evaluation.reporting.headline import HeadlineColumn, headline
 from evaluation.reporting.notices import notices
 from evaluation.store.cell_files import read_rows
+from evaluation.store.entries import Entry, horizons_in
 from evaluation.verdict.items import Draft
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.rng import stream
@@ -173,12 +174,17 @@ def test_every_preset_compares_its_robots_with_nobody_moving_on():
 
 
 def test_a_run_has_the_further_horizons_of_its_cells():
-    assert horizons_in(
-        [{"world": WORLD}, {"world": "model"}, {}, {"world": "horizon=1s"}]
-    ) == [
-        1,
-        3,
+    worlds = (
+        World(horizon_s=3.0),
+        World(is_model=True),
+        OWN_WORLD,
+        World(horizon_s=1.0),
+    )
+    entries = [
+        Entry(Address(mechanism="raw", world=world), kind="shared", spec="raw")
+        for world in worlds
     ]
+    assert horizons_in(entries) == [1, 3]
 
 
 def test_items_of_two_horizons_have_two_names():
