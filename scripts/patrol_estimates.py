@@ -47,6 +47,7 @@ _FOLLOWED_METRICS: Final = (
     "known_share",
     "followed_s",
     "followed_10s",
+    "followed_30s",
     "time_to_confusion_s",
 )
 _ROBOT_METRICS: Final = (

@@ -33,6 +33,7 @@ _LOG: Final = (
     ("known: own chains", "blind", "known_share"),
     ("followed, s", "blind", "followed_s"),
     ("... for 10 s", "blind", "followed_10s"),
+    ("... for 30 s", "blind", "followed_30s"),
     ("time to confusion, s", "blind", "time_to_confusion_s"),
 )
 _KEY: Final = (
