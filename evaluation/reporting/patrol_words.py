@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from evaluation.estimates.families import RAW, Family
-from evaluation.reporting.amounts import listed, sentence_case
+from evaluation.reporting.amounts import listed
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, mechanism_phrase, robot_subject
 from evaluation.reporting.rows import Results
@@ -53,27 +53,34 @@ def lacking_text(patrols: Mapping[str, Any]) -> str:
 def proposal_sentence(
     proposal: Mapping[str, Any], *, families: Mapping[str, Family]
 ) -> str:
-    """Return what a log reveals under a proposal, or why there is none."""
+    """Return what a log reveals under a proposal, or why there is none.
+
+    The limits stand in its first sentence, since the first screen drops last sentences
+    where it lacks room.
+    """
     everything, best = proposal["everything"], proposal["best"]
     limits = listed([*_limit_texts(proposal).values()])
-    certainty = "" if proposal["has_interval"] else f" ({NO_INTERVALS})"
+    certainty = "" if proposal["has_interval"] else f"; {NO_INTERVALS}"
+    counted = (
+        f"Conflicts{ahead_text(proposal['horizon_s'])} are counted, at equal false"
+        f" alarms{certainty}."
+    )
     if best is None:
         nearest = proposal["nearest"]
         failing = listed(_excess_texts(nearest, proposal))
         return (
             f"No policy tried will do if {limits}. The nearest is"
-            f" {_option_text(nearest, families)}: {failing}{certainty}."
+            f" {_option_text(nearest, families)}: {failing}. {counted}"
         )
     all_sent = f"{_percent(everything['known'])} of person-time"
     if (best["mechanism"], best["policy"]) == (RAW, EVERYTHING):
         return (
-            f"A log of all answers reveals {all_sent}, and no policy tried reveals"
-            f" less if {limits}."
+            f"A log of all answers knows {all_sent}, and under no policy tried it"
+            f" knows less if {limits}. {counted}"
         )
-    # A single sentence: the first screen drops last sentences where it lacks room.
     return (
-        f"{sentence_case(_option_text(best, families))} reveals least to a log:"
-        f" {_percent(best['known'])} instead of {all_sent} if {limits}{certainty}."
+        f"Under {_option_text(best, families)} a log knows {_percent(best['known'])}"
+        f" instead of {all_sent}, if {limits}. {counted}"
     )
 
 
@@ -95,11 +102,9 @@ def _option_text(option: Option, families: Mapping[str, Family]) -> str:
 def _limit_texts(proposal: Mapping[str, Any]) -> dict[str, str]:
     """Return the limits of a proposal, each as a clause, by name."""
     robot = f"{robot_subject(proposal['robot'])} may miss"
-    ahead = ahead_text(proposal["horizon_s"])
-    at_alarms = f"conflicts{ahead} at equal false alarms"
     texts = {
-        "lost": f"{robot} {{points:.4g}} points more {at_alarms}",
-        "missed": f"{robot} {{points:.4g}} % of {at_alarms}",
+        "lost": f"{robot} {{points:.4g}} points more conflicts",
+        "missed": f"{robot} {{points:.4g}} % of conflicts",
         "known": "a log may know {points:.4g} % of person-time",
         "followed": "a log may follow {points:.4g} % of people for 10 s",
     }

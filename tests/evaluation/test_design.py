@@ -207,29 +207,38 @@ class TestOnPatrol:
                 [],
                 0,
                 (
-                    "On patrol: Policy state:2 with raw positions reveals least to a"
-                    " log: 20 % instead of 95 % of person-time if a Kalman robot may"
-                    " miss 5 points more conflicts within 3 s at equal false alarms."
+                    "On patrol: Under policy state:2 with raw positions a log knows"
+                    " 20 % instead of 95 % of person-time, if a Kalman robot may miss"
+                    " 5 points more conflicts. Conflicts within 3 s are counted, at"
+                    " equal false alarms."
                 ),
             ),
-            (["--max-missed", "0.6"], 0, "Policy near:3.5 with raw positions reveals"),
-            (["--max-missed", "0.32"], 0, "A log of all answers reveals 95 % of per"),
+            (
+                ["--max-missed", "0.6"],
+                0,
+                "Under policy near:3.5 with raw positions a log",
+            ),
+            (["--max-missed", "0.32"], 0, "A log of all answers knows 95 % of person"),
             (
                 ["--max-missed", "0.25"],
                 0,
                 (
                     "No policy tried will do if a Kalman robot may miss 25 % of"
-                    " conflicts within 3 s at equal false alarms. The nearest is policy"
-                    " everything with raw positions: a Kalman robot misses up to 31 %."
+                    " conflicts. The nearest is policy everything with raw positions: a"
+                    " Kalman robot misses up to 31 %. Conflicts within 3 s are counted,"
                 ),
             ),
-            (["--max-known", "0.25"], 0, "Policy state:2 with raw positions reveals"),
+            (
+                ["--max-known", "0.25"],
+                0,
+                "Under policy state:2 with raw positions a log",
+            ),
             (["--max-known", "0.15"], 1, "policy state:2 with raw positions: a log"),
             (["--max-followed", "0.04"], 1, "The nearest is policy state:2 with"),
             (
                 ["--max-followed", "0.04", "--max-missed", "0.6"],
                 0,
-                "Policy near:3.5 with raw positions reveals least to a log: 10 %",
+                "Under policy near:3.5 with raw positions a log knows 10 %",
             ),
             (
                 ["--horizon", "run", "--max-known", "0.5"],
@@ -269,7 +278,7 @@ class TestOnPatrol:
 
     def test_a_run_of_policies_alone_is_answered(self, made, ran):
         said = ran(design, made((RAW,), options=PATROLS))
-        assert (said.code, "Policy state:2 with raw" in said.out) == (1, True)
+        assert (said.code, "Under policy state:2 with raw" in said.out) == (1, True)
 
     def test_json_and_verbose_have_the_numbers(self, made, ran):
         out = made(options=PATROLS)

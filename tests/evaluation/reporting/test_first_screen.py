@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.finished_runs import (
+    VERDICT,
     emptied,
     everything,
     levels,
@@ -27,8 +28,27 @@ from evaluation.reporting.recommendation import named_levels
 MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
 
 
+def on_patrol(*, is_proposed):
+    """A made-up run of two noises whose robots patrol, without intervals."""
+    option = {"mechanism": "raw", "level": None, "policy": "state:2"}
+    option |= {"known": 0.18, "lost": 0.1}
+    bounds = {f"{name}_high": None for name in ("missed", "lost", "known", "followed")}
+    proposal = {
+        "robot": "kalman_cv",
+        "horizon_s": 3.0,
+        "limits": {"lost": 0.05},
+        "everything": option | bounds | {"policy": "everything", "known": 0.95},
+        "best": option | bounds if is_proposed else None,
+        "nearest": None if is_proposed else option | bounds,
+        "has_interval": False,
+    }
+    return make_run(at=MANY, verdict=VERDICT | {"patrols": {"recommended": proposal}})
+
+
 RUNS = {
     "many": lambda: make_run(at=MANY),
+    "on patrol": lambda: on_patrol(is_proposed=True),
+    "on patrol, nothing proposed": lambda: on_patrol(is_proposed=False),
     "everything": everything,
     "raw alone": lambda: make_run(at=[("raw", np.nan)]),
     "clean alone": lambda: make_run(at=[("clean", np.nan)]),
