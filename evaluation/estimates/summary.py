@@ -126,9 +126,9 @@ def scene_numbers(
     every_column = {
         name for columns in (*_CELL_COLUMNS.values(), gap) for name in columns
     }
-    for _, entries_of_file in groupby(entries, key=attrgetter("files")):
+    for _, level_entries in groupby(entries, key=attrgetter("spec", "files")):
         keys, sums = [], []
-        for entry in entries_of_file:
+        for entry in level_entries:
             kind, address = entry.kind, entry.address.within()
             columns = [*_CELL_COLUMNS[kind], *(gap if kind == "attack" else [])]
             table = read_rows(out, entry, columns=columns, beside=every_column)

@@ -1,7 +1,6 @@
 """The plan of a run, checked before it computes or writes: data, axes and cells."""
 
 import hashlib
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
@@ -32,7 +31,7 @@ _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
-    """A unit of work: one level, one block, one stage; a file of all its consumers."""
+    """A unit of work: one level, one block or task, one stage, with all consumers."""
 
     stage: str
     block: int  # Of scenes; 0 for a linkage task.
@@ -45,14 +44,6 @@ class Unit:
     def world(self) -> World:
         """Its world, which all consumers share."""
         return next(iter(self.consumers.values())).world
-
-    @property
-    def file(self) -> str:
-        """Name of the file that all of its consumers are written to at once."""
-        name = f"{self.mechanism.spec}_{self.stage}"
-        slug = re.sub(r"[^A-Za-z0-9.=]+", "-", name)[:80]
-        digest = fingerprint.digest([self.key, *self.consumers])
-        return f"{slug}_{self.block:05d}_{digest}.parquet"
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,12 +14,8 @@ from evaluation.pool import pieces
 from evaluation.pool.gallery import write_sample_tracks
 from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
-from evaluation.store.cell_files import (
-    cell_places,
-    read_rows,
-    sound_files,
-    write_gallery,
-)
+from evaluation.store.cell_files import read_rows, write_gallery
+from evaluation.store.cell_index import cell_places, sound_files
 from evaluation.store.entries import (
     Entry,
     FailedEntry,
@@ -205,9 +201,7 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
         }
         for source in sources:
             for name, index in sound_files(source)[0].items():
-                present = {
-                    (index.unit, consumer.key) for consumer in index.consumers.values()
-                }
+                present = cell_places({name: index}).keys()
                 if wanted & present:
                     content = read_regular_file(source / FOLDER / name)
                     write_checked(plan.out, name, content)

@@ -21,6 +21,7 @@ from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.failures import Failures
 from evaluation.pool.packing import (
     FileCollector,
+    HeldCell,
     WholeFile,
     WorkResult,
     compute_files,
@@ -64,6 +65,7 @@ def compute_missing(
     if plan.settings.scheduler is None:  # a cluster's workers compile for themselves
         compiling_s = _prepare_loops(works, plan, partial(progress, 0, total))
     failures, finished = Failures(), set[CellName]()
+    shown = set[CellName]()  # Those that are held by a worker, too.
     if not works:
         return ComputedCells(failures.cells, compiling_s)
     first_cell = next(planned_cells(works[0]))
@@ -71,22 +73,26 @@ def compute_missing(
     collector = FileCollector(expected_files(units, plan.code_digests), names)
     with closing(_spread_works(works, plan, collector)) as computed:
         for work, result in computed:
-            n_failed = len(failures.cells)
             if isinstance(result, Failure):
+                n_before = len(failures.cells)
                 works.extend(failures.rest(work, result, finished=finished))
-                for cell, _ in failures.cells[n_failed:]:
+                for cell, _ in failures.cells[n_before:]:
+                    shown.add(cell_name(cell))
                     _write_file(plan, collector.add(cell_name(cell), None))
                 continue
-            if isinstance(result, WholeFile):
+            if isinstance(result, HeldCell):
+                cells: Sequence[CellName] = (result.cell,)
+            elif isinstance(result, WholeFile):
                 cells = result.cells
-                file: WholeFile | None = result
+                _write_file(plan, result)
+                finished.update(cells)
             else:
                 cells = (cell_name(result),)
-                file = collector.add(cells[0], result)
-            _write_file(plan, file)
-            finished.update(cells)
+                _write_file(plan, collector.add(cells[0], result))
+                finished.update(cells)
             check_interrupt()
-            progress(len(finished) + n_failed, total, _describe_cell(cells[-1]))
+            shown.update(cells)
+            progress(len(shown), total, _describe_cell(cells[-1]))
     return ComputedCells(failures.cells, compiling_s)
 
 

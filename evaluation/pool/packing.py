@@ -9,13 +9,14 @@ from evaluation.compute.current_cell import Failure
 from evaluation.compute.work import FinishedCell, attempt_cells
 from evaluation.plan.fingerprint import sources
 from evaluation.pool.pieces import cell_name
-from evaluation.store.cell_files import pack_cells
+from evaluation.store.cell_files import ComputedCell, ComputedUnit, pack_units
+from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
     from evaluation.plan.plan import Unit
     from evaluation.pool.pieces import CellName, Work
 
-WorkResult: TypeAlias = "WholeFile | FinishedCell | Failure"
+WorkResult: TypeAlias = "WholeFile | HeldCell | FinishedCell | Failure"
 
 
 class ConsumerCode(NamedTuple):
@@ -25,6 +26,16 @@ class ConsumerCode(NamedTuple):
     code: Mapping[str, str]  # Digest by module.
 
 
+class ExpectedUnit(NamedTuple):
+    """A unit of work in a file that is still to be computed."""
+
+    block: int  # Of scenes; 0 for a linkage task.
+    spec: str  # SPEC of the mechanism.
+    key: str
+    code: Mapping[str, str]  # Digest by module.
+    consumers: Mapping[str, ConsumerCode]  # By label.
+
+
 class ExpectedFile(NamedTuple):
     """A file of cells that is still to be computed.
 
@@ -32,9 +43,8 @@ class ExpectedFile(NamedTuple):
     """
 
     name: str
-    unit: str  # Key of the unit of work.
-    code: Mapping[str, str]
-    consumers: Mapping[str, ConsumerCode]  # By label.
+    units: tuple[ExpectedUnit, ...]
+    cells: tuple[CellName, ...]
 
 
 class WholeFile(NamedTuple):
@@ -45,20 +55,35 @@ class WholeFile(NamedTuple):
     cells: tuple[CellName, ...]
 
 
+class HeldCell(NamedTuple):
+    """A note that a cell is computed, and waits for others of its file."""
+
+    cell: CellName
+
+
 def expected_files(
     units: Iterable[Unit], digests: Mapping[str, str]
 ) -> dict[CellName, ExpectedFile]:
     """Return the file of every cell of some units; `digests` are by module."""
     files: dict[CellName, ExpectedFile] = {}
-    for unit in units:
-        consumers = {}
-        for key, consumer in unit.consumers.items():
-            modules = sources("", *consumer.plugins)
-            code = {module: digests[module] for module in modules}
-            consumers[consumer.label] = ConsumerCode(key, code)
-        file = ExpectedFile(unit.file, unit.key, unit.code, consumers)
-        files |= {(unit.block, unit.mechanism.spec, label): file for label in consumers}
+    for name, file_units in group_units(units):
+        expected = tuple(_expected_unit(unit, digests) for unit in file_units)
+        cells = tuple(
+            (unit.block, unit.spec, label)
+            for unit in expected
+            for label in unit.consumers
+        )
+        files |= dict.fromkeys(cells, ExpectedFile(name, expected, cells))
     return files
+
+
+def _expected_unit(unit: Unit, digests: Mapping[str, str]) -> ExpectedUnit:
+    consumers = {}
+    for key, consumer in unit.consumers.items():
+        modules = sources("", *consumer.plugins)
+        code = {module: digests[module] for module in modules}
+        consumers[consumer.label] = ConsumerCode(key, code)
+    return ExpectedUnit(unit.block, unit.mechanism.spec, unit.key, unit.code, consumers)
 
 
 class FileCollector:
@@ -78,24 +103,33 @@ class FileCollector:
         file = self.files[name]
         cells = self._cells.setdefault(file.name, {})
         cells[name] = cell
-        if len(cells) < len(file.consumers):
+        if len(cells) < len(file.cells):
             return None
         del self._cells[file.name]
-        block, spec, _ = name
-        packed = []
-        for label, (key, code) in file.consumers.items():
-            finished = cells[block, spec, label]
-            if finished is not None:
-                packed.append((label, key, code, finished.tables))
-        if not packed:  # all of its cells failed
+        units = [_computed_unit(unit, cells) for unit in file.units]
+        units = [unit for unit in units if unit.cells]
+        if not units:  # all of its cells failed
             return None
-        content = pack_cells(packed, unit=file.unit, code=file.code, names=self.names)
-        return WholeFile(file.name, content, tuple(cells))
+        return WholeFile(file.name, pack_units(units, names=self.names), file.cells)
 
     def rest(self) -> Iterator[FinishedCell]:
         """Yield the cells of files that are not whole."""
         for cells in self._cells.values():
             yield from filter(None, cells.values())
+
+
+def _computed_unit(
+    unit: ExpectedUnit, cells: Mapping[CellName, FinishedCell | None]
+) -> ComputedUnit:
+    """Return a unit with those of its cells that did not fail."""
+    computed = []
+    for label, consumer in unit.consumers.items():
+        cell = cells[unit.block, unit.spec, label]
+        if cell is not None:
+            computed.append(
+                ComputedCell(label, consumer.key, consumer.code, cell.tables)
+            )
+    return ComputedUnit(unit.spec, unit.key, unit.code, computed)
 
 
 def compute_files(
@@ -105,12 +139,17 @@ def compute_files(
     names: Mapping[str, str],
     **options: Any,  # noqa: ANN401 - handed on
 ) -> Iterator[WorkResult]:
-    """Yield the results of `attempt_cells`, in packed files where these are whole."""
+    """Yield the results of `attempt_cells`, in packed files where these are whole.
+
+    Cells of other files follow at the end; until then each is announced.
+    """
     collector, failures = FileCollector(files, names), list[Failure]()
     for result in attempt_cells(work, **options):
         if isinstance(result, Failure):
             failures.append(result)
         elif whole := collector.add(cell_name(result), result):
             yield whole
+        else:
+            yield HeldCell(cell_name(result))
     yield from collector.rest()
     yield from failures

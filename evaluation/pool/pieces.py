@@ -13,7 +13,7 @@ from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork, Patro
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
-from evaluation.store.cell_files import cell_places, read_index
+from evaluation.store.cell_index import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
 from isac_track.scenes import track_order
 

@@ -1,9 +1,9 @@
-"""The cells of a run folder: a parquet file for each unit of work.
+"""The cells of a run folder: parquet files of one or more units of work.
 
-A file holds the tables of several consumers, one below the other; a column that a table
-does not have is null there. Its metadata say where each consumer's tables begin, and
-which code computed them. A consumer that is added later has a further file: no file is
-rewritten.
+A unit of work is a row group. It holds the tables of several consumers, one below the
+other; a column that a table does not have is null there. The metadata of the file say
+where each consumer's tables begin, and which code computed them (`cell_index`). A
+consumer that is added later has a further file: no file is rewritten.
 
 Every page has a checksum, which is verified when it is read: a bit that flips later, in
 memory or on the disk, is an error and no other number. Files of earlier versions, whose
@@ -32,14 +32,15 @@ from evaluation.compute.link_scores import (
 from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column
-from evaluation.store.files import (
-    FOLDER,
-    GALLERY,
-    checked_files,
-    checksummed_files,
-    open_regular,
-    write_whole,
+from evaluation.store.cell_index import (
+    INDEX_KEY,
+    ConsumerTables,
+    FileIndex,
+    UnitIndex,
+    decode_index,
+    encode_index,
 )
+from evaluation.store.files import FOLDER, GALLERY, open_regular, write_whole
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
 from isac_track.types import Floats
@@ -49,7 +50,6 @@ if TYPE_CHECKING:
 
     from evaluation.store.entries import Entry
 
-_INDEX: Final = b"isac_track.cells"
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
 _NAMED = ("metric", "group", "assigned")
@@ -88,56 +88,51 @@ _SINGLE: Final = {
 """Columns of a track or window in single precision: saves a sixth of a run's disk."""
 
 
-class ConsumerTables(NamedTuple):
-    """The tables of a consumer in a file: its key, its plug-ins' code, their rows."""
+class ComputedCell(NamedTuple):
+    """The tables of a consumer that are to be written."""
 
+    label: str
+    key: str
+    code: Mapping[str, str]  # Digest by module, of its plug-ins.
+    tables: Tables
+
+
+class ComputedUnit(NamedTuple):
+    """A unit of work that is to be written: the cells of one level."""
+
+    spec: str  # SPEC of the mechanism.
     key: str
     code: Mapping[str, str]  # Digest by module.
-    tables: Mapping[str, tuple[int, int]]  # First row and number of rows, by table.
-
-
-class FileIndex(NamedTuple):
-    """The content of a file: key and code of the unit of work, consumers by label."""
-
-    unit: str
-    code: Mapping[str, str]
-    consumers: Mapping[str, ConsumerTables]
+    cells: Sequence[ComputedCell]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CellFile:
-    """A file of cells that was read."""
+    """A unit of work that was read from a file of cells."""
 
     path: Path
     table: pa.Table
-    index: FileIndex
+    index: UnitIndex
 
 
-def pack_cells(
-    cells: Sequence[tuple[str, str, Mapping[str, str], Tables]],
-    *,
-    unit: str,
-    code: Mapping[str, str],
-    names: Mapping[str, str] = _AS_THEY_ARE,
+def pack_units(
+    units: Sequence[ComputedUnit], *, names: Mapping[str, str] = _AS_THEY_ARE
 ) -> bytes:
-    """Return the file of a unit of work, of key `unit`.
-
-    Each of `cells` has a consumer's label, key, code and tables. `names` are the names
-    of people in the file, by their ids.
-    """
-    consumers, start = {}, 0
-    for label, key, own_code, tables in cells:
-        places = {}
-        for name, table in tables.items():
-            places[name] = (start, table.num_rows)
-            start += table.num_rows
-        consumers[label] = {"key": key, "code": dict(own_code), "tables": places}
-    parts = [
-        rename_people(table, names) for *_, tables in cells for table in tables.values()
-    ]
-    whole = pa.concat_tables(parts, promote_options="default").combine_chunks()
+    """Return the file of some units of work; `names` are people's, by their ids."""
+    index, tables, sizes = [], [], []
+    for place, unit in enumerate(units):
+        consumers, n_rows = {}, 0
+        for cell in unit.cells:
+            rows = {}
+            for name, table in cell.tables.items():
+                rows[name] = (n_rows, table.num_rows)
+                n_rows += table.num_rows
+                tables.append(rename_people(table, names))
+            consumers[cell.label] = ConsumerTables(cell.key, dict(cell.code), rows)
+        index.append((unit.spec, UnitIndex(unit.key, unit.code, consumers, place)))
+        sizes.append(n_rows)
+    whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
     whole = _with_precision(whole, pa.float32())
-    index = {"unit": unit, "code": dict(code), "consumers": consumers}
     # The leading bytes of similar numbers are equal: split off, they compress.
     floats = {field.name for field in whole.schema if pa.types.is_floating(field.type)}
     elements = ["scores.list.element"] if _SCORES in whole.column_names else []
@@ -157,8 +152,12 @@ def pack_cells(
             [*(floats - _REPEATED), *elements], "BYTE_STREAM_SPLIT"
         ),
     ) as writer:
-        writer.write_table(whole)
-        writer.add_key_value_metadata({_INDEX: json.dumps(index).encode()})
+        first = 0
+        for n_rows in sizes:
+            unit_rows = whole.slice(first, n_rows)
+            writer.write_table(unit_rows, row_group_size=max(n_rows, 1))
+            first += n_rows
+        writer.add_key_value_metadata({INDEX_KEY: encode_index(index)})
     return bytes(sink.getvalue())
 
 
@@ -209,52 +208,6 @@ def _with_precision(table: pa.Table, kind: pa.DataType) -> pa.Table:
         for field in table.schema
     )
     return table.cast(pa.schema(fields))
-
-
-def read_index(content: bytes | Path) -> FileIndex | None:
-    """Return the index of a file of cells, from its bytes or path; None without one."""
-    try:
-        if isinstance(content, bytes):
-            return _index(pq.read_metadata(pa.BufferReader(content)).metadata)
-        with open_regular(content) as file:
-            return _index(pq.read_metadata(file).metadata)
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
-        return None
-
-
-def _index(metadata: Mapping[bytes, bytes]) -> FileIndex:
-    content = json.loads(metadata[_INDEX])
-    consumers = {
-        label: ConsumerTables(**tables)
-        for label, tables in content["consumers"].items()
-    }
-    return FileIndex(unit=content["unit"], code=content["code"], consumers=consumers)
-
-
-def sound_files(
-    out: Path, names: Sequence[str] = ()
-) -> tuple[dict[str, FileIndex], list[str]]:
-    """Return the indices of sound files by name, and the names of damaged ones.
-
-    They are looked for among `names` and the checksums.
-    """
-    sound, damaged = {}, []
-    candidates = sorted({*names, *checksummed_files(out)})
-    for name, content in checked_files(out, candidates):
-        if content is None:
-            damaged.append(name)
-        elif (index := read_index(content)) is not None:
-            sound[name] = index
-    return sound, damaged
-
-
-def cell_places(files: Mapping[str, FileIndex]) -> dict[tuple[str, str], str]:
-    """Return the file of every cell, by the keys of its unit and of its consumer."""
-    return {
-        (index.unit, consumer.key): name
-        for name, index in files.items()
-        for consumer in index.consumers.values()
-    }
 
 
 def read_rows(
@@ -309,52 +262,86 @@ def consumer_tables(file: CellFile, entry: Entry) -> ConsumerTables:
 def open_files(
     out: Path, entry: Entry, columns: Collection[str] | None
 ) -> list[CellFile]:
-    """Return the files of a cell: some columns, or all but raw scores."""
+    """Return the files of a cell at its level: some columns, or all but raw scores."""
     stamped = []
     for name in entry.files:
         path = out / FOLDER / name
         with readable(path):
             stat = path.stat()
-        stamped.append((path, stat.st_mtime_ns, stat.st_size))
-    return _read_files(tuple(stamped), None if columns is None else frozenset(columns))
+        stamped.append(_Stamped(path, stat.st_mtime_ns, stat.st_size))
+    names = None if columns is None else frozenset(columns)
+    return _read_files(tuple(stamped), entry.spec, names)
+
+
+class _Stamped(NamedTuple):
+    """A file, with its age and size: another of its name is read again."""
+
+    path: Path
+    changed_ns: int
+    n_bytes: int
 
 
 # Some columns of the newest cell's files, whose consumers are read one after another;
 # until another is read, or a file changes.
 @lru_cache(maxsize=1)
 def _read_files(
-    stamped: tuple[tuple[Path, int, int], ...], columns: frozenset[str] | None
+    stamped: tuple[_Stamped, ...], spec: str, columns: frozenset[str] | None
 ) -> list[CellFile]:
-    """Return files whose ages and sizes are as `stamped` says."""
+    """Return a level of some files."""
     files = []
-    for path, *_ in stamped:
-        with readable(path):
-            table, index = _read_columns(path, columns)
+    for file in stamped:
+        with readable(file.path):
+            metadata = _read_metadata(file)
+            unit = metadata.units.unit_at(spec)
+            if unit is None:
+                raise DataError(
+                    f"{file.path} has no rows at {spec}; delete it and run the matrix"
+                    " again"
+                )
+            table = _read_columns(file.path, metadata.parquet, unit, columns)
             table = _with_precision(table, pa.float64())
-            labels = read_labels(path.parent.parent)
-            files.append(CellFile(path, _with_labels(table, labels), index))
+            labels = read_labels(file.path.parent.parent)
+            files.append(CellFile(file.path, _with_labels(table, labels), unit))
     return files
 
 
-def _read_columns(
-    path: Path, columns: frozenset[str] | None
-) -> tuple[pa.Table, FileIndex]:
-    """Return some columns of a file, or all but raw scores, and the file's index."""
-    # Not pq.read_table: its data set machinery takes longer than the read.
-    with open_regular(path) as opened:
+class _Metadata(NamedTuple):
+    parquet: pq.FileMetaData
+    units: FileIndex
+
+
+# The metadata of the newest files, some kB each, which every level is looked up in;
+# until so many others were read.
+@lru_cache(maxsize=64)
+def _read_metadata(file: _Stamped) -> _Metadata:
+    with open_regular(file.path) as opened:
         metadata = pq.read_metadata(opened)
-        present = metadata.schema.to_arrow_schema().names
-        wanted = columns or {*present} - {_SCORES}
-        names = [name for name in present if name in wanted]
-        with pq.ParquetFile(
+    return _Metadata(metadata, decode_index(metadata.metadata))
+
+
+def _read_columns(
+    path: Path,
+    metadata: pq.FileMetaData,
+    unit: UnitIndex,
+    columns: frozenset[str] | None,
+) -> pa.Table:
+    """Return some columns of a unit in a file, or all but raw scores."""
+    present = metadata.schema.to_arrow_schema().names
+    wanted = columns or {*present} - {_SCORES}
+    names = [name for name in present if name in wanted]
+    # Not pq.read_table: its data set machinery takes longer than the read.
+    with (
+        open_regular(path) as opened,
+        pq.ParquetFile(
             opened,
             metadata=metadata,
             read_dictionary=[name for name in names if name in _NAMES],
             page_checksum_verification=True,
-        ) as file:
-            return file.read(columns=names, use_threads=False), _index(
-                metadata.metadata
-            )
+        ) as file,
+    ):
+        if unit.row_group is None:
+            return file.read(columns=names, use_threads=False)
+        return file.read_row_group(unit.row_group, columns=names, use_threads=False)
 
 
 @contextlib.contextmanager

@@ -9,7 +9,7 @@ from typing import Any
 from evaluation.plan.fingerprint import has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
-from evaluation.store.cell_files import FileIndex, sound_files
+from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
     CELL_NAME,
@@ -136,32 +136,41 @@ def _drop_other_code(
     out: Path, manifest: dict[str, Any], index_by_file: dict[str, FileIndex]
 ) -> None:
     """Drop cells whose code has changed here, and files that hold no other cells."""
-    modules: set[str] = set()
-    for index in index_by_file.values():
-        modules.update(index.code)
-        for consumer in index.consumers.values():
+    units = [unit for index in index_by_file.values() for unit in index.units.values()]
+    modules = {module for unit in units for module in unit.code}
+    for unit in units:
+        for consumer in unit.consumers.values():
             modules.update(consumer.code)
     digests = {name: source_digest(name)[:16] for name in modules if has_source(name)}
-    current = set()
-    for name, index in index_by_file.items():
-        for label, consumer in index.consumers.items():
-            code = {**index.code, **consumer.code}
-            if all(digests.get(module, was) == was for module, was in code.items()):
-                current.add((name, label))
+
+    def is_unchanged(unit: UnitIndex, label: str) -> bool:
+        code = {**unit.code, **unit.consumers[label].code}
+        return all(digests.get(module, was) == was for module, was in code.items())
 
     def is_current(entry: Entry) -> bool:
-        label = entry.label
-        return all(
-            (name, label) in current or name not in index_by_file
-            for name in entry.files
-        )
+        for name in entry.files:
+            index = index_by_file.get(name)
+            unit = None if index is None else index.unit_at(entry.spec)
+            if index is not None and (
+                unit is None
+                or entry.label not in unit.consumers
+                or not is_unchanged(unit, entry.label)
+            ):
+                return False
+        return True
 
     cells = [entry for entry in manifest["cells"] if is_current(entry)]
     before = sum(len(entry.files) for entry in manifest["cells"])
     after = sum(len(entry.files) for entry in cells)
     manifest["cells"] = cells
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
-    for name in index_by_file.keys() - {name for name, _ in current}:
+    for name, index in [*index_by_file.items()]:
+        if any(
+            is_unchanged(unit, label)
+            for unit in index.units.values()
+            for label in unit.consumers
+        ):
+            continue
         (out / files.FOLDER / name).unlink(missing_ok=True)
         del index_by_file[name]
 

@@ -103,7 +103,7 @@ def read_outcomes(
 ) -> list[LinkageOutcome]:
     """Return the outcomes of linkage attacks, or controls, each at one level.
 
-    Entries of one file are read at once if they come one after the other. Replicates
+    Entries of one level in one file are read at once if they come one after the other. Replicates
     are in single precision: those of a run would take half a gigabyte in double. Only
     metrics in `drawn` have them, and of attacks alone; without it all have that can.
     DataError names a cell that is broken.
@@ -112,7 +112,7 @@ def read_outcomes(
     # The weights of a task, shared by its hundreds of cells; they end with this call.
     weights = lru_cache(maxsize=16)(_linkage_weights)
     outcomes: list[LinkageOutcome] = []
-    for _, group in groupby(entries, key=attrgetter("files")):
+    for _, group in groupby(entries, key=attrgetter("spec", "files")):
         file_entries = list(group)
         (file,) = open_files(out, file_entries[0], columns)
         with readable(file.path):

@@ -39,6 +39,7 @@ from evaluation.store.entries import (
     parse_failed,
 )
 from evaluation.store.files import FOLDER, MANIFEST, read_regular_file, write_whole
+from evaluation.store.new_files import group_units
 from evaluation.store.people import (
     id_labels,
     public_path,
@@ -51,13 +52,15 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from evaluation.plan.plan import Plan, Unit
     from evaluation.plan.settings import Settings
-    from evaluation.store.cell_files import FileIndex
+    from evaluation.store.cell_index import FileIndex
     from isac_track.plugins import Kind
     from isac_track.types import Tracks
 
 CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
 # The number changes whenever a reader of another would miss or mistake a value.
-LAYOUT: Final = 4
+LAYOUT: Final = 5
+# Folders that are read as well: in layout 4 each unit of work has a file of its own.
+_READABLE_LAYOUTS: Final = (LAYOUT, 4)
 _LIBRARIES: Final = ("numpy", "scipy", "pandas", "pyarrow")
 
 
@@ -124,7 +127,8 @@ def parse_manifest(out: Path) -> dict[str, Any]:
 def checked_manifest(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
     """Return the manifest that a file holds; DataError if it has changed."""
     content = {name: value for name, value in manifest.items() if name != "seal"}
-    is_sealed = manifest.get("seal") == digest([LAYOUT, content])
+    seals = [digest([layout, content]) for layout in _READABLE_LAYOUTS]
+    is_sealed = manifest.get("seal") in seals
     # Files are deleted by these names, and a seal may be forged.
     if not is_sealed or not all(
         CELL_NAME.fullmatch(name)
@@ -409,7 +413,10 @@ def cell_entries(
 ) -> list[Entry]:
     """Return the entries of a run's cells, whose files are in `places` or to come."""
     files_by_cell = {
-        (unit.key, key): unit.file for unit in missing for key in unit.consumers
+        (unit.key, key): file.name
+        for file in group_units(missing)
+        for unit in file.units
+        for key in unit.consumers
     } | {**places}
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
     for unit in plan.units:  # block by block
@@ -456,7 +463,8 @@ def merged_cells(
         entry
         for entry in earlier
         if all(
-            name in held and entry.label in held[name].consumers for name in entry.files
+            name in held and held[name].holds(entry.spec, entry.label)
+            for name in entry.files
         )
     ]
     return with_ceiling(entries + other_entries(finished, than=entries))

@@ -4,7 +4,7 @@ import numpy as np
 
 from evaluation.compute.tables import ROWS
 from evaluation.plan import fingerprint
-from evaluation.store import cell_files
+from evaluation.store import cell_files, cell_index
 from evaluation.store.files import FOLDER
 from evaluation.store.manifest import read_manifest
 
@@ -32,9 +32,12 @@ def stored_rows(out, spec, consumer, knowledge=""):
 
 
 def stored_consumers(out):
-    """Labels of the consumers in each file of cells."""
+    """Labels of the consumers at each level, by SPEC, in each file of cells."""
     return {
-        path.name: set(cell_files.read_index(path).consumers)
+        path.name: {
+            spec: set(unit.consumers)
+            for spec, unit in cell_index.read_index(path).units.items()
+        }
         for path in (out / FOLDER).iterdir()
     }
 

@@ -27,7 +27,7 @@ MOMENTS = {
     "its folder": (".lock", 1),
     "its manifest": ("manifest.json", 1),
     "its cells": ("cells/*.parquet", 1),
-    "the last of its cells": ("cells/*.parquet", 8),
+    "the last of its cells": ("cells/*.parquet", 4),
     "its tables": ("*.csv", 2),
     "its pictures": ("figures/*", 1),
 }
@@ -39,7 +39,7 @@ KILLS = (
     (os.killpg, signal.SIGINT),  # as a terminal sends it
 )
 SCENES = ("--scenes", 1000)
-"""Four blocks of two levels each."""
+"""Four blocks, each with a file."""
 
 
 @pytest.fixture(scope="module")

@@ -412,9 +412,8 @@ def written(out, task, *, control="", keep_scores=False):
     result = results[consumer.spec, consumer.knowledge]
     tables = linkage_tables(result, level.setup, keep_scores=keep_scores)
     (out / "cells").mkdir()
-    content = cell_files.pack_cells(
-        [(consumer.label, "key", {}, tables)], unit="", code={}
-    )
+    cell = cell_files.ComputedCell(consumer.label, "key", {}, tables)
+    content = cell_files.pack_units([cell_files.ComputedUnit("raw", "", {}, [cell])])
     (out / "cells" / "one.parquet").write_bytes(content)
     where = entry_at(
         consumer.spec, consumer.knowledge, kind=consumer.kind, files=("one.parquet",)

@@ -215,19 +215,19 @@ def n_tasks(dask_scheduler):
 
 
 class TestWhatIsKilled:
-    def run(self, there, *, at_third):
-        """Run it, and do something as soon as three cells are finished."""
+    def run(self, there, *, act, at_cell=3):
+        """Run it, and do something as soon as some cells are finished."""
 
         def tell(done, _total, _cell):
-            if done == 3:
-                at_third()
+            if done == at_cell:
+                act()
 
         return evaluation.run(there, progress=tell, pictures=False)
 
     def test_a_worker_loses_nothing(self, slow, cluster, tmp_path):
         worker = cluster.workers[0]  # the other one has the rest of these tests
         there = sent(slow, cluster, out=tmp_path / "there")
-        self.run(there, at_third=lambda: os.killpg(worker.pid, signal.SIGKILL))
+        self.run(there, act=lambda: os.killpg(worker.pid, signal.SIGKILL))
         assert worker.wait() == -signal.SIGKILL
         assert_same_bits(there, slow)
 
@@ -236,7 +236,7 @@ class TestWhatIsKilled:
         self, slow, folder, cluster, tmp_path
     ):
         there = replace(slow, jobs=None, out=tmp_path / "there")
-        words = [*MATRIX, "--preset=smoke", "--dataset", slow.dataset, "--scenes=300"]
+        words = [*MATRIX, "--preset=smoke", "--dataset", slow.dataset, "--scenes=1000"]
         words += [
             "--mechanism",
             SLOW,
@@ -246,13 +246,13 @@ class TestWhatIsKilled:
         ]
         words += ["--executor=dask", "--scheduler", cluster.address, "--out", there.out]
         with start(tmp_path, *words, changed={"PYTHONPATH": cell_path(folder)}) as run:
-            wait_for(lambda: len(cells(there)) > 2, most_s=40)
+            wait_for(lambda: len(cells(there)) > 0, most_s=40)
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=30)
         assert run.returncode == 130
         assert said.splitlines()[-1].startswith("interrupted; finished cells are kept")
         assert "Traceback" not in said
-        assert 2 < len(cells(there)) < 8
+        assert 0 < len(cells(there)) < 4  # blocks
         wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
 
     @pytest.mark.slow
@@ -283,9 +283,10 @@ class TestWhatIsKilled:
                     os.killpg(process.pid, signalled)
 
             with pytest.raises(SettingsError, match=f"{own.address} {message}"):
-                self.run(there, at_third=end)
+                # The first of two blocks is finished, and its file written.
+                self.run(there, act=end, at_cell=12)
         remaining = {path: path.stat().st_mtime_ns for path in cells(there)}
-        assert 1 <= len(remaining) < 8
+        assert len(remaining) == 1
         evaluation.run(replace(slow, out=there.out), pictures=False)
         assert_same_bits(there, slow)
         assert all(

@@ -10,7 +10,13 @@ from helpers.addresses import entry_at
 
 from evaluation.compute.tables import ROWS
 from evaluation.store import cell_files
-from evaluation.store.cell_files import pack_cells, read_index, read_rows
+from evaluation.store.cell_files import (
+    ComputedCell,
+    ComputedUnit,
+    pack_units,
+    read_rows,
+)
+from evaluation.store.cell_index import read_index
 from isac_track.errors import DataError
 
 VALUES = [1.5 * number for number in range(1000)]
@@ -23,13 +29,19 @@ def cell(tmp_path):
     tables = {ROWS: pa.table({"plr_over": VALUES})}
     (tmp_path / "cells").mkdir()
     path = tmp_path / "cells" / "cell.parquet"
-    path.write_bytes(pack_cells([("shared", "key", {}, tables)], unit="u", code={}))
+    path.write_bytes(pack_units([unit_of("raw", tables)]))
     return path
 
 
-def values(path):
-    cell_files._read_files.cache_clear()  # two writes may have one time and size
-    rows = read_rows(path.parent.parent, ENTRY, columns=["plr_over"])
+def unit_of(spec, tables):
+    """A unit of work whose single cell is `shared` at a level."""
+    return ComputedUnit(spec, "u", {}, [ComputedCell("shared", "key", {}, tables)])
+
+
+def values(path, entry=ENTRY):
+    for memo in (cell_files._read_files, cell_files._read_metadata):
+        memo.cache_clear()  # two writes may have one time and size
+    rows = read_rows(path.parent.parent, entry, columns=["plr_over"])
     return rows["plr_over"].to_pylist()
 
 
@@ -54,16 +66,35 @@ def test_no_flipped_bit_of_a_page_is_read_as_another_number(cell):
     assert n_harmless < len(places) / 4
 
 
+def test_each_level_of_a_file_has_its_own_rows(cell):
+    rows_by_spec = {"raw": [1.0], "fid:1": [], "fixed:0.7": [2.0, 3.0]}
+    units = [
+        unit_of(spec, {ROWS: pa.table({"plr_over": pa.array(rows, pa.float64())})})
+        for spec, rows in rows_by_spec.items()
+    ]
+    cell.write_bytes(pack_units(units))
+    for spec in ("raw", "fixed:0.7"):
+        entry = entry_at("shared", spec=spec, files=("cell.parquet",))
+        assert values(cell, entry) == rows_by_spec[spec]
+    # A reader of a level decodes that level alone.
+    metadata = pq.read_metadata(cell)
+    groups = range(metadata.num_row_groups)
+    assert [metadata.row_group(group).num_rows for group in groups] == [1, 0, 2]
+    other = entry_at("shared", spec="ou:0.4", files=("cell.parquet",))
+    with pytest.raises(DataError, match=r"cell\.parquet has no rows at ou:0\.4"):
+        values(cell, other)
+
+
 def test_a_file_of_an_earlier_version_without_checksums_is_read(cell):
-    table, metadata = pq.read_table(cell), pq.read_metadata(cell).metadata
+    table = pq.read_table(cell)
+    tables = {"shared": {"key": "k", "code": {}, "tables": {ROWS: [0, len(VALUES)]}}}
+    index = {"unit": "u", "code": {}, "consumers": tables}
     with pq.ParquetWriter(cell, table.schema, store_schema=False) as writer:
-        writer.write_table(table)
-        writer.add_key_value_metadata(
-            {b"isac_track.cells": metadata[b"isac_track.cells"]}
-        )
+        # Its single unit may be in several row groups.
+        writer.write_table(table, row_group_size=600)
+        writer.add_key_value_metadata({b"isac_track.cells": json.dumps(index).encode()})
     assert values(cell) == VALUES
-    index = json.loads(metadata[b"isac_track.cells"])
-    assert read_index(cell).unit == index["unit"] == "u"
+    assert read_index(cell).unit_at("raw").key == "u"
 
 
 def test_a_link_is_not_read(cell):

@@ -11,6 +11,8 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from helpers.commands import assert_refused
 from helpers.runs import change_code
@@ -24,7 +26,7 @@ from evaluation.plan.fingerprint import digest
 from evaluation.plan.plan import make_plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.store import folder as store
-from evaluation.store.files import locked
+from evaluation.store.files import locked, write_checked
 from evaluation.store.manifest import LAYOUT, read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 
@@ -253,7 +255,7 @@ class TestManifest:
             ran(matrix, *options, "--out", out), "run the matrix again with --fresh"
         )
         evaluation.run(replace(tiny, out=out, fresh=True), pictures=False)
-        assert len(list((out / "cells").iterdir())) == 2
+        assert len(list((out / "cells").iterdir())) == 1
         assert (out / "notes.txt").read_text() == "mine"
 
     @pytest.mark.parametrize(
@@ -317,6 +319,45 @@ class TestSizes:
         assert len(results.summary) > 0
 
 
+def to_layout_4(out):
+    """Rewrite a run folder as earlier versions did: a file for each unit of work."""
+    written = json.loads((out / "manifest.json").read_text())
+    (path,) = (out / "cells").iterdir()
+    index = json.loads(pq.read_metadata(path).metadata[b"isac_track.cells"])
+    for place, level in enumerate(written["cells"]):
+        unit = index["units"][place]
+        assert unit.pop("spec") == level["spec"]
+        table = pq.ParquetFile(path).read_row_group(place)
+        sink = pa.BufferOutputStream()
+        with pq.ParquetWriter(sink, table.schema, store_schema=False) as writer:
+            writer.write_table(table)
+            writer.add_key_value_metadata(
+                {b"isac_track.cells": json.dumps(unit).encode()}
+            )
+        name = f"{level['mechanism']}-sharing_00000_{place:016x}.parquet"
+        write_checked(out, name, sink.getvalue().to_pybytes())
+        level["files"] = [name]
+    path.unlink()
+    del written["seal"], written["sizes"]
+    written["seal"] = digest([4, written])
+    (out / "manifest.json").write_text(json.dumps(written))
+
+
+def test_a_folder_with_a_file_for_each_unit_of_work_is_read_and_continued(out, tiny):
+    expected = rebuild(out).summary
+    to_layout_4(out)
+    assert rebuild(out).summary.equals(expected)
+    before = {path: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+    assert len(before) == 2
+    wider = replace(tiny, mechanisms=(*tiny.mechanisms, "fid:1"), out=out)
+    results = evaluation.run(wider, pictures=False)
+    assert results.manifest["dropped_cells"] == 0
+    after = {path: path.stat().st_mtime_ns for path in (out / "cells").iterdir()}
+    assert before.items() <= after.items()
+    assert len(after) == 3
+    assert len(results.summary.merge(expected)) == len(expected)
+
+
 class TestChecksums:
     def check(self, out):
         """As `sha256sum --check --strict` would."""
@@ -352,14 +393,21 @@ class TestChecksums:
 
 
 class TestAnnounced:
-    def test_cells_without_a_checksum_do_not_count_as_finished(self, out, ran, options):
+    def test_cells_without_a_checksum_do_not_count_as_finished(
+        self, out, ran, tiny, options
+    ):
+        predictors = (*tiny.predictors, "constant_position")
+        wider = replace(tiny, predictors=predictors, out=out)
+        evaluation.run(wider, pictures=False)
+
         def said():
-            ended = ran(matrix, *options, "--out", out, "--dry-run")
+            axes = ("--predictor=constant_position", "--dry-run")
+            ended = ran(matrix, *options, *axes, "--out", out)
             return " ".join(ended.err.split())  # in lines of 80
 
-        assert "4 cells, 4 of them finished by SHA256SUMS, in" in said()
+        assert "6 cells, 6 of them finished by SHA256SUMS, in" in said()
         first, second = (out / "SHA256SUMS").read_text().splitlines()
         (out / "SHA256SUMS").write_text(f"{first}\n{second[:70]}")
-        assert "4 cells, 2 of them finished by SHA256SUMS, in" in said()
+        assert "6 cells, 4 of them finished by SHA256SUMS, in" in said()
         (out / first.partition("  ")[2]).unlink()
-        assert "4 cells, in" in said()
+        assert "6 cells, in" in said()

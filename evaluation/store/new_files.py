@@ -1,0 +1,47 @@
+"""The new files of a run: which of its missing units of work share one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, NamedTuple
+
+from evaluation.plan.fingerprint import SHARING, digest
+
+if TYPE_CHECKING:
+    from collections.abc import Hashable
+
+    from evaluation.plan.plan import Unit
+
+
+class NewFile(NamedTuple):
+    """A file of cells to come, and the units that it will hold."""
+
+    name: str
+    units: tuple[Unit, ...]
+
+
+def group_units(missing: Iterable[Unit]) -> list[NewFile]:
+    """Return the files that missing units are written to.
+
+    All levels of a block share a file of the stage `sharing`: they are computed
+    together, in a second or two. A unit of another stage has a file of its own, since
+    it takes longer, and a killed run keeps it.
+    """
+    groups: dict[Hashable, list[Unit]] = {}
+    for unit in missing:
+        group: Hashable = unit
+        if unit.stage == SHARING:
+            group = (unit.stage, unit.block, unit.world)
+        groups.setdefault(group, []).append(unit)
+    return [NewFile(_name(units), tuple(units)) for units in groups.values()]
+
+
+def _name(units: list[Unit]) -> str:
+    first = units[0]
+    about = first.stage
+    if first.stage != SHARING:
+        about = f"{first.mechanism.spec}_{first.stage}"
+    slug = re.sub(r"[^A-Za-z0-9.=]+", "-", about)[:80]
+    keys = digest([key for unit in units for key in (unit.key, *unit.consumers)])
+    return f"{slug}_{first.block:05d}_{keys}.parquet"
