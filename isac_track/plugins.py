@@ -90,6 +90,7 @@ _MECHANISMS = (
     "isac_track.mechanisms.paper",
     "isac_track.mechanisms.controls",
     "isac_track.mechanisms.protections",
+    "isac_track.mechanisms.literature",
     "isac_track.mechanisms.withholding",
 )
 """Modules with a table ``MECHANISMS``, whose entries are built-in plug-ins."""

@@ -113,6 +113,15 @@ _MECHANISMS: Final = {
     "forecast": (
         "The network's own filtered position, once a second, with noise, level in m."
     ),
+    "qclm": "Laplace noise that changes as slowly as a walk, level in m.",
+    "gp_prior": "Gaussian noise with the correlation of a walk, level in m.",
+    "fourier": "Laplace noise in a walk's first Fourier coefficients, level in m.",
+    "least_information": (
+        "Noise that tells least about a walk for its size (mutual information), in m."
+    ),
+    "remap": (
+        "Planar Laplace noise, then the likeliest position given the reports before."
+    ),
     "correlated": (
         "A control: noise as large as fixed noise, but similar from sample to sample."
     ),

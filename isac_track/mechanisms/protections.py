@@ -123,7 +123,8 @@ def _with_slow_error(
     return perturb(sensed, std_m, rng, adding="independent", unit_error=unit)
 
 
-def _check_slow(tau_s: float, reuse: str) -> None:
+def check_slow(tau_s: float, reuse: str) -> None:
+    """Raise ValueError for a time that is not positive, or an unknown reuse."""
     positive("tau_s", tau_s)
     if reuse not in ("release", "session"):
         raise ValueError(f"reuse must be release or session, got {reuse!r}")
@@ -148,7 +149,7 @@ class Ou:
 
     def __post_init__(self) -> None:
         check_at_least("std_m", self.std_m, 0, " m")
-        _check_slow(self.tau_s, self.reuse)
+        check_slow(self.tau_s, self.reuse)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the slow error on top."""
@@ -173,7 +174,7 @@ class OuFid:
 
     def __post_init__(self) -> None:
         Fid(self.eta, self.alpha, self.beta)  # Checks the values.
-        _check_slow(self.tau_s, self.reuse)
+        check_slow(self.tau_s, self.reuse)
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the slow error that the rule scales."""

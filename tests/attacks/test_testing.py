@@ -76,6 +76,11 @@ MECHANISMS = [
         "ou_fid:100",
         "laplace:0.7",
         "forecast:0.3",
+        "qclm:0.7",
+        "gp_prior:0.7,reuse=session",
+        "fourier:0.7",
+        "least_information:0.7",
+        "remap:0.7",
         "window:0.7",
         "window:0.7,d_sigma=0.5",
     )
