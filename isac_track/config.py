@@ -17,6 +17,19 @@ from isac_track.errors import SettingsError, did_you_mean, quoted
 
 IntervalsOf: TypeAlias = Literal["segment", "trajectory"]
 """The sampling intervals that make up the duration of a leaked segment."""
+Measurement: TypeAlias = Literal["scalar", "range_bearing"]
+"""What a position is measured by.
+
+``scalar``: the paper's error, with the same variance on both axes. ``range_bearing``:
+an error ellipse that points to the base station.
+"""
+Scaling: TypeAlias = Literal["trace", "information"]
+"""Quantity that an error ellipse shares with the scalar error of a sample.
+
+``trace``: the mean squared error, so that only the shape differs. ``information``: the
+mean Fisher information of both axes; the mean squared error then grows with the ratio r
+of the axes by (r + 1/r)^2 / 4.
+"""
 _EMPTY: Final = "none"  # Text for an empty list of numbers.
 _NUMBER_LIST: Final = tuple[float, ...]  # Type of a setting with several numbers.
 
@@ -177,6 +190,15 @@ class SensingSettings(_Stage):
     sigma_cap_m: float = _number(2.0, 1e-6, 1e6)
     law: Literal["radial", "isotropic", "fixed_direction"] = "radial"
     """reading: law of the raw error; a mechanism takes the same by default"""
+    measurement: Measurement = "scalar"
+    """reading: `scalar`: the error has the same variance on both axes; `range_bearing`:
+    it is an ellipse that points to the base station (`isac_track.measurement`)"""
+    # antennas of the uniform linear array that measures the bearing
+    n_antennas: int = _number(8, 2, 100_000)
+    scaling: Scaling = "trace"
+    """what a range and bearing error shares with the scalar one: `trace`: the mean
+    squared error, so that only the shape differs; `information`: the mean Fisher
+    information of both axes"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,11 +153,11 @@ def release_errors(
 
     `sensed` has exactly the samples of the release. The genie knows the scales of
     radial errors and of Laplace noise; they are drawn given the errors. Not covered are
-    errors along one line, `offset`, `correlated`, `forecast`, and third-party
+    errors with a shape or along one line, `offset`, `correlated`, `forecast`, and third-party
     mechanisms.
     """
     raw, shared = sensed.sigma_raw, release.sigma
-    if sensed.law == "fixed_direction" or shared is None:
+    if sensed.law == "fixed_direction" or shared is None or sensed.cov is not None:
         return None
     if isinstance(mechanism, Clean):
         return Errors(np.full(raw.shape, _LEAST_VARIANCE_M2), is_gaussian=True)

@@ -8,12 +8,21 @@ two-way (monostatic).
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from isac_track.config import SensingSettings
+from isac_track.measurement import (
+    NEAREST_M,
+    SPEED_OF_LIGHT_MPS,
+    axis_share,
+    mean_information,
+    mean_variance,
+    sensed_covariance,
+    shaped_errors,
+)
 from isac_track.rng import stream
 from isac_track.types import (
     ErrorLaw,
@@ -25,14 +34,6 @@ from isac_track.types import (
     squared_lengths,
 )
 
-NEAREST_M = 1.0
-"""reading: reference distance of the path loss, below which the model does not hold.
-
-The far field of an antenna of some wavelengths (9 cm each) begins there, and nobody
-walks through its mast.
-"""
-
-SPEED_OF_LIGHT_MPS = 299_792_458.0
 KNOTS: Final = 200
 """Knots of a walk's large-scale gain within its decorrelation distance."""
 
@@ -391,16 +392,48 @@ def sense(
     )
     info = information(gain=gain, settings=settings)
     sigma_raw = sigma_from_information(information=info, settings=settings)
+    walk = np.arange(offsets.size - 1) if walk is None else walk
+    unit_error, cov = channel.unit_error, None
+    if settings.measurement == "range_bearing":
+        shaped = _shape_error(xy, sigma_raw, unit_error, settings)
+        info = info * np.square(sigma_raw) * shaped.information_m2
+        sigma_raw, unit_error, cov = shaped.sigma_m, shaped.unit_error, shaped.cov
     return Sensed(
         t=t,
-        xy=xy + sigma_raw[:, None] * channel.unit_error,
-        unit_error=channel.unit_error,
+        xy=xy + sigma_raw[:, None] * unit_error,
+        unit_error=unit_error,
         sigma_raw=sigma_raw,
         information=info,
         fid=fisher_information_density(information=info, t=t, offsets=offsets),
         offsets=offsets,
         law=settings.law,
-        walk=np.arange(offsets.size - 1) if walk is None else walk,
+        walk=walk,
+        cov=cov,
+    )
+
+
+class _Shaped(NamedTuple):
+    """Raw errors with a shape."""
+
+    cov: Floats  # (M, 2, 2) m^2
+    sigma_m: Floats  # (M,) of a round error with the same mean square.
+    unit_error: Floats  # (M, 2), in units of `sigma_m`.
+    information_m2: Floats  # (M,) 1/m^2, mean of both axes, of an efficient estimator.
+
+
+def _shape_error(
+    xy: Floats, sigma_m: Floats, unit_error: Floats, settings: SensingSettings
+) -> _Shaped:
+    """Shape scalar errors of standard deviation `sigma_m`, (M,) m, by `settings`."""
+    share = axis_share(settings.law)
+    cov = sensed_covariance(xy=xy, sigma_m=sigma_m, settings=settings)
+    error = shaped_errors(cov=cov, unit_error=unit_error, law=settings.law)
+    shaped_m = np.sqrt(mean_variance(cov) / share)
+    return _Shaped(
+        cov=cov,
+        sigma_m=shaped_m,
+        unit_error=error / shaped_m[:, None],
+        information_m2=share * mean_information(cov),
     )
 
 

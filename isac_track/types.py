@@ -88,6 +88,12 @@ class Knowledge(Enum):
 
 
 _SAMPLE: Mapping[str, str] = {"per": "sample"}
+# Fields with more than a number for each sample.
+_SHAPES: Mapping[str, tuple[int, ...]] = {
+    "xy": (2,),
+    "unit_error": (2,),
+    "cov": (2, 2),
+}
 # Metadata of a field that holds one value per track.
 TRACK: Mapping[str, str] = {"per": "track"}
 _Batch = TypeVar("_Batch", "Tracks", "Sensed", "Release")
@@ -266,11 +272,12 @@ class Sensed:
     xy : Floats
         Raw estimates, (M, 2) m.
     unit_error : Floats
-        Raw errors in units of `sigma_raw`, (M, 2).
+        Raw errors in units of `sigma_raw`, (M, 2), with the shape of `cov`.
     sigma_raw : Floats
-        Standard deviation of the raw error under `law`, (M,) m.
+        Standard deviation of the raw error under `law`, (M,) m; of an error with a
+        shape that of a round error with the same mean square.
     information : Floats
-        Fisher information (eq. swarm_fi), (M,) 1/m^2.
+        Fisher information (eq. swarm_fi), mean of both axes, (M,) 1/m^2.
     fid : Floats
         Fisher information density (eq. swarm_fid), (M,) 1/(m^2 s).
     offsets : Ints
@@ -280,11 +287,14 @@ class Sensed:
     walk : Ints
         Opaque numbers, (N,), equal for releases of one walk in one session. By default
         all differ.
+    cov : Floats or None
+        Covariance of the raw error, (M, 2, 2) m^2; None: the same variance on both
+        axes.
 
     Raises
     ------
     ValueError
-        Also if a standard deviation is negative or NaN.
+        Also if a standard deviation is negative or NaN, or a matrix is no covariance.
     """
 
     t: Floats = field(metadata=_SAMPLE)
@@ -298,6 +308,7 @@ class Sensed:
     walk: Ints = field(
         default_factory=lambda: np.empty(0, dtype=np.int64), metadata=TRACK
     )
+    cov: Floats | None = field(default=None, kw_only=True, metadata=_SAMPLE)
 
     def __post_init__(self) -> None:
         if np.size(self.walk) == 0:
@@ -321,11 +332,15 @@ class Release:
     xy : Floats
         Shared positions, (M, 2) m.
     sigma : Floats or None
-        Declared standard deviations, (M,) m; None without `Knowledge.SIGMA`.
+        Declared standard deviations, (M,) m; None without `Knowledge.SIGMA`. Of an
+        error with a shape: that of a round error with the same mean square.
     offsets : Ints
         First sample of each track, then M: (N + 1,).
     pseudonym : tuple of str
         Opaque names, (N,), fresh for every release.
+    cov : Floats or None
+        Declared covariances, (M, 2, 2) m^2, of errors with a shape; None: the same
+        variance on both axes, and always without `Knowledge.SIGMA`.
 
     Examples
     --------
@@ -354,6 +369,7 @@ class Release:
     sigma: Floats | None = field(metadata=_SAMPLE)
     offsets: Ints
     pseudonym: tuple[str, ...] = field(metadata=TRACK)
+    cov: Floats | None = field(default=None, kw_only=True, metadata=_SAMPLE)
 
     def __post_init__(self) -> None:
         _check_batch(self)
@@ -373,13 +389,29 @@ class Release:
             t=end_to_end(self.t, runs),
             xy=end_to_end(self.xy, runs),
             sigma=None if self.sigma is None else end_to_end(self.sigma, runs),
+            cov=None if self.cov is None else end_to_end(self.cov, runs),
             offsets=offsets,
             pseudonym=tuple([names[row] for row in rows.tolist()]),
         )
 
+    def samples(self, rows: Ints | Bools, *, offsets: Ints) -> Release:
+        """Return some of the samples, in the order of `rows`, under the same names.
+
+        `rows` are numbers, (K,), or truth values, (M,); `offsets` are those of the
+        samples' tracks, (N + 1,).
+        """
+        return Release(
+            t=self.t[rows],
+            xy=self.xy[rows],
+            sigma=None if self.sigma is None else self.sigma[rows],
+            cov=None if self.cov is None else self.cov[rows],
+            offsets=offsets,
+            pseudonym=self.pseudonym,
+        )
+
     def without_sigma(self) -> Release:
         """Return the same release as a receiver without `Knowledge.SIGMA` gets it."""
-        return derived(self, sigma=None)
+        return derived(self, sigma=None, cov=None)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -408,7 +440,7 @@ class Prediction:
         _check_estimate(self.mean, noun="a predicted position")
         if self.cov is not None:
             _freeze(self, cov=(*self.mean.shape, 2))
-            _check_covariances(self.cov)
+            _check_covariances(self.cov, noun="a predicted covariance")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -469,8 +501,7 @@ def _check_batch(batch: _Batch) -> None:
     for item in fields(batch):
         value, per = getattr(batch, item.name), item.metadata.get("per")
         if per == "sample" and value is not None:
-            is_planar = item.name in {"xy", "unit_error"}
-            _freeze(batch, **{item.name: (n_samples, 2) if is_planar else (n_samples,)})
+            _freeze(batch, **{item.name: _sample_shape(item.name, n_samples)})
         elif per == "track" and value is not None and len(value) != n_tracks:
             raise ValueError(
                 f"{item.name} must name {n_tracks} tracks, got {len(value)}"
@@ -479,6 +510,14 @@ def _check_batch(batch: _Batch) -> None:
     largest = float(np.finfo(np.float64).max)
     if not within(batch.xy, -largest, largest):
         raise ValueError("a position is not finite")
+    cov = getattr(batch, "cov", None)
+    if cov is not None:
+        _check_covariances(cov, noun="a covariance")
+
+
+def _sample_shape(name: str, n_samples: int) -> tuple[int, ...]:
+    """Return the shape of a field with an entry for each of M samples."""
+    return (n_samples, *_SHAPES.get(name, ()))
 
 
 def within(values: Floats, low: float, high: float) -> bool:
@@ -496,23 +535,21 @@ def _check_estimate(xy: Floats, *, noun: str) -> None:
         raise ValueError(f"{noun} {fault}")
 
 
-def _check_covariances(cov: Floats) -> None:
+def _check_covariances(cov: Floats, *, noun: str) -> None:
     """Check that matrices (..., 2, 2) are covariances within rounding."""
     limit_m2 = ESTIMATE_LIMIT_M**2
     if not within(cov, -limit_m2, limit_m2):
-        raise ValueError(
-            f"a predicted covariance is not finite or beyond {limit_m2:g} m^2"
-        )
+        raise ValueError(f"{noun} is not finite or beyond {limit_m2:g} m^2")
     xx, xy, yx, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 0], cov[..., 1, 1]
     largest = np.maximum(np.abs(xx), np.abs(yy))
     if not (np.abs(xy - yx) <= _ROUNDING * largest).all():
-        raise ValueError("a predicted covariance is not symmetric")
+        raise ValueError(f"{noun} is not symmetric")
     # No eigenvalue of a symmetric 2 x 2 matrix is negative if neither diagonal nor
     # determinant is.
     is_sound = np.minimum(xx, yy) >= -_ROUNDING * largest
     is_sound &= xx * yy - xy * yx >= -_ROUNDING * largest**2
     if not is_sound.all():
-        raise ValueError("a predicted covariance is not positive semidefinite")
+        raise ValueError(f"{noun} is not positive semidefinite")
 
 
 def _freeze(

@@ -218,7 +218,7 @@ def _averaged(
             weight = std_m**2 / (std_m**2 + max(apart_m2, 0.0))
             total[during] += weight * (companion_xy - gap.mean(axis=0))
             n[during] += weight
-    return derived(release, xy=total / n[:, None], sigma=None), n
+    return derived(release, xy=total / n[:, None], sigma=None, cov=None), n
 
 
 def smooth(
@@ -296,7 +296,7 @@ def fit_slow_error(release: Release, q: float) -> tuple[float, float]:
     rows = np.unique(
         np.linspace(0, len(release) - 1, min(_N_FITTED, len(release))).astype(int)
     )
-    sample = derived(release.tracks(rows), sigma=None)
+    sample = release.tracks(rows).without_sigma()
 
     # A grid is searched twice where its parts meet; it ends with this call.
     @cache

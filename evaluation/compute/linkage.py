@@ -382,7 +382,9 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
 def _are_same(releases: Iterable[Release], others: Iterable[Release]) -> bool:
     """Whether releases of one level hold the very same arrays."""
     return all(
-        release.xy is other.xy and release.sigma is other.sigma
+        release.xy is other.xy
+        and release.sigma is other.sigma
+        and release.cov is other.cov
         for release, other in zip(releases, others, strict=True)
     )
 

@@ -16,6 +16,7 @@ from numpy.random import Generator
 from attacks.tasks.sessions import Windows
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, error_text, raised_at
+from isac_track.measurement import covariance_after
 from isac_track.rng import stream
 from isac_track.sharing import split_pseudonyms
 from isac_track.types import (
@@ -48,6 +49,7 @@ _PER_SAMPLE = (
     "t",
     "xy",
     "sigma",
+    "cov",
     "unit_error",
     "sigma_raw",
     "information",
@@ -111,7 +113,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
     if not isinstance(release, Release):
         raise PluginError(f"{name} must return a Release, got {type(release).__name__}")
     try:
-        samples_shared(release, sensed)
+        shared = samples_shared(release, sensed)
     except ValueError as error:
         raise PluginError(
             f"{name} changed the tracks or their times: {error}"
@@ -129,9 +131,27 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         if (release.sigma >= 0).all():
             fault = f"above {limit}, the limit"
         raise PluginError(f"{name} declared a sigma {fault}")
+    release = _with_covariance(release, restricted(sensed, shared))
     # A stream for every release: from the common one all mechanisms would draw alike.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     return derived(release, pseudonym=split_pseudonyms(drawn))
+
+
+def _with_covariance(release: Release, sensed: Sensed) -> Release:
+    """Return a release with the covariances that its mechanism left out, if any.
+
+    `sensed` has the samples of the release. What a mechanism adds is round unless it
+    declares a covariance.
+    """
+    if sensed.cov is None or release.cov is not None or release.sigma is None:
+        return release
+    cov = covariance_after(
+        raw=sensed.cov,
+        raw_sigma_m=sensed.sigma_raw,
+        sigma_m=release.sigma,
+        law=sensed.law,
+    )
+    return derived(release, cov=cov)
 
 
 def samples_shared(release: Release, sensed: Sensed) -> Samples | None:
@@ -199,7 +219,19 @@ class Frame:
 
     def release(self, release: Release) -> Release:
         """Return a release in the frame and on the clock."""
-        return replace(release, xy=self.points(release.xy), t=release.t + self.clock_s)
+        return replace(
+            release,
+            xy=self.points(release.xy),
+            t=release.t + self.clock_s,
+            cov=None if release.cov is None else self._turned(release.cov),
+        )
+
+    def _turned(self, cov: Floats) -> Floats:
+        """Return covariances, (M, 2, 2) m^2, in the frame."""
+        turn = np.asarray(self.turn)
+        rows = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
+        matrix = np.moveaxis(rows, (0, 1), (-2, -1))
+        return np.asarray(matrix @ cov @ np.swapaxes(matrix, -2, -1))
 
     def per_sample(self, offsets: Ints) -> Frame:
         """Return the frame of each sample from those of walks; `offsets`, (N + 1,)."""

@@ -72,9 +72,12 @@ def benchmark(
     and none at all if the errors are Gaussian. Its posterior covariance P per axis
     depends on no position: the expected squared error is 2 P, and a Gaussian error of
     that size leaks with probability 1 - exp(-epsilon^2 / 2P). NaN for a mechanism that
-    denies `errors_are_independent`: its errors depend on each other.
+    denies `errors_are_independent`: its errors depend on each other, and for errors with
+    a shape.
     """
-    if not getattr(mechanism.instance, "errors_are_independent", True):
+    # The closed form holds for the same variance on both axes.
+    is_round = sensed.cov is None
+    if not (is_round and getattr(mechanism.instance, "errors_are_independent", True)):
         return dict.fromkeys(_BENCHMARK, np.full(len(release), np.nan))
     law = getattr(mechanism.instance, "law", None) or sensed.law
     assert release.sigma is not None  # `share` refuses a release without

@@ -14,6 +14,7 @@ from typing import ClassVar, Final, get_args
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.measurement import shaped_errors
 from isac_track.mechanisms.perturb import check_at_least, perturb
 from isac_track.sensing import track_directions
 from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive
@@ -103,6 +104,9 @@ class Correlated:
             return perturb(
                 sensed, self.d_sigma, rng, adding=self.adding, unit_error=unit
             )
+        if sensed.cov is not None:
+            shaped = shaped_errors(cov=sensed.cov, unit_error=unit, law=sensed.law)
+            unit = shaped / sensed.sigma_raw[:, None]
         changed = sensed.sigma_raw[:, None] * (unit - sensed.unit_error)
         redrawn = replace(sensed, xy=sensed.xy + changed, unit_error=unit)
         return perturb(redrawn, self.d_sigma, rng, adding=self.adding)
@@ -165,14 +169,8 @@ class Thin:
         sizes = np.diff(full.offsets)
         samples_left = np.repeat(full.offsets[1:] - 1, sizes) - np.arange(full.t.size)
         is_shared = samples_left % self.every == 0
-        assert full.sigma is not None
-        return Release(
-            t=full.t[is_shared],
-            xy=full.xy[is_shared],
-            sigma=full.sigma[is_shared],
-            offsets=np.concatenate([[0], np.cumsum(-(-sizes // self.every))]),
-            pseudonym=full.pseudonym,
-        )
+        offsets = np.concatenate([[0], np.cumsum(-(-sizes // self.every))])
+        return full.samples(is_shared, offsets=offsets)
 
 
 MECHANISMS: Final[Mapping[str, type]] = {

@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Literal
 
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.measurement import least_share
 from isac_track.mechanisms.perturb import check_at_least, draw_pseudonyms, perturb
 from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive
 
@@ -132,6 +133,9 @@ class Fid:
         Rule by which the noise joins the raw error, see `perturb`.
     law : ErrorLaw or None
         Law of the added error; None: that of the raw error.
+    information : str
+        What is held against the threshold where errors have a shape: ``trace``, the
+        mean information of both axes, or ``least``, that of the worst direction.
     sweep : str
         ``"log"``: a range of levels is spaced logarithmically.
     protects : bool
@@ -148,6 +152,7 @@ class Fid:
     beta: float = 1.5
     adding: Adding = "linear"
     law: ErrorLaw | None = None
+    information: Literal["trace", "least"] = "trace"
 
     sweep: ClassVar[str] = "log"
     protects: ClassVar[bool] = True
@@ -156,12 +161,17 @@ class Fid:
         positive("eta", self.eta)
         check_at_least("alpha", self.alpha, 0, " m")
         check_at_least("beta", self.beta, 1)
+        if self.information not in ("trace", "least"):
+            raise ValueError(
+                f"information must be trace or least, got {self.information!r}"
+            )
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the estimates with the rule's noise; raises as `perturb`."""
-        d_sigma = fid_d_sigma(
-            fid=sensed.fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta
-        )
+        fid = sensed.fid
+        if self.information == "least" and sensed.cov is not None:
+            fid = fid * least_share(sensed.cov)
+        d_sigma = fid_d_sigma(fid=fid, eta=self.eta, alpha_m=self.alpha, beta=self.beta)
         return perturb(sensed, d_sigma, rng, adding=self.adding, law=self.law)
 
 
@@ -188,6 +198,7 @@ class Clean:
             sigma=np.zeros_like(sensed.sigma_raw),
             offsets=sensed.offsets,
             pseudonym=draw_pseudonyms(len(sensed), rng),
+            cov=None if sensed.cov is None else np.zeros_like(sensed.cov),
         )
 
 

@@ -11,6 +11,14 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.measurement import (
+    axis_share,
+    axis_variance,
+    grown_covariance,
+    mean_variance,
+    round_errors,
+    scalar_covariance,
+)
 from isac_track.sensing import unit_errors
 from isac_track.types import (
     Adding,
@@ -43,8 +51,11 @@ def perturb(
 
     `d_sigma` is (M,) m, or one number; `rng` draws the fresh error and the pseudonyms.
     The fresh error has the given `law`, by default that of the raw error. A
-    standardised error may be given instead: `unit_error`, (M, 2). The release declares
-    the standard deviation of every sample. ValueError if `d_sigma` is negative, not
+    standardised error of that law may be given instead: `unit_error`, (M, 2). The
+    release declares the standard deviation of every sample, and the covariance of
+    errors with a shape: linear adding lengthens both axes of the ellipse by the same
+    standard deviation, an independent error is round. ValueError if `d_sigma` is
+    negative, not
     finite or of a wrong shape, if the rule is unknown, or if linear adding is given a
     law or an error.
 
@@ -84,6 +95,8 @@ def perturb(
             raise ValueError("linear adding scales the raw error and so keeps its law")
         if unit_error is not None:
             raise ValueError("linear adding scales the raw error and takes no other")
+        if sensed.cov is not None:
+            return _grow_ellipses(sensed, sensed.cov, extra, pseudonym)
         unit_error, sigma = sensed.unit_error, sensed.sigma_raw + extra
     elif adding == "independent":
         if unit_error is None:
@@ -91,15 +104,47 @@ def perturb(
         sigma = np.sqrt(sensed.sigma_raw**2 + extra**2)
     else:
         raise ValueError(f"unknown adding rule {adding!r}; known: linear, independent")
-    xy = np.empty_like(sensed.xy)
-    if added.size == 1:
-        np.multiply(unit_error, added, out=xy)
-    else:
-        for axis in range(2):  # faster than both axes at once
-            np.multiply(unit_error[:, axis], extra, out=xy[:, axis])
+    xy = _scaled_errors(unit_error, added)
     xy += sensed.xy
+    cov = sensed.cov
+    if cov is not None:
+        variance_m2 = axis_variance(sigma_m=extra, law=law or sensed.law)
+        cov = cov + scalar_covariance(variance_m2)
     return Release(
-        t=sensed.t, xy=xy, sigma=sigma, offsets=sensed.offsets, pseudonym=pseudonym
+        t=sensed.t,
+        xy=xy,
+        sigma=sigma,
+        offsets=sensed.offsets,
+        pseudonym=pseudonym,
+        cov=cov,
+    )
+
+
+def _scaled_errors(unit_error: Floats, std_m: Floats) -> Floats:
+    """Return standardised errors, (M, 2), times one or (M,) standard deviations."""
+    error = np.empty_like(unit_error)
+    if std_m.size == 1:
+        return np.multiply(unit_error, std_m, out=error)
+    for axis in range(2):  # faster than both axes at once
+        np.multiply(unit_error[:, axis], std_m, out=error[:, axis])
+    return error
+
+
+def _grow_ellipses(
+    sensed: Sensed, cov: Floats, extra_m: Floats, pseudonym: tuple[str, ...]
+) -> Release:
+    """Return a release whose raw errors of covariance `cov` grew by the linear rule."""
+    share = axis_share(sensed.law)
+    added_m = np.sqrt(share) * extra_m
+    error = sensed.sigma_raw[:, None] * sensed.unit_error
+    grown = grown_covariance(cov, added_m)
+    return Release(
+        t=sensed.t,
+        xy=sensed.xy + added_m[:, None] * round_errors(cov=cov, error=error),
+        sigma=np.sqrt(mean_variance(grown) / share),
+        offsets=sensed.offsets,
+        pseudonym=pseudonym,
+        cov=grown,
     )
 
 

@@ -120,7 +120,9 @@ def _with_slow_error(
     )
     if mechanism.reuse == "session":
         unit = session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
-    return perturb(sensed, std_m, rng, adding="independent", unit_error=unit)
+    return perturb(
+        sensed, std_m, rng, adding="independent", law="isotropic", unit_error=unit
+    )
 
 
 def check_slow(tau_s: float, reuse: str) -> None:
@@ -215,7 +217,14 @@ class Laplace:
         turn = 2.0 * np.pi * rng.random(sensed.t.size)
         distance = rng.standard_gamma(2.0, sensed.t.size) / np.sqrt(3.0)
         unit = distance[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 @dataclass(frozen=True, slots=True)

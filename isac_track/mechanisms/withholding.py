@@ -43,18 +43,11 @@ class Window:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return a release of the N tracks' samples within the window."""
         full = perturb(sensed, self.d_sigma, rng, adding=self.adding)
-        assert full.sigma is not None
         sizes = np.diff(full.offsets)
         age_s = np.repeat(full.t[full.offsets[1:] - 1], sizes) - full.t
         is_shared = age_s <= self.seconds
         shared_before = np.concatenate([[0], np.cumsum(is_shared)])
-        return Release(
-            t=full.t[is_shared],
-            xy=full.xy[is_shared],
-            sigma=full.sigma[is_shared],
-            offsets=shared_before[full.offsets],
-            pseudonym=full.pseudonym,
-        )
+        return full.samples(is_shared, offsets=shared_before[full.offsets])
 
 
 MECHANISMS: Final[Mapping[str, type]] = {"window": Window}

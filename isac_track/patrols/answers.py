@@ -131,37 +131,39 @@ def sense_patrol(
         )
         forecast = _forecast_histories(patrol, _joined_raw(again), forecaster)
         return SensedPatrol(patrol, forecaster, sensed, forecast, seed, again)
-    names = tuple(map(str, range(len(patrol.people))))
-    raw = Release(sensed.t, sensed.xy, sensed.sigma_raw, sensed.offsets, names)
-    forecast = _forecast_presences(patrol, raw, forecaster)
+    forecast = _forecast_presences(patrol, _as_sensed(sensed), forecaster)
     return SensedPatrol(patrol, forecaster, sensed, forecast, seed)
 
 
 def _joined_raw(again: Sequence[Sensed]) -> Release:
     """Return the histories of all queries, as sensed, one below the other."""
-    parts = [
-        Release(
-            sensed.t,
-            sensed.xy,
-            sensed.sigma_raw,
-            sensed.offsets,
-            tuple(map(str, range(len(sensed)))),
-        )
-        for sensed in again
-    ]
-    return _joined_releases(parts)
+    return _joined_releases([_as_sensed(sensed) for sensed in again])
+
+
+def _as_sensed(sensed: Sensed) -> Release:
+    """Return what a network's own predictor gets: the tracks as sensed."""
+    return Release(
+        t=sensed.t,
+        xy=sensed.xy,
+        sigma=sensed.sigma_raw,
+        offsets=sensed.offsets,
+        pseudonym=tuple(map(str, range(len(sensed)))),
+        cov=sensed.cov,
+    )
 
 
 def _joined_releases(parts: Sequence[Release]) -> Release:
     """Return the tracks of several releases, one below the other."""
     sizes = np.concatenate([np.diff(part.offsets) for part in parts])
     sigmas = [part.sigma for part in parts if part.sigma is not None]
+    covs = [part.cov for part in parts if part.cov is not None]
     return Release(
         t=np.concatenate([part.t for part in parts]),
         xy=np.concatenate([part.xy for part in parts]),
         sigma=np.concatenate(sigmas) if len(sigmas) == len(parts) else None,
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         pseudonym=tuple(map(str, range(sizes.size))),
+        cov=np.concatenate(covs) if len(covs) == len(parts) else None,
     )
 
 
@@ -322,11 +324,13 @@ def _track_runs(
     """Return runs of samples as tracks that a robot receives."""
     sample, _ = stretches(first, end - first)
     sizes = np.bincount(track - track[0], weights=end - first).astype(np.int64)
-    sigma = release.sigma if Knowledge.SIGMA in predictor.requires else None
+    if Knowledge.SIGMA not in predictor.requires:
+        release = release.without_sigma()
     return Release(
         t=release.t[sample],
         xy=release.xy[sample],
-        sigma=None if sigma is None else sigma[sample],
+        sigma=None if release.sigma is None else release.sigma[sample],
+        cov=None if release.cov is None else release.cov[sample],
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         pseudonym=tuple(str(number) for number in range(sizes.size)),
     )

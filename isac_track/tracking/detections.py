@@ -11,18 +11,17 @@ from typing import Final, Literal
 import numpy as np
 from scipy.stats import ncx2
 
-from isac_track.config import SensingSettings
+from isac_track.config import Scaling, SensingSettings
 from isac_track.errors import SettingsError
-from isac_track.patrols.patrol import Patrol
-from isac_track.patrols.routes import CELL_M, walked_cells
-from isac_track.rng import stream
-from isac_track.sensing import range_information_per_snr, unit_errors
-from isac_track.tracking.measurement import (
-    Scaling,
+from isac_track.measurement import (
     axis_variance,
     range_bearing_covariance,
     scalar_covariance,
 )
+from isac_track.patrols.patrol import Patrol
+from isac_track.patrols.routes import CELL_M, walked_cells
+from isac_track.rng import stream
+from isac_track.sensing import range_information_per_snr, unit_errors
 from isac_track.types import Bools, Floats, Ints, Sensed
 
 CLUTTER: Final = -1  # Number of the sample behind a detection of nobody.

@@ -11,11 +11,11 @@ from typing import Final
 import numpy as np
 
 from isac_track.errors import SettingsError
+from isac_track.measurement import axis_variance, scalar_covariance
 from isac_track.mechanisms.perturb import draw_pseudonyms
 from isac_track.protocols import Mechanism
 from isac_track.rng import stream
 from isac_track.tracking.detections import DetectedPatrol, order_detections
-from isac_track.tracking.measurement import axis_variance, scalar_covariance
 from isac_track.tracking.trackers import Tracked
 from isac_track.types import Floats, Ints, Release, Sensed
 

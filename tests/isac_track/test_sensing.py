@@ -8,10 +8,10 @@ import pytest
 from scipy import stats
 
 from isac_track.config import SensingSettings
+from isac_track.measurement import NEAREST_M
 from isac_track.rng import stream
 from isac_track.sensing import (
     KNOTS,
-    NEAREST_M,
     Channel,
     draw_channel,
     draw_walk_channel,

@@ -22,6 +22,7 @@ from isac_track.types import (
 T = np.array([0.0, 0.1, 0.3, 5.0, 0.0, 2.0])  # three tracks of 3, 1 and 2 samples
 XY = np.arange(12.0).reshape(6, 2)
 OFFSETS = np.array([0, 3, 4, 6])
+COV = np.arange(1.0, 7.0)[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
 
 
 def maker(kind, **usual):
@@ -40,8 +41,9 @@ sensed = maker(
     sigma_raw=np.full(6, 0.5),
     information=np.full(6, 4.0),
     fid=np.full(6, 40.0),
+    cov=COV,
 )
-release = maker(Release, sigma=np.full(6, 0.5), pseudonym=("p", "q", "r"))
+release = maker(Release, sigma=np.full(6, 0.5), pseudonym=("p", "q", "r"), cov=COV)
 scenes = maker(  # three agents in one scene, two steps
     Scenes,
     track=np.arange(3),
@@ -65,7 +67,7 @@ MADE = (*RAGGED, scenes)
 def test_some_tracks_are_their_samples_end_to_end(rows):
     selected = release(xy=XY + np.pi).tracks(rows)
     singles = [release(xy=XY + np.pi)[row] for row in rows]
-    for name in ("t", "xy", "sigma"):
+    for name in ("t", "xy", "sigma", "cov"):
         parts = [getattr(item, name) for item in singles] or [getattr(selected, name)]
         assert np.array_equal(getattr(selected, name), np.concatenate(parts))
     assert selected.offsets.tolist() == [
@@ -392,6 +394,36 @@ def test_an_estimate_may_lie_at_the_limit_is_read_only_and_needs_no_claim():
 def test_a_wrong_estimate_is_refused(kind, estimate, spread, message):
     with pytest.raises(ValueError, match=message):
         kind(estimate, spread)
+
+
+def test_some_samples_with_their_covariances():
+    rows = np.array([0, 2, 3, 5])
+    part = release().samples(rows, offsets=np.array([0, 2, 3, 4]))
+    for name in ("t", "xy", "sigma", "cov"):
+        assert np.array_equal(getattr(part, name), getattr(release(), name)[rows])
+    assert part.pseudonym == release().pseudonym
+
+
+def test_without_sigma_nothing_says_how_large_errors_are():
+    hidden = release().without_sigma()
+    assert hidden.sigma is hidden.cov is None
+    assert hidden.tracks([1]).cov is None
+
+
+@pytest.mark.parametrize("make", [sensed, release])
+@pytest.mark.parametrize(
+    ("cov", "message"),
+    [
+        (COV[:5], r"cov must have shape \(6, 2, 2\)"),
+        (np.full(6, 0.5), "3 dimension"),
+        (COV * np.array([[1.0, 0.5], [1.0, 1.0]]), "a covariance is not symmetric"),
+        (-COV, "a covariance is not positive semidefinite"),
+        (COV * np.nan, "a covariance is not finite"),
+    ],
+)
+def test_a_wrong_covariance_is_refused(make, cov, message):
+    with pytest.raises(ValueError, match=message):
+        make(cov=cov)
 
 
 def test_within_both_bounds():

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from isac_track.sensing import NEAREST_M, SPEED_OF_LIGHT_MPS
-from isac_track.tracking.measurement import (
+from isac_track.measurement import (
+    NEAREST_M,
+    SPEED_OF_LIGHT_MPS,
     axis_variance,
     cross_range_ratio,
     range_bearing_covariance,

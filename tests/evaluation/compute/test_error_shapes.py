@@ -1,0 +1,76 @@
+"""Covariances on the way from a mechanism to a robot or an adversary."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from evaluation.compute.sharing import Frame, adversary_view, share
+from isac_track import plugins
+from isac_track.sharing import perturb
+from isac_track.types import Knowledge, Release, Sensed, derived
+
+RNG = np.random.default_rng(11)
+COV = np.array([[0.5, 0.3], [0.3, 0.4]])
+
+
+@dataclass(frozen=True)
+class Undeclared:
+    """A mechanism that declares a standard deviation and no shape."""
+
+    def share(self, sensed, rng):
+        release = perturb(sensed, 0.5, rng, adding="independent")
+        return derived(release, cov=None)
+
+
+@pytest.fixture(scope="module")
+def sensed():
+    n_samples = 6
+    sigma = np.sqrt(np.trace(COV) / 2.0)
+    factor = np.linalg.cholesky(COV) / sigma
+    unit_error = RNG.standard_normal((n_samples, 2)) @ factor.T
+    return Sensed(
+        t=np.array([0.0, 0.1, 0.2, 0.0, 0.1, 0.2]),
+        xy=sigma * unit_error,
+        unit_error=unit_error,
+        sigma_raw=np.full(n_samples, sigma),
+        information=np.full(n_samples, 4.0),
+        fid=np.full(n_samples, 40.0),
+        offsets=np.array([0, 3, 6]),
+        law="isotropic",
+        cov=np.tile(COV, (n_samples, 1, 1)),
+    )
+
+
+def test_what_a_mechanism_adds_is_round_unless_it_says_otherwise(sensed):
+    (plugin,) = plugins.parse_all("mechanisms", [Undeclared()])
+    release = share(plugin, sensed, "here", seed=0)
+    np.testing.assert_allclose(release.cov, sensed.cov + 0.25 * np.eye(2))
+
+
+def test_a_shape_shows_with_sigma_alone(sensed):
+    release = perturb(sensed, 0.5, np.random.default_rng(0))
+    for granted in (frozenset(), frozenset({Knowledge.SCENE})):
+        seen, _ = adversary_view(release, granted=granted, rng=RNG)
+        assert seen.sigma is seen.cov is None
+    seen, _ = adversary_view(
+        release, granted=frozenset({Knowledge.SIGMA, Knowledge.SCENE}), rng=RNG
+    )
+    assert seen.cov is release.cov
+
+
+@pytest.mark.parametrize("per_sample", [False, True])
+def test_an_ellipse_turns_with_its_frame(sensed, per_sample):
+    release = perturb(sensed, 0.5, np.random.default_rng(0))
+    frame = Frame(turn=np.exp(1.1j), shift_m=3.0 - 4.0j, clock_s=7.0)
+    if per_sample:
+        turns = np.exp(1j * np.array([0.3, 2.0]))
+        frame = Frame(turns, np.zeros(2), np.zeros(2)).per_sample(release.offsets)
+    seen = frame.release(release)
+
+    def squared_distances(batch: Release):
+        gap = np.diff(batch.xy[:3], axis=0)
+        return np.einsum("ma,mab,mb->m", gap, np.linalg.inv(batch.cov[:2]), gap)
+
+    np.testing.assert_allclose(squared_distances(seen), squared_distances(release))
+    assert not np.allclose(seen.cov, release.cov)
