@@ -161,3 +161,48 @@ def test_a_recording_of_nobody_who_comes_back_is_refused_by_name(sessions, capsy
     (line,) = capsys.readouterr().err.splitlines()
     assert "task returns: returning people need a person and a session" in line
     assert "a column person" in line
+
+
+def write_text(path, labels, *, rate=10, second_begins=0):
+    """Write a run of PedPy text with passages 1 and 2, of 6 s each."""
+    rows = [
+        f"{number} {begin + frame} {0.1 * frame:.1f} {number} 1.7"
+        for number, begin in ((1, 0), (2, second_begins))
+        for frame in range(6 * rate)
+    ]
+    lines = [f"# framerate: {rate}", *labels, "# id frame x y z", *rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("labels", "rate", "says"),
+    [
+        (["# 1 M 1", "# 9 F 2"], 10, ["line 3", "passage 9", "no rows", "remove"]),
+        (["# 1 M 1", "# 2 M 1"], 10, ["person M1", "two places at once", "correct"]),
+        (["# 1 M 1", "# 2 F 2"], 25, ["every 0.1 and 0.04 s", "resample one"]),
+    ],
+    ids=["a label without a passage", "a person twice at once", "other rates"],
+)
+def test_faulty_labels_and_rates_end_in_a_line(tmp_path, capsys, labels, rate, says):
+    write_text(tmp_path / "a.txt", ["# 1 M 1", "# 2 F 2"])
+    write_text(tmp_path / "b.txt", labels, rate=rate)
+    words = ["--format", "pedpy", "--out", tmp_path / "run"]
+    words += ["--session", tmp_path / "a.txt", "--session", tmp_path / "b.txt"]
+    assert matrix.main([*map(str, words)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert [text for text in says if text not in line] == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_sessions_that_name_nobody_say_how_people_are_named(tmp_path, capsys):
+    write_text(tmp_path / "a.txt", [])
+    write_text(tmp_path / "b.txt", [], second_begins=5)
+    words = ["--session", tmp_path / "a.txt", "--session", tmp_path / "b.txt"]
+    words += ["--format", "pedpy", "--out", tmp_path / "run"]
+    for task in ("returns", "cross_session"):
+        own = [*words, "--task", task, "--set", "resample.min_duration_s=3"]
+        assert matrix.main([*map(str, own)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        for text in (f"task {task}", "column person", "# 14 M 17", "--persistent-ids"):
+            assert text in line
