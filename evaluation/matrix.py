@@ -121,6 +121,11 @@ _OPTIONS: Final = {
         "FILE",
         "a file of several sessions of one recording; repeatable",
     ),
+    "confirming": _Option(
+        str,
+        "SESSION",
+        "a session left aside, to confirm whether people who come back are linked",
+    ),
     "scenes": _Option(int, "N", "Monte Carlo scenes (default: the preset's)"),
     "precision": _Option(float, "H", _PRECISION),
     "seed": _Option(int, "N", "base seed of every random stream (default: 0)"),

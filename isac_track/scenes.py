@@ -111,6 +111,23 @@ def cut(recorded: Tracks, *, settings: StageSettings, seed: int) -> Cut:
     )
 
 
+def no_tracks(recorded: Tracks, *, settings: StageSettings) -> Cut:
+    """Return a cut of no track: for a run without scenes."""
+    lasts_s = recorded.t[recorded.offsets[1:] - 1] - recorded.t[recorded.offsets[:-1]]
+    long_enough = int((lasts_s >= settings.resample.min_duration_s).sum())
+    return Cut(
+        t=np.zeros(0),
+        xy=np.zeros((0, 2)),
+        offsets=np.zeros(1, dtype=np.int64),
+        t_future=np.zeros((0, 1)),
+        xy_future=np.zeros((0, 1, 2)),
+        source=(),
+        group=(),
+        too_short=len(recorded) - long_enough,
+        no_future=long_enough,
+    )
+
+
 def _cut_track(
     track: Tracks, recorded: Tracks, *, settings: StageSettings
 ) -> _CutTrack | None:

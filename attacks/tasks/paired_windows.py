@@ -15,6 +15,7 @@ from numpy.random import Generator
 
 from attacks.tasks.draft import LEAST_PEOPLE, Draft, track_rows
 from attacks.tasks.sessions import Sessions, Windows, circumstances, halves
+from attacks.tasks.task_list import NAMED_SESSIONS
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError, SettingsError
 from isac_track.types import (
@@ -83,8 +84,7 @@ def cross_session(draft: Draft) -> Sessions:
     ):
         raise DataError(
             f"task {draft.task.name}: no person is known to be in two sessions; give"
-            " sessions with a markerID in their headers, or --persistent-ids if equal"
-            " ids are the same person"
+            f" {NAMED_SESSIONS}"
         )
     longest: dict[str, dict[str, int]] = {name: {} for name in tracks.session}
     long = draft.lasting(needed_s)

@@ -43,7 +43,7 @@ from isac_track.sensing import (
     sense,
     walked_within,
 )
-from isac_track.types import Bools, Floats, Ints, Release
+from isac_track.types import Bools, Floats, Ints, Release, Sensed
 
 LINKERS: Final[Mapping[str, LinkageAttack]] = {
     "gait": Gait(),
@@ -67,6 +67,8 @@ class ReturnStudy:
     ----------
     cells : Mapping
         Cell of each linker and number of enrolled passages, closed set, another run.
+    controls : Mapping
+        The same of each circumstance and of all together, all passages enrolled.
     same_run : ReturnCell or None
         The fusion within a run, all passages enrolled: a control. None where nobody
         walks twice in a run.
@@ -82,6 +84,7 @@ class ReturnStudy:
     """
 
     cells: Mapping[_Key, ReturnCell]
+    controls: Mapping[str, ReturnCell]
     same_run: ReturnCell | None
     opened: OpenSet
     regression: Regression
@@ -159,6 +162,7 @@ def study_returns(
         decision = decide_return(evidence, confirming=second)
     return ReturnStudy(
         cells=cells,
+        controls=_closed(scored, (*scored.circumstances, TOGETHER), seed=seed),
         same_run=_same_run(scored, seed),
         opened=opened,
         regression=regression,
@@ -292,7 +296,10 @@ def share_passages(
     """
     t, xy, offsets = passages.t, passages.xy, passages.offsets
     if error == "raw":
-        t, xy, offsets = _sense(passages, stages=stages, seed=seed)
+        robots_m = [stages.scenes.robot_x_m, stages.scenes.robot_y_m]
+        shift_m = robots_m - np.median(xy, axis=0)
+        sensed = sense_passages(passages, shift_m=shift_m, stages=stages, seed=seed)
+        t, xy, offsets = sensed.t, sensed.xy, sensed.offsets
     else:
         xy = xy + _white(error, passages, seed)
     return hide(t=t, xy=xy, offsets=offsets, sigma=None, seed=seed)
@@ -314,12 +321,17 @@ def _white(error: str, passages: Passages, seed: int) -> Floats:
     return std_m * np.concatenate(draws)
 
 
-def _sense(
-    passages: Passages, *, stages: StageSettings, seed: int
-) -> tuple[Floats, Floats, Ints]:
-    """Return times, sensed positions and offsets; the middle stands at the robots."""
-    middle_m = np.median(passages.xy, axis=0)
-    shift_m = [stages.scenes.robot_x_m, stages.scenes.robot_y_m] - middle_m
+def sense_passages(
+    passages: Passages,
+    *,
+    shift_m: Floats | None = None,
+    stages: StageSettings = STAGES,
+    seed: int = 0,
+) -> Sensed:
+    """Return what the network senses of whole passages, at its own instants.
+
+    `shift_m`, (2,), moves all of them first; None: they stay where they are.
+    """
     times, places = list[Floats](), list[Floats]()
     for row, source in enumerate(passages.source):
         part = slice(passages.offsets[row], passages.offsets[row + 1])
@@ -331,7 +343,9 @@ def _sense(
         )
         times.append(instants)
         places.append(CubicSpline(passages.t[part], passages.xy[part])(instants))
-    t, xy = np.concatenate(times), np.concatenate(places) + shift_m
+    t, xy = np.concatenate(times), np.concatenate(places)
+    if shift_m is not None:
+        xy = xy + shift_m
     offsets = np.append(0, np.cumsum([instants.size for instants in times]))
     walks = [recorded_walk(source) for source in passages.source]
     channel = draw_walk_channel(
@@ -342,10 +356,7 @@ def _sense(
         settings=stages.sensing,
         seed=seed,
     )
-    sensed = sense(
-        t=t, xy=xy, offsets=offsets, channel=channel, settings=stages.sensing
-    )
-    return t, sensed.xy, offsets
+    return sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=stages.sensing)
 
 
 def crossing(

@@ -6,12 +6,13 @@ run, not of the person; controls compare them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from attacks.remembered import select_tracks
+from attacks.tasks.task_list import NAMED_SESSIONS
 from isac_track.errors import DataError
 from isac_track.protocols import AttackContext, LinkageAttack, LinkageTrainingSet
 from isac_track.rng import stream
@@ -31,6 +32,9 @@ LEAST_S: Final = 3.0
 """A shorter passage is left out."""
 LONGEST_S: Final = 60.0
 """A longer passage is cut to its first minute."""
+MOST_SCORES: Final = 10_000_000
+"""Scores of a linker that `draw_people` allows: passages squared, times the people who
+come back and are left out in turn. It bounds memory and time."""
 CIRCUMSTANCES: Final = (
     "queue place",
     "density",
@@ -107,7 +111,10 @@ def passages(
     without people or sessions, or if nobody comes back.
     """
     if tracks.person is None or tracks.session is None:
-        raise DataError("returning people need a person and a session of every track")
+        raise DataError(
+            "returning people need a person and a session of every track; give"
+            f" {NAMED_SESSIONS}"
+        )
     begin_s = tracks.t[tracks.offsets[:-1]]
     end_s = tracks.t[tracks.offsets[1:] - 1]
     rows = np.flatnonzero(end_s - begin_s >= least_s)
@@ -136,6 +143,36 @@ def passages(
             " person with passages in several sessions"
         )
     return cut
+
+
+def draw_people(
+    walks: Passages, *, seed: int, most_scores: int = MOST_SCORES
+) -> Passages:
+    """Return the passages of as many people as a linker may score; usually of all.
+
+    People are drawn at random, each with all passages.
+    """
+    order = stream(seed, "returns", "people").permutation(len(walks.people))
+    n_passages = np.bincount(walks.person, minlength=order.size)[order].cumsum()
+    n_returning = np.isin(order, walks.returning).cumsum()
+    fits = (n_returning + 1.0) * n_passages**2.0 <= most_scores
+    rows = np.flatnonzero(np.isin(walks.person, order[fits]))
+    if rows.size == len(walks):
+        return walks
+    runs, offsets = sample_runs(walks.offsets, rows)
+    return replace(
+        walks,
+        t=end_to_end(walks.t, runs),
+        xy=end_to_end(walks.xy, runs),
+        offsets=offsets,
+        source=tuple(walks.source[row] for row in rows.tolist()),
+        person=walks.person[rows],
+        session=walks.session[rows],
+        closeness={
+            name: read_only(values[np.ix_(rows, rows)])
+            for name, values in walks.closeness.items()
+        },
+    )
 
 
 def _slices(offsets: Ints, rows: Ints) -> list[slice]:

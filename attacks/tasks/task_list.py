@@ -4,7 +4,8 @@ Every task shows walks twice, before and after the pseudonyms change: as probe a
 gallery. In a handover, all pseudonyms of the live recording rotate at one instant, in
 the true frame and on the true clock. A person who left has no mate; a person who came
 is a candidate all the same. In the other tasks everybody is in both. They hide frame
-and clock, except `rerelease-framed`, the easiest task of all.
+and clock, except `rerelease-framed`, the easiest task of all. `returns` alone links
+whole passages of people who come back, several of each person.
 """
 
 from collections.abc import Mapping
@@ -105,9 +106,24 @@ TASKS: Final[Mapping[str, Task]] = {
 }
 
 
+"""The tasks that link windows of walks: `attacks.tasks.build`."""
+
+NAMED_SESSIONS: Final = (
+    "sessions that name people (a column person, comments such as '# 14 M 17', or a"
+    " markerID), or --persistent-ids if equal ids are the same person"
+)
+"""What a recording lacks in which nobody is known to come back."""
+RETURNS: Final = Task(
+    "returns", "whole passages of the same real person in another run", comes_back=True
+)
+"""The task that links whole passages: `attacks.tasks.returns`."""
+ALL_TASKS: Final[Mapping[str, Task]] = {**TASKS, RETURNS.name: RETURNS}
+
+
 def task_named(name: str) -> Task:
     """Return the task of a name; SettingsError, with a suggestion, if there is none."""
-    if name not in TASKS:
-        hint = did_you_mean(name, TASKS, quote="'") or f"; known: {', '.join(TASKS)}"
+    if name not in ALL_TASKS:
+        known = f"; known: {', '.join(ALL_TASKS)}"
+        hint = did_you_mean(name, ALL_TASKS, quote="'") or known
         raise SettingsError(f"unknown task {name!r}{hint}")
-    return TASKS[name]
+    return ALL_TASKS[name]

@@ -28,6 +28,7 @@ from evaluation.estimates.linked_people import Choices, read_probes
 from evaluation.estimates.matching import FUTURE, Sweeps, matched
 from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
+from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
 from evaluation.plan.address import Address
 from evaluation.plan.settings import check_drawing
@@ -53,6 +54,7 @@ from evaluation.verdict.patrols import (
     lacking_part,
     patrol_options,
 )
+from evaluation.verdict.returns import return_verdict
 from evaluation.verdict.what_to_share import leading_handover
 
 limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
@@ -117,16 +119,18 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
             dataset=dataset,
         )
         on_patrol = patrol_numbers(out, manifest)
+        returns = return_numbers(out, manifest)
         flags, searched = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
     answered_verdict = _verdict(manifest, scenes, compared, validity)
-    if on_patrol:
-        answered_verdict["patrols"] = _patrol_verdict(on_patrol, families)
+    answered_verdict |= _further_verdicts(manifest, on_patrol, returns, families)
     results = Results(
         out=out,
         manifest=manifest,
-        summary=_with_patrols(tidy, on_patrol, families=families, dataset=dataset),
+        summary=_whole_summary(
+            tidy, on_patrol, returns, families=families, dataset=dataset
+        ),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(
             sweeps, matches, dataset=dataset, history=manifest["history"]
@@ -154,18 +158,39 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
     return replace(results, verdict=with_answer), searched
 
 
-def _with_patrols(
+def _whole_summary(
     tidy: pd.DataFrame,
     on_patrol: Sequence[PatrolNumber],
+    returns: ReturnNumbers,
     *,
     families: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
-    """Return the tidy summary with the rows of patrols after all others."""
+    """Return the tidy summary; behind it rows of returning people, then of patrols."""
     patrols = patrol_frame(
         on_patrol, families=families, dataset=dataset, columns=summary.COLUMNS
     )
-    return pd.concat([tidy, patrols], ignore_index=True) if len(patrols) else tidy
+    returning = summary.to_frame(
+        returns.estimates, worlds={}, families=families, dataset=dataset
+    )
+    parts = [part for part in (tidy, returning, patrols) if len(part)]
+    return pd.concat(parts, ignore_index=True) if len(parts) > 1 else (*parts, tidy)[0]
+
+
+def _further_verdicts(
+    manifest: Mapping[str, Any],
+    on_patrol: Sequence[PatrolNumber],
+    returns: ReturnNumbers,
+    families: Mapping[str, Family],
+) -> dict[str, Any]:
+    """Return the answers on patrols and people who come back, where a run has any."""
+    answered: dict[str, Any] = {}
+    if on_patrol:
+        answered["patrols"] = _patrol_verdict(on_patrol, families)
+    confirming = manifest["settings"].get("confirming")
+    if returning := return_verdict(returns, confirming=confirming):
+        answered["returns"] = returning
+    return answered
 
 
 def _patrol_verdict(

@@ -63,6 +63,7 @@ def run(
     crs: str | None = None,
     drop_frozen: float | None = None,
     sessions: Sequence[Path | str] | None = None,
+    confirming: str | None = None,
     persistent_ids: bool | None = None,
     progress: bool | Callable[[int, int, str], None] = True,
     plan: Plan | None = None,
@@ -125,6 +126,8 @@ def run(
         How to read a user's file, as `isac_track.datasets.load` takes them.
     sessions : sequence of paths, optional
         Files that are sessions of one recording.
+    confirming : str, optional
+        Session that is left aside, to confirm a link of people who come back.
     persistent_ids : bool, optional
         Whether ids are the same people in all sessions.
     progress : bool or callable

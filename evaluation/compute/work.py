@@ -25,6 +25,7 @@ from isac_track.scenes import Cut, make_scenes
 from isac_track.types import Ints, Knowledge, Scenes, Sensed, Tracks
 
 if TYPE_CHECKING:
+    from attacks.tasks.returns import Passages
     from attacks.tasks.sessions import Sessions
     from evaluation.plan.axes import Consumer
     from isac_track.config import StageSettings
@@ -76,8 +77,21 @@ class PatrolWork:
     world: World = OWN_WORLD
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class ReturnWork:
+    """Work of linking people who come back."""
+
+    passages: Passages
+    levels: Levels
+    confirming: str | None = None  # Session that is left aside.
+    world: World = OWN_WORLD
+
+
+Work: TypeAlias = "Block | LinkWork | PatrolWork | ReturnWork"
+
+
 def attempt_cells(
-    work: Block | LinkWork | PatrolWork,
+    work: Work,
     *,
     tracks: Cut,
     stages: StageSettings,
@@ -106,7 +120,7 @@ def attempt_cells(
 
 
 def compute_cells(
-    work: Block | LinkWork | PatrolWork,
+    work: Work,
     *,
     tracks: Cut,
     stages: StageSettings,
@@ -116,12 +130,15 @@ def compute_cells(
 
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a
     predictor per scene, those of a linkage task per window or probe, those of a patrol
-    per person and route. Raises PluginError if a plug-in raises or breaks its contract,
-    which names it, and DataError if an attack has nobody to learn from.
+    per person and route, those of people who come back per linker and metric. Raises
+    PluginError if a plug-in raises or breaks its contract, which names it, and
+    DataError if an attack has nobody to learn from.
     """
     if work.world.law:
         stages = stages.changed({"sensing.law": work.world.law})
-    if isinstance(work, PatrolWork):
+    if isinstance(work, ReturnWork):
+        yield from _return_cells(work, stages=stages, seed=seed)
+    elif isinstance(work, PatrolWork):
         yield from _patrol_cells(work, stages=stages, seed=seed)
     elif isinstance(work, LinkWork):
         yield from _linkage_cells(work, tracks=tracks, stages=stages, seed=seed)
@@ -151,6 +168,20 @@ def _patrol_cells(
                     for name, rows in rows_by_table.items()
                 }
                 yield FinishedCell(0, mechanism, consumer, tables)
+
+
+def _return_cells(
+    work: ReturnWork, *, stages: StageSettings, seed: int
+) -> Iterator[FinishedCell]:
+    # Few runs have people who come back, and scikit-learn takes a second.
+    from evaluation.compute import returns  # noqa: PLC0415 - as said
+
+    setup = returns.ReturnSetup(work.passages, stages, seed, work.confirming)
+    for mechanism, consumers in work.levels:
+        for consumer in consumers:
+            note_cell(mechanism.spec, consumer.label)
+            tables = returns.return_tables(mechanism, setup)
+            yield FinishedCell(0, mechanism, consumer, tables)
 
 
 def _linkage_cells(

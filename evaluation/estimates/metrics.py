@@ -14,11 +14,13 @@ Measured = Literal[
     "linkage",
     "bound",
     "patrol",
+    "returns",
 ]
 """Kinds of metric, in this order: a predictor's utility; a privacy descriptor of
 positions, as shared and after a reconstruction; a further measure of a reconstruction;
 the distance of positions beyond epsilon; a linker's success; a bound on all attacks in
-a world of the fitted motion; what a disclosure policy costs and reveals on patrols."""
+a world of the fitted motion; what a disclosure policy costs and reveals on patrols;
+the evidence on people who come back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,6 +169,15 @@ _ROWS: Final = (
     Metric("followed_10s", "followed 10 s", "patrol"),
     Metric("followed_30s", "followed 30 s", "patrol"),
     Metric("time_to_confusion_s", "time to confusion", "patrol", "s"),
+    Metric("rank1_gain", "gain over the control", "returns", is_difference=True),
+    Metric("nested_p", "nested p", "returns", "ratio", digits=3),
+    Metric(
+        "confirming_gain",
+        "gain in the session left aside",
+        "returns",
+        is_difference=True,
+    ),
+    Metric("confirming_p", "nested p there", "returns", "ratio", digits=3),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}

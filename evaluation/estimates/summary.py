@@ -225,6 +225,8 @@ def bootstrap_weights(manifest: Mapping[str, Any]) -> Floats:
 # Holds the weights of the last run: with thousands of people they take 60 MB.
 @lru_cache(maxsize=1)
 def _weights(n_clusters: int, seed: int) -> Floats:
+    if not n_clusters:  # A run without scenes.
+        return read_only(np.zeros((N_REPLICATES, 0)))
     return read_only(
         cluster_weights(n_clusters=n_clusters, n_replicates=N_REPLICATES, seed=seed)
     )

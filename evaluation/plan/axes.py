@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.task_list import Task, task_named
+from attacks.tasks.task_list import RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
 from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
 from evaluation.plan.presets import (
@@ -33,6 +33,7 @@ MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hund
 # Scenes times levels: fewer take less time than workers to start.
 WORTH_WORKERS: Final = 5000
 WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
+FUSION: Final = "fusion"  # Of all linkers of people who come back.
 LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
@@ -54,6 +55,7 @@ class Consumer:
         "windows",
         "patrol",
         "log",
+        "returns",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -87,7 +89,13 @@ class Consumer:
     @property
     def address(self) -> Address:
         """Where its numbers belong, at every level."""
-        names = {"shared": SHARED, "windows": WINDOWS, "bound": BOUND, "log": LOG}
+        names = {
+            "shared": SHARED,
+            "windows": WINDOWS,
+            "bound": BOUND,
+            "log": LOG,
+            "returns": FUSION,
+        }
         name, behind = names.get(self.kind, BOUND), ""
         if self.kind == "control":
             name = control_name(self.control)
@@ -164,6 +172,9 @@ class Axes:
     patrolled: tuple[Plugin, ...] = ()  # Mechanisms that patrols are shared with.
     follows_informed: bool = True
     """Whether an informed adversary reads the logs of patrols, too."""
+    no_scenes: str = ""  # Why a run has none: too few tracks are long enough.
+    links_returns: bool = False
+    """Whether people who come back are linked, wherever a recording has any."""
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -191,7 +202,7 @@ class Axes:
             )
             if not self.only_stronger or adversary in self.adversaries
         )
-        if self.only_stronger:
+        if self.only_stronger or self.no_scenes:
             return attacks
         return (
             Consumer("shared"),
@@ -266,6 +277,23 @@ class Axes:
         return (*extra, *self.mechanisms)
 
     @property
+    def return_readers(self) -> tuple[Consumer, ...]:
+        """Consumer of people who come back: all linkers and controls at once."""
+        reader = Consumer("returns", task=RETURNS.name, knowledge="informed")
+        return (reader,) if self.links_returns else ()
+
+    def without_scenes(self, why: str) -> "Axes":
+        """Return the axes of people who come back alone: no scene, window or patrol."""
+        return Axes(
+            self.mechanisms,
+            predictors=(),
+            attacks=(),
+            ceiling=self.ceiling,
+            links_returns=self.links_returns,
+            no_scenes=why,
+        )
+
+    @property
     def tasks(self) -> tuple[Task, ...]:
         """Tasks that have a linker."""
         return tuple(dict.fromkeys(task for task, _ in self.links))
@@ -322,14 +350,16 @@ def axes(settings: Settings) -> Axes:
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
-    pairs = _assign_links(settings, links=links, tasks=tasks)
+    windowed = tuple(task for task in tasks if task is not RETURNS)
+    pairs = _assign_links(settings, links=links, tasks=windowed)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
         )
     law = settings.stages.sensing.law
     _check_laws(mechanisms, law=law)
-    ceiling = plugins.parse("mechanisms", "clean")[0] if pairs else None
+    links_people = bool(pairs) or RETURNS in tasks
+    ceiling = plugins.parse("mechanisms", "clean")[0] if links_people else None
     named_predictors = plugins.parse_all("predictors", chosen["predictors"].named)
     utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
     utility |= {plugin.spec for plugin in named_predictors}
@@ -360,6 +390,7 @@ def axes(settings: Settings) -> Axes:
         policies=policies,
         patrolled=_patrolled(settings, preset, mechanisms) if policies else (),
         follows_informed=preset.follows_informed,
+        links_returns=RETURNS in tasks,
     )
     _check_adversaries_used(crossed, settings)
     return crossed
@@ -503,8 +534,9 @@ def most_workers(crossed: Axes, settings: Settings) -> int:
     n_linked = len(crossed.linked_mechanisms) + sum(
         len(levels) for levels in crossed.linked_in.values()
     )
+    n_tasks = len(crossed.tasks) + len(crossed.return_readers)
     n_patrols = len(crossed.patrolled)
-    return max(n_blocks * n_levels + len(crossed.tasks) * n_linked + n_patrols, 1)
+    return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
 
 def choose_jobs(crossed: Axes, settings: Settings) -> int:

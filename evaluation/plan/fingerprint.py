@@ -19,9 +19,10 @@ if TYPE_CHECKING:
     from evaluation.plan.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
-# Stages of scenes; all others are linkage tasks.
+# Stages of scenes; all but patrols and returns are other linkage tasks.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
+RETURNS: Final = "returns"  # People who come back: a task of whole passages.
 # The packages of the project.
 OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _COMMON: Final = (
@@ -37,6 +38,7 @@ _STAGES: Final = {
     SHARING: ("evaluation.compute.forecasts", *_COMMON),
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
     PATROL: ("evaluation.compute.patrols", *_COMMON),
+    RETURNS: ("evaluation.compute.returns", *_COMMON),
 }
 _LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
 _COMPUTES_NOTHING: Final = re.compile(

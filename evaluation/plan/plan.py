@@ -7,9 +7,12 @@ from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from attacks.tasks.build import make_sessions
+from attacks.tasks.returns import MOST_SCORES, Passages, draw_people, passages
 from attacks.tasks.sessions import Sessions
-from attacks.tasks.task_list import Task
+from attacks.tasks.task_list import RETURNS, Task
 from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
@@ -18,14 +21,22 @@ from evaluation.plan.settings import Settings, check_threads, patrol_values
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
-from isac_track.errors import DataError, PluginError, error_text
+from isac_track.errors import (
+    DataError,
+    PluginError,
+    SettingsError,
+    did_you_mean,
+    error_text,
+)
 from isac_track.place import placed
 from isac_track.plugins import Plugin
-from isac_track.scenes import Cut, cut, with_horizons
+from isac_track.scenes import Cut, cut, no_tracks, with_horizons
 from isac_track.types import Tracks
 
 # Options that change how a file is read: part of the identity where they are given.
 _READING_OPTIONS = ("columns", "on_duplicate", "crs", "drop_frozen")
+_SCENE_AXES = ("predictors", "attacks", "tasks", "policies")
+"""Axes whose values need scenes or windows of long tracks, but for the task returns."""
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 
@@ -63,6 +74,7 @@ class Plan:
     code_digests: Mapping[str, str]  # Digest by module, of the code of every plug-in.
     sessions: tuple[Sessions, ...]  # Of each linkage task.
     model_sessions: tuple[Sessions, ...] = ()  # The same for walks of a model.
+    passages: Passages | None = None  # Of people who come back, if any are linked.
 
     @property
     def n_cells(self) -> int:
@@ -92,13 +104,15 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
-    tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
+    crossed, walks = _returning(crossed, settings, recorded)
+    crossed, tracks = _cut_or_none(crossed, settings, recorded)
     if crossed.horizons_s:
         # Horizons for which the recording has too few long tracks are left out.
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
         crossed = replace(crossed, horizons_s=tuple(tracks.further))
     identity = _identity(settings, dataset)
     sessions, skipped = _task_sessions(crossed, settings, dataset, recorded)
+    skipped = {**crossed.skipped, **skipped}
     tasks = {task_sessions.task for task_sessions in sessions}
     links = tuple((task, link) for task, link in crossed.links if task in tasks)
     crossed = replace(crossed, links=links, skipped=skipped)
@@ -122,7 +136,93 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         code_digests=code_digests,
         sessions=sessions,
         model_sessions=_model_sessions(crossed, settings, sessions, recorded),
+        passages=walks,
     )
+
+
+def _returning(
+    crossed: Axes, settings: Settings, recorded: Tracks
+) -> tuple[Axes, Passages | None]:
+    """Return the axes, and the passages of people who come back if there are any.
+
+    DataError without any if the user has named the task or a session to confirm, or for
+    a session of another name.
+    """
+    is_named = RETURNS.name in settings.choice("tasks").named
+    if not crossed.links_returns:
+        if settings.confirming is not None:
+            raise SettingsError(
+                "--confirming is about the task returns, which the run leaves out; add"
+                " --task +returns"
+            )
+        return crossed, None
+    try:
+        walks = passages(recorded)
+    except DataError as error:
+        if is_named or settings.confirming is not None:
+            raise DataError(f"task {RETURNS.name}: {error}") from None
+        skipped = dict(crossed.skipped)
+        if recorded.session is not None:  # Of a single session: no notice.
+            skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
+        return replace(crossed, links_returns=False, skipped=skipped), None
+    _check_confirming(settings.confirming, walks)
+    drawn = draw_people(walks, seed=settings.seed)
+    n_left_out = np.unique(walks.person).size - np.unique(drawn.person).size
+    if not n_left_out:
+        return crossed, walks
+    name = f"{n_left_out:,} people of task {RETURNS.name}"
+    why = f"linking all takes over {MOST_SCORES:,} scores at a level"
+    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), drawn
+
+
+def _check_confirming(name: str | None, walks: Passages) -> None:
+    """Raise SettingsError if no session has this name, or the others decide nothing."""
+    if name is None:
+        return
+    if name not in walks.sessions:
+        hint = did_you_mean(name, walks.sessions, quote="'")
+        raise SettingsError(
+            f"--confirming: no session is called {name!r}"
+            f"{hint or '; sessions: ' + ', '.join(walks.sessions)}"
+        )
+    others = walks.session != walks.sessions.index(name)
+    pairs = np.unique(np.stack([walks.person, walks.session])[:, others], axis=1)
+    if not (np.bincount(pairs[0]) > 1).any():
+        raise DataError(
+            f"without session {name} nobody walks in two: --confirming takes a session"
+            " beside at least two others"
+        )
+
+
+def _cut_or_none(
+    crossed: Axes, settings: Settings, recorded: Tracks
+) -> tuple[Axes, Cut]:
+    """Return the axes and the tracks of scenes.
+
+    Without enough of them a run links people who come back alone. DataError if nobody
+    does, or the user has named anything that needs scenes.
+    """
+    try:
+        tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
+    except DataError:
+        named = {axis: settings.choice(axis).named for axis in _SCENE_AXES}
+        named["tasks"] = tuple({*named["tasks"]} - {RETURNS.name})
+        sized = (settings.scenes, settings.utility_scenes)
+        if any(named.values()) or sized != (None, None) or not crossed.links_returns:
+            raise
+        no_track = no_tracks(recorded, settings=settings.stages)
+        why = _why_no_scenes(no_track, settings)
+        return crossed.without_scenes(why), no_track
+    return crossed, tracks
+
+
+def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
+    """Return how many tracks are long enough, in short; `tracks` is empty."""
+    n_long, n_recorded = tracks.no_future, tracks.no_future + tracks.too_short
+    least_s = settings.stages.resample.min_duration_s
+    if n_long >= settings.stages.scenes.agents:
+        return f"too few of {n_long:,} tracks of {least_s:g} s cover the horizon"
+    return f"{n_long:,} of {n_recorded:,} tracks last {least_s:g} s"
 
 
 def _task_sessions(
@@ -217,7 +317,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     """
     settings, wanted = plan.settings, set(specs)
     breakers: tuple[str, ...] = ()
-    if not settings.choice("attacks").replaces:
+    if not plan.axes.no_scenes and not settings.choice("attacks").replaces:
         breakers = PRESETS[settings.preset].breakers
     if not breakers:
         wanted = set()
@@ -284,6 +384,7 @@ def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
     for horizon_s in crossed.horizons_s:
         robots = crossed.robots_at(horizon_s)
         crossings.append(_Crossing(crossed.mechanisms, robots, all_blocks))
+    crossings.append(_Crossing(crossed.linked_mechanisms, crossed.return_readers, (0,)))
     worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in crossed.horizons_s)]
     crossings += [
         _Crossing(crossed.patrolled, crossed.patrol_readers(world), (0,))
@@ -303,7 +404,6 @@ def _units(
     """Return the units of work, and the digest of every module that they depend on."""
     digests: dict[str, str] = {}
     units = []
-    patrols = patrol_values(settings.stages.flat())
     for mechanisms, consumers, blocks in _crossings(crossed, settings):
         by_stage = _consumers_by_stage(consumers, settings, digests)
         for mechanism, stage in product(mechanisms, by_stage):
@@ -316,11 +416,20 @@ def _units(
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
             about += code.values()
-            about += [patrols] if stage == fingerprint.PATROL else []
+            about += _own_settings(stage, settings)
             for block in blocks if readers else ():
                 key = fingerprint.digest([identity, stage, block, *about])
                 units.append(Unit(stage, block, mechanism, key, code, readers))
     return tuple(units), digests
+
+
+def _own_settings(stage: str, settings: Settings) -> list[Any]:
+    """Return the settings that only the cells of a stage depend on."""
+    if stage == fingerprint.PATROL:
+        return [patrol_values(settings.stages.flat())]
+    if stage == fingerprint.RETURNS and settings.confirming is not None:
+        return [settings.confirming]
+    return []
 
 
 def _consumers_by_stage(

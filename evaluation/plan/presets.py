@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from attacks.tasks.task_list import TASKS
+from attacks.tasks.task_list import ALL_TASKS, RETURNS
 from evaluation.plan.constants import IDENTITY, SHARED
 
 __all__ = [
@@ -155,8 +155,9 @@ _SMOKE = Preset(
     # The cheap smoothers, and for each kind of task a linker that links most people.
     attacks=(*_SMOOTHERS, "shape", "shape@radial_rts", "kinematic@radial_rts"),
     # In split and new_traversal no linker of `paper` beats guessing on plaza; the
-    # longer silences repeat the shortest. A single session has no cross_session.
-    tasks=("rerelease", "handover-1s", "cross_session"),
+    # longer silences repeat the shortest. A single session has no cross_session,
+    # and no returns.
+    tasks=("rerelease", "handover-1s", "cross_session", RETURNS.name),
     skips_oracle=True,
     named_meet_oracle=True,
     summary="40 scenes, the 5 levels that the paper gives numbers for",
@@ -169,7 +170,7 @@ _PAPER = replace(
     utility_scenes=2000,
     mechanisms=(*_SWEEP, *DISSOCIATION),
     attacks=(*_SMOOTHERS, *_LINKERS),
-    tasks=(*TASKS,),
+    tasks=(*ALL_TASKS,),
     skips_oracle=False,
     protections=PROTECTIONS,
     against_slow=("ou_rts",),
@@ -204,7 +205,7 @@ _QUICK = Preset(
     against_slow=("ou_rts",),
     adversaries=BREAKERS,
     skips_oracle=True,
-    tasks=("rerelease", "handover-1s", "handover-5s"),
+    tasks=("rerelease", "handover-1s", "handover-5s", RETURNS.name),
     policies=("everything", "near:3.5", "ahead:2", "state:2"),
     fleets=4,
     patrolled_s=200.0,

@@ -37,6 +37,7 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
     ),
     **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
     **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
+    "confirming": (str, str, "the name of a session"),
     "out": ((str, Path), Path, "the path of a folder"),
 }
 """By option: the accepted types, the type it is converted to, and words for both."""
@@ -86,6 +87,9 @@ class Settings:
         Unit of lengths in a user's file: ``m``, ``cm`` or ``mm``.
     sessions : tuple of str
         Paths of files that are sessions of one recording.
+    confirming : str, optional
+        Name of a session that is left aside, to confirm that people who come back are
+        re-identified.
     persistent_ids : bool
         Whether ids are the same people in all sessions.
     columns : str, optional
@@ -151,6 +155,7 @@ class Settings:
     fps: float | None = None
     unit: str | None = None
     sessions: tuple[str, ...] = ()
+    confirming: str | None = None
     persistent_ids: bool = False
     columns: str | None = None
     on_duplicate: str = "error"

@@ -11,10 +11,10 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.compute.work import Block, PatrolWork
+from evaluation.compute.work import Block, PatrolWork, ReturnWork, Work
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
-from evaluation.pool.pieces import Work, cut_work, planned_cells, unfinished
+from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 
 RATES: Final = "rates.json"
 """CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
@@ -79,6 +79,8 @@ def _millions_of_samples(work: Work, plan: Plan) -> float:
     """
     if isinstance(work, Block | PatrolWork):
         return work_size(work, plan)
+    if isinstance(work, ReturnWork):
+        return float(work.passages.offsets[-1]) / 1e6
     sides = work.sessions.probe, work.sessions.gallery
     return sum(float(side.offsets[-1]) for side in sides) / 1e6
 
@@ -102,8 +104,12 @@ def work_size(work: Work, plan: Plan) -> float:
     """Return the millions of samples, or of pairs, that a consumer reads of a work.
 
     On a patrol each robot reads the last samples of people at each query: the
-    person-seconds of the recording, once for each robot.
+    person-seconds of the recording, once for each robot. Passages of people who come
+    back are compared once for each of these people, who is left out.
     """
+    if isinstance(work, ReturnWork):
+        n_passages, n_people = len(work.passages), work.passages.returning.size
+        return (n_people + 1) * n_passages**2 / 1e6
     if isinstance(work, PatrolWork):
         rules, tracks = plan.settings.stages.patrol, work.recorded
         present_s = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
@@ -120,6 +126,8 @@ def work_size(work: Work, plan: Plan) -> float:
 
 def setup_name(work: Work) -> str:
     """Return the name of the rate of all that the levels of a work share."""
+    if isinstance(work, ReturnWork):
+        return "setup/returns"
     if isinstance(work, PatrolWork):
         return "setup/patrol"
     return "setup/scenes" if isinstance(work, Block) else "setup/linkage"

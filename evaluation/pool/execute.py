@@ -83,7 +83,8 @@ def execute(
     computed = compute_missing(units, plan, progress, names)
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
-    if keeps_walks and NOT_PASSED_ON not in plan.dataset.licence:
+    may_be_shown = NOT_PASSED_ON not in plan.dataset.licence
+    if keeps_walks and may_be_shown and not plan.axes.no_scenes:
         failed_plugins = {entry.spec for entry in failed}
         failed_plugins |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = write_sample_tracks(plan, failed_plugins, names)

@@ -16,7 +16,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from evaluation.compute.current_cell import Failure
-    from evaluation.pool.pieces import CellName, PlannedCell, Work
+    from evaluation.compute.work import Work
+    from evaluation.pool.pieces import CellName, PlannedCell
 
 _MOST_NAMED = 3
 

@@ -15,6 +15,7 @@ from evaluation.compute.loops import (
     list_loops,
     prepare_loop,
 )
+from evaluation.compute.work import Work
 from evaluation.plan.address import parse_label
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
@@ -30,7 +31,6 @@ from evaluation.pool.packing import (
 from evaluation.pool.pieces import (
     CellName,
     PlannedCell,
-    Work,
     cell_name,
     cut_for_cluster,
     cut_work,

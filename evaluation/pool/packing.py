@@ -13,8 +13,9 @@ from evaluation.store.cell_files import ComputedCell, ComputedUnit, pack_units
 from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
+    from evaluation.compute.work import Work
     from evaluation.plan.plan import Unit
-    from evaluation.pool.pieces import CellName, Work
+    from evaluation.pool.pieces import CellName
 
 WorkResult: TypeAlias = "WholeFile | HeldCell | FinishedCell | Failure"
 

@@ -9,9 +9,17 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 
 from evaluation.compute.linkage import view_key
-from evaluation.compute.work import Block, FinishedCell, Levels, LinkWork, PatrolWork
+from evaluation.compute.work import (
+    Block,
+    FinishedCell,
+    Levels,
+    LinkWork,
+    PatrolWork,
+    ReturnWork,
+    Work,
+)
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.plan.fingerprint import PATROL
+from evaluation.plan.fingerprint import PATROL, RETURNS
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_index import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
@@ -25,7 +33,6 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
 
-Work: TypeAlias = "Block | LinkWork | PatrolWork"
 CellName: TypeAlias = "tuple[int, str, str]"
 """Block (0 for linkage), SPEC of the mechanism, label of the consumer."""
 _TASKS_PER_WORKER = 2
@@ -93,7 +100,9 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     patrols = _cut_patrols(missing, plan)
     # A patrol takes as long as several blocks: it begins early.
     due += [(n + 1) / (len(patrols) + 1) for n in range(len(patrols))]
-    works: list[Work] = [*blocks, *links, *patrols]
+    returns = _cut_returns(missing, plan)
+    due += [(n + 1) / (len(returns) + 1) for n in range(len(returns))]
+    works: list[Work] = [*blocks, *links, *patrols, *returns]
     return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 
 
@@ -115,7 +124,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
                 unit
                 for unit in missing
                 if unit.block == number
-                and unit.stage not in {*tasks, PATROL}
+                and unit.stage not in {*tasks, PATROL, RETURNS}
                 and unit.world == world
             )
             is_attacked = number < n_attacked and not world
@@ -129,6 +138,8 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
 def _scene_orders(plan: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
     settings = plan.settings
+    if plan.axes.no_scenes:
+        return {}
 
     def order(n_tracks: int) -> Ints:
         return track_order(
@@ -175,6 +186,21 @@ def _cut_patrols(missing: Sequence[Unit], plan: Plan) -> list[PatrolWork]:
     """
     levels = _levels(unit for unit in missing if unit.stage == PATROL)
     return [PatrolWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)]
+
+
+def _cut_returns(missing: Sequence[Unit], plan: Plan) -> list[ReturnWork]:
+    """Return the missing levels of people who come back, a piece for each worker.
+
+    Each piece senses all passages again, which takes less than one level.
+    """
+    levels = _levels(unit for unit in missing if unit.stage == RETURNS)
+    if plan.passages is None:
+        return []
+    confirming = plan.settings.confirming
+    return [
+        ReturnWork(plan.passages, piece, confirming)
+        for piece in _share_out(levels, plan.jobs)
+    ]
 
 
 def _levels(units: Iterable[Unit]) -> Levels:

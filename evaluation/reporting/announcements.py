@@ -91,9 +91,14 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     if plan.settings.fresh:
         finished = 0
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
+    size = (
+        f"{len(plan.tracks)} of {len(plan.dataset.tracks)} tracks used,"
+        f" {scenes_text(plan.identity)}"
+    )
+    if plan.axes.no_scenes and plan.passages is not None:
+        size = f"{len(plan.passages)} of {len(plan.dataset.tracks)} passages used"
     yield (
-        f"{plan.dataset.name}: {len(plan.tracks)} of {len(plan.dataset.tracks)}"
-        f" tracks used, {scenes_text(plan.identity)}; {plan.n_cells} cells{so_far},"
+        f"{plan.dataset.name}: {size}; {plan.n_cells} cells{so_far},"
         f" in {short_path(plan.out)}"
     )
     slow = [consumer for consumer in plan.axes.consumers if consumer.is_slow]
@@ -197,6 +202,7 @@ def _same_run(manifest: Mapping[str, Any]) -> list[str]:
     for axis, values in _named(settings, usual).items():
         options += [(OPTIONS[axis], value) for value in values or ["none"]]
     options += [("set", setting) for setting in changed_settings(manifest)]
+    options.append(("confirming", settings.get("confirming")))
     words = ["--persistent-ids"] if identity.get("persistent_ids") else []
     for name, value in options:
         if value is not None:

@@ -1,4 +1,4 @@
-"""The five questions about a run, each answered in a few plain sentences."""
+"""The questions about a run, each answered in a few plain sentences."""
 
 import math
 from collections import Counter
@@ -31,6 +31,12 @@ from evaluation.reporting.names import (
 )
 from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import share_answer, share_details
+from evaluation.reporting.return_words import (
+    QUESTION,
+    TOPIC,
+    return_details,
+    return_sentence,
+)
 from evaluation.reporting.rows import Results
 from evaluation.verdict import rules
 from isac_track.intervals import Estimate
@@ -69,11 +75,15 @@ class LosingRobot:
 def answers(
     run: Results, first: Headline | None = None, *, names_level: bool = True
 ) -> tuple[Answer, ...]:
-    """Return the five answers of a run in their order.
+    """Return the five answers of a run in their order, and of people who come back.
 
-    `first` is the first table of the run, if it is at hand. Without `names_level` the
-    first three answers do not name their level: it is `reference_level(first)`.
+    A run without scenes has that last answer alone. `first` is the first table of the
+    run, if it is at hand. Without `names_level` the first three answers do not name
+    their level: it is `reference_level(first)`.
     """
+    returning = _returning_answers(run)
+    if not run.has_scenes:
+        return returning
     table = run.headline if first is None else first
     where, items = reference_level(table), run.verdict.get("items", ())
     robot = lead_robot(table, best=best_robot(run))
@@ -112,7 +122,16 @@ def answers(
             share_answer(run),
             (*patrols, *share_details(run)),
         ),
+        *returning,
     )
+
+
+def _returning_answers(run: Results) -> tuple[Answer, ...]:
+    """Return the answer about people who come back; empty without any."""
+    sentence = return_sentence(run)
+    if not sentence:
+        return ()
+    return (Answer(QUESTION, TOPIC, sentence, return_details(run)),)
 
 
 def reference_level(table: Headline) -> Where:

@@ -50,6 +50,12 @@ from evaluation.reporting.paper_hint import paper_hint
 from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import named_levels
 from evaluation.reporting.result_tables import control_tests
+from evaluation.reporting.return_tables import screen_table
+from evaluation.reporting.return_words import (
+    TOPIC,
+    no_scenes_line,
+    returning_line,
+)
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shorten_name
 from evaluation.store.files import PAGE
@@ -59,6 +65,7 @@ from isac_track.linkability import LEVEL
 LINES: Final = 24
 TABLES: Final = "tables.txt"
 _MOST_ROWS: Final = 8
+_MOST_RETURN_ROWS: Final = 12  # Where a run has no other table.
 _LEAST_ROWS: Final = 5
 _SHORTEST: Final = 2  # A topic and a sentence.
 _LABEL_WIDTH: Final = 27
@@ -79,25 +86,54 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
     `before` lines were printed already: they leave the table less room, but at least a
     few rows.
     """
+    if not run.has_scenes:
+        return _returning_screen(run, before=before)
     table = run.headline
     top = [*wrap_lines(data_line(run.manifest)), *unusual_geometry(run.manifest)]
     last = [*_doubt_lines(doubts(run, table)), *_page_lines(run), *_next_lines(run)]
     texts = [_level_line(table)]
-    texts += [
-        f"{answer.topic}: {answer.sentence}"
-        for answer in answers(run, table, names_level=False)
-    ]
-    if sentence := patrol_sentence(run):
-        texts.append(f"On patrol: {sentence}")
+    shown = answers(run, table, names_level=False)
+    texts += [f"{answer.topic}: {answer.sentence}" for answer in shown]
+    on_patrol = patrol_sentence(run)
+    patrols = [f"On patrol: {on_patrol}"] if on_patrol else []
     own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
     smallest_grid = _table_lines(run, table, room=0)
     most = LINES - len([*top, *smallest_grid, *last])
-    sentences = [*fitting_lines(texts, most=most - len(own)), *own]
+    sentences = fitting_lines([*texts, *patrols], most=most - len(own))
+    if len(sentences) > most - len(own) and shown[-1].topic == TOPIC:
+        # People who come back take the place of patrols, which the page answers.
+        sentences = fitting_lines(texts, most=most - len(own))
+    sentences += own
     room = LINES - before - len([*top, *sentences, *last])
     grid = _table_lines(run, table, room=room)
     if grid and room > len(grid) + 1:
         grid = ["", *grid, ""]
     return [*top, *grid, *sentences, *last]
+
+
+def _returning_screen(run: Results, *, before: int) -> list[str]:
+    """Return the lines of a run about people who come back alone: it has no scenes."""
+    manifest = run.manifest
+    texts = [f"{answer.topic}: {answer.sentence}" for answer in answers(run)]
+    texts += [detail for answer in answers(run) for detail in answer.details[:1]]
+    top = wrap_lines(data_line(manifest))
+    last = [
+        *(line for text in texts for line in wrap_lines(text)),
+        *wrap_lines(no_scenes_line(manifest)),
+        *_doubt_lines(doubts(run, run.headline)),
+        *_page_lines(run),
+        *_next_lines(run),
+    ]
+    room = LINES - before - len([*top, *last])
+    labels, grid = screen_table(run, most=_LEAST_ROWS)
+    for most in range(_MOST_RETURN_ROWS, _LEAST_ROWS - 1, -1):
+        labels, grid = screen_table(run, most=most)
+        grid += _legend(labels)
+        if len(grid) <= room:
+            break
+    if room > len(grid) + 1:
+        grid = ["", *grid, ""]
+    return [*top, *grid, *last]
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:
@@ -109,6 +145,10 @@ def data_line(manifest: Mapping[str, Any]) -> str:
     title = f"{dataset_title(dataset['name'])}: {tracks} recorded"
     if dataset.get("simulated"):
         title = f"Simulated crowd {dataset['name']}: {tracks}"
+    if manifest.get("no_scenes"):
+        passages = counted(dataset["tracks"], "passage")
+        name = dataset_title(dataset["name"])
+        return f"{name}: {passages} recorded; {returning_line(manifest)}"
     scenes = identity.get("scenes_utility", identity["scenes"])
     return (
         f"{title}, {dataset['tracks_used']:,} long enough to use;"

@@ -93,6 +93,11 @@ _WORDS: Final = {
     "control": (
         "A linker that must stay at chance; if it does not, the task leaks otherwise."
     ),
+    "passage": "The whole track of a person, from entry to exit.",
+    "returning people": "People with passages in several runs: the task returns.",
+    "strongest control": (
+        "Of each person, the control that names most of the other people."
+    ),
     "shortcut": "A control that links people by something other than their walk.",
     "joint matching": (
         "All probes are matched to candidates at once, each candidate once."
@@ -158,6 +163,7 @@ _LINKERS: Final = {
         "Weighs how likely one person walked both paths against two people."
     ),
     "mean_distance": "Mean distance of two walks over the instants of both.",
+    "fusion": "Sum of several linkers' log likelihood ratios, for returning people.",
 }
 
 _TASKS: Final = {
@@ -169,6 +175,7 @@ _TASKS: Final = {
     "handover-5s": "Link people across 5 s of silence.",
     "new_traversal": "Link simulated people across two days.",
     "cross_session": "Link real people across two recording sessions.",
+    "returns": "Link whole passages of real people who walk in several runs.",
 }
 
 _PREDICTORS: Final = {
@@ -269,6 +276,15 @@ _METRICS: Final = {
     "time to confusion": (
         "Time until an adversary is unsure who goes on (Hoh et al.), s; at most 30."
     ),
+    "gain over the control": (
+        "Rank 1 of people who come back, less that of the strongest control."
+    ),
+    "nested p": (
+        "Chance of so high scores of the same person, beyond all controls, if people"
+        " were exchanged."
+    ),
+    "gain in the session left aside": "The same gain in a session that confirms.",
+    "nested p there": "The same probability in a session that confirms.",
 }
 
 GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(

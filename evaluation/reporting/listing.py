@@ -131,14 +131,14 @@ class ClassSummary:
 
 def listing() -> list[str]:
     """Return everything that can be named, in lines by section, with its meaning."""
-    from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - needed for a list alone
+    from attacks.tasks.task_list import ALL_TASKS  # noqa: PLC0415 - needed for a list alone
     from isac_track.datasets.registry import KNOWN  # noqa: PLC0415 - as above
 
     sections: dict[str, dict[str, str]] = {
         "presets": {name: preset.summary for name, preset in PRESETS.items()},
         "data sets": {name: known.about for name, known in KNOWN.items()},
         **{kind: _plugins(kind) for kind in _KINDS},
-        "tasks": {name: task.about for name, task in TASKS.items()},
+        "tasks": {name: task.about for name, task in ALL_TASKS.items()},
         "settings (--set NAME=VALUE)": _settings(),
     }
     lines: list[str] = []

@@ -73,6 +73,7 @@ _TASKS: Final = {
     "handover-5s": "after 5 s of silence",
     "new_traversal": "on another simulated day",
     "cross_session": "in another session",
+    "returns": "in another run",
 }
 
 _TASK_HEADS: Final = {
@@ -84,6 +85,7 @@ _TASK_HEADS: Final = {
     "handover-5s": "after 5 s",
     "new_traversal": "other day",
     "cross_session": "session 2",
+    "returns": "other run",
 }
 """What stands over a column of re-identified people."""
 

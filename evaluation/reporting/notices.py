@@ -98,7 +98,8 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
 
 def few_people(dataset: Mapping[str, Any]) -> str:
     """Return a text if a recording has too few people to decide anything, else none."""
-    if not (way_out := dataset.get("would_help")):
+    way_out = dataset.get("would_help")
+    if not way_out or not dataset["tracks_used"]:  # A run without scenes says so.
         return ""
     tracks = counted(dataset["tracks_used"], "usable track")
     return f"{tracks}: too few to decide anything ({way_out})."
@@ -130,6 +131,8 @@ def plan_notices(
         texts.append(f"notice: {dataset.notice}")
     if dataset.name not in KNOWN:  # Of a known recording docs/how-to/data.md tells.
         texts += [f"notice: {text}" for text in data_notices(describe_data(plan))]
+    if why := plan.axes.no_scenes:
+        texts.append(f"notice: left out: scenes, patrols and other linkage; {why}")
     texts += [f"notice: left out: {reason}" for reason in plan.axes.skipped.values()]
     texts += _gallery_notices(plan)
     texts += [
@@ -239,7 +242,7 @@ def used_are_slower(manifest: Mapping[str, Any], *, least: float = 0.0) -> str:
     all tracks.
     """
     speeds = manifest["dataset"].get("speed_mps")
-    if speeds is None:
+    if not speeds:
         return ""
     difference = abs(speeds["used"] - speeds["recorded"])
     if not difference > least * speeds["recorded"]:

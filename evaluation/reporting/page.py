@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from itertools import zip_longest
 from pathlib import Path
 
 from attacks.tasks.task_list import TASKS
@@ -16,7 +17,7 @@ from evaluation.reporting.announcements import (
     rerun_command,
     scenes_text,
 )
-from evaluation.reporting.answers import answers
+from evaluation.reporting.answers import Answer, answers
 from evaluation.reporting.error_sources import DOCS_PAGE, ERROR_SOURCES
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.glossary import GLOSSARY, plain_name
@@ -25,8 +26,15 @@ from evaluation.reporting.markup import HTML
 from evaluation.reporting.my_plugin import plugin_lines
 from evaluation.reporting.names import attack_name, dataset_title, spec_text
 from evaluation.reporting.notices import data_notices, geometry, used_are_slower
-from evaluation.reporting.pictures import panels, pictures, planes, walks_takeaway
+from evaluation.reporting.pictures import (
+    Picture,
+    panels,
+    pictures,
+    planes,
+    walks_takeaway,
+)
 from evaluation.reporting.protection_record import OPINION, protection_record
+from evaluation.reporting.return_words import no_scenes_line, return_sentence
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision_cell
 from evaluation.reporting.tables import page_tables
@@ -54,7 +62,9 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         own_lines=plugin_lines(run),
         error_sources=ERROR_SOURCES,
         docs_page=DOCS_PAGE,
-        answers=list(zip(answers(run, table), pictures(table), strict=True)),
+        returning=return_sentence(run),
+        no_scenes=no_scenes_line(run.manifest),
+        answers=_pictured_answers(run, table),
         record=protection_record(run, table),
         opinion=OPINION,
         planes=planes(table),
@@ -76,7 +86,7 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
         ],
         failed_lines=failed_lines(run.failed),
         command=rerun_command(run.manifest),
-        scenes=scenes_text(run.manifest["identity"]),
+        scenes=_size_text(run),
         data_notices=data_notices(run.manifest["dataset"]),
         slower=used_are_slower(run.manifest),
         changed=changed_settings(run.manifest),
@@ -86,8 +96,33 @@ def render(run: Results, *, figures: Sequence[Figure] = ()) -> str:
     return re.sub(r">\n+<", "><", text)
 
 
+def _pictured_answers(
+    run: Results, table: Headline
+) -> list[tuple[Answer, Picture | None]]:
+    """Return the answers, the first five with their pictures.
+
+    People who come back have a section of the page.
+    """
+    drawn = pictures(table) if run.has_scenes else []
+    return list(zip_longest(answers(run, table), drawn))
+
+
+def _size_text(run: Results) -> str:
+    """Return the number of scenes, or of passages without any scene."""
+    if run.has_scenes:
+        return scenes_text(run.manifest["identity"])
+    return counted(run.manifest["dataset"]["tracks"], "passage")
+
+
 def title(run: Results) -> str:
     """Return recording, levels and attacks of a run, in a line."""
+    if not run.has_scenes:
+        people = counted(
+            run.manifest["dataset"]["returning"]["people"], "person", "people"
+        )
+        returning = run.returns[["mechanism", "level"]].drop_duplicates()
+        noise = counted(len(returning), "level")
+        return f"{dataset_title(run.dataset)}: {people} who come back, at {noise}"
     shared = run.ours[run.ours["consumer"] == SHARED]
     levels = len(shared[["mechanism", "level"]].drop_duplicates())
     rows = run.without_policy

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from attacks.tasks.task_list import TASKS
+from attacks.tasks.task_list import ALL_TASKS, RETURNS
 from evaluation.estimates.families import AT_RAW
 from evaluation.plan.address import Where
 from evaluation.reporting.amounts import counted, listed, sentence_case
@@ -178,7 +178,9 @@ def _limits(run: Results) -> tuple[str, ...]:
 def _untested(run: Results) -> tuple[str, ...]:
     """Return the data, adversaries and tasks that the numbers do not cover."""
     ran = {task.name for task in run.tasks}
-    left_out = [task_phrase(name) for name in TASKS if name not in ran]
+    if len(run.returns):
+        ran.add(RETURNS.name)
+    left_out = [task_phrase(name) for name in ALL_TASKS if name not in ran]
     skipped = f"Linkage {listed(left_out, 'or')}." if left_out else ""
     failed = len(run.failed)
     sentences = (

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pandas as pd
 
+from attacks.tasks.task_list import RETURNS
 from evaluation.estimates.families import (
     ADDING_RULES,
     FID,
@@ -158,13 +159,31 @@ class Results:
 
     @property
     def without_policy(self) -> pd.DataFrame:
-        """The summary without patrols, whose rows have a disclosure policy."""
-        return self.summary[~self._is_patrol]
+        """The summary of scenes and windows: no patrols, no people who come back.
+
+        Rows of patrols have a disclosure policy.
+        """
+        return self.summary[~(self._is_patrol | self._is_return)]
 
     @property
     def patrols(self) -> pd.DataFrame:
         """The rows of the summary that are about patrols."""
         return self.summary[self._is_patrol]
+
+    @property
+    def returns(self) -> pd.DataFrame:
+        """The rows of the summary that are about people who come back."""
+        return self.summary[self._is_return]
+
+    @property
+    def has_scenes(self) -> bool:
+        """Whether the run has scenes; else it is about people who come back alone."""
+        return not self.manifest.get("no_scenes")
+
+    @property
+    def _is_return(self) -> pd.Series[bool]:
+        """Which rows of the summary are of the task of people who come back."""
+        return self.summary["consumer"].str.startswith(f"{RETURNS.name}/")
 
     @property
     def _is_patrol(self) -> pd.Series[bool]:
@@ -402,7 +421,7 @@ class Results:
     @cached_property
     def families(self) -> dict[str, Family]:
         """The mechanisms of the run by name; the manifest knows which protect."""
-        families = families_in(self.without_policy)
+        families = families_in(self.summary)
         for name, declared in entry_families(self.manifest.get("cells", ())).items():
             if name in families:
                 families[name] = replace(families[name], protects=declared.protects)

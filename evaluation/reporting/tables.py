@@ -55,6 +55,8 @@ from evaluation.reporting.notices import (
 )
 from evaluation.reporting.patrol_tables import patrol_tables
 from evaluation.reporting.patrol_words import patrol_sentence
+from evaluation.reporting.return_tables import return_tables
+from evaluation.reporting.return_words import no_scenes_line
 from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
 from evaluation.reporting.table import (
     Table,
@@ -107,6 +109,8 @@ def _everything(run: Results) -> Iterator[Part]:
         None, [data.get("notice"), *data_notices(data), *notices(run.manifest)]
     ):
         yield f"NOTICE: {notice}", "yellow"
+    if line := no_scenes_line(run.manifest):
+        yield f"{line} A way out: {data.get('would_help')}."
     yield from geometry(run.manifest)
     yield from linked_people(run.manifest)
     yield from _answer_lines(run)
@@ -122,6 +126,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield linked_bound_table(run)
     yield from (result_tables.rank_table(run, task) for task in run.tasks)
     yield result_tables.strength_table(run)
+    yield from return_tables(run)
     yield from patrol_tables(run)
     yield answer_tables.paper_table(run)
     yield answer_tables.claims_table(run)
@@ -170,6 +175,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         linked_bound_table(run),
         *(result_tables.rank_table(run, task) for task in run.tasks),
         result_tables.strength_table(run),
+        *return_tables(run),
         *patrol_tables(run),
         answer_tables.flag_table(run),
         result_tables.doubt_table(run),

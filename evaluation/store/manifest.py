@@ -28,6 +28,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, cast
 import numpy as np
 
 import isac_track
+from attacks.tasks.returns import LEAST_S, LONGEST_S
+from attacks.tasks.task_list import RETURNS
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES, patrol_values
@@ -49,6 +51,7 @@ from evaluation.store.people import (
 from isac_track.errors import DataError
 
 if TYPE_CHECKING:
+    from attacks.tasks.returns import Passages
     from attacks.tasks.sessions import Sessions
     from evaluation.plan.plan import Plan, Unit
     from evaluation.plan.settings import Settings
@@ -165,13 +168,15 @@ def mean_speeds(recorded: Tracks, *, used: Sequence[str]) -> dict[str, float]:
     """Return the mean speed of the `used` tracks, and of all recorded tracks, m/s.
 
     A track's speed is the length of its recorded path over its duration. Each track
-    counts once; a track of a single sample does not count.
+    counts once; a track of a single sample does not count. Empty without used tracks.
     """
     from isac_track.datasets import summarise  # noqa: PLC0415 - a reader needs none
 
     speeds = summarise(recorded)["speed_mean_mps"].to_numpy()
     is_used = np.isin(np.array(recorded.source), np.array(used))
     known = np.isfinite(speeds)
+    if not (is_used & known).any():
+        return {}
     return {
         "used": float(speeds[is_used & known].mean()),
         "recorded": float(speeds[known].mean()),
@@ -235,6 +240,8 @@ def describe_data(plan: Plan) -> dict[str, Any]:
         data["repairs"].append(
             {"kind": "overshoot", "count": tracks.n_replaced, "detail": detail}
         )
+    if plan.passages is not None:
+        data["returning"] = _describe_returning(plan.passages)
     if dataset.sessions:
         data["sessions"] = [public_path(session) for session in dataset.sessions]
     if len(tracks) < FEW_PEOPLE:
@@ -243,6 +250,18 @@ def describe_data(plan: Plan) -> dict[str, Any]:
             dataset.tracks, settings=stages, used=used
         )
     return data
+
+
+def _describe_returning(walks: Passages) -> dict[str, Any]:
+    """Return the numbers of people who come back, of passages and of sessions."""
+    return {
+        "people": int(walks.returning.size),
+        "passages": len(walks),
+        "candidates": int(np.unique(walks.person).size),
+        "sessions": len(walks.sessions),
+        "least_s": LEAST_S,
+        "longest_s": LONGEST_S,
+    }
 
 
 def _person_s(tracks: Tracks) -> float:
@@ -254,9 +273,6 @@ def _person_s(tracks: Tracks) -> float:
 def describe(plan: Plan) -> dict[str, Any]:
     """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
-    from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
-        mean_interval_s,
-    )
 
     tracks, settings, axes = plan.tracks, plan.settings, plan.axes
     labels = id_labels(plan)
@@ -299,15 +315,29 @@ def describe(plan: Plan) -> dict[str, Any]:
                 plan.recorded, settings=settings.stages.sensing, seed=settings.seed
             )
         ),
-        "history": {
-            "points": float(np.diff(tracks.offsets).mean()),
-            "interval_s": float(
-                mean_interval_s(t=tracks.t, offsets=tracks.offsets).mean()
-            ),
-        },
+        "history": _describe_history(tracks),
         "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": horizons,
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
+        "no_scenes": axes.no_scenes,
+    }
+
+
+def _describe_history(tracks: Tracks) -> dict[str, float]:
+    """Return the mean number of samples of a history and their mean interval, s.
+
+    Both are 0 without tracks.
+    """
+    from isac_track.privacy import (  # noqa: PLC0415 - a reader needs none
+        mean_interval_s,
+    )
+
+    if not len(tracks):
+        return {"points": 0.0, "interval_s": 0.0}
+    intervals_s = mean_interval_s(t=tracks.t, offsets=tracks.offsets)
+    return {
+        "points": float(np.diff(tracks.offsets).mean()),
+        "interval_s": float(intervals_s.mean()),
     }
 
 
@@ -330,6 +360,10 @@ def _describe_settings(plan: Plan) -> dict[str, Any]:
         "policies": [plugin.spec for plugin in axes.policies],
         "named": {axis: values for axis, values in named.items() if values is not None},
     }
+    if axes.links_returns:
+        described["tasks"].append(RETURNS.name)
+    if settings.confirming is not None:
+        described["confirming"] = settings.confirming
     if axes.adversaries:
         described["adversaries"] = list(axes.adversaries)
     return described | {"stages": settings.stages.flat()}

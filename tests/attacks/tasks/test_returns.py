@@ -10,6 +10,7 @@ from attacks.linkage.gait import Gait
 from attacks.tasks.return_study import crossing, share_passages, study_returns
 from attacks.tasks.returns import (
     CIRCUMSTANCES,
+    draw_people,
     mated_passages,
     passages,
     score_passages,
@@ -161,6 +162,23 @@ def test_a_study_is_repeatable_and_no_name_of_a_person_matters(walks):
     assert first.same_run.control.value > 0.9
     with pytest.raises(ValueError, match="no session"):
         study_returns(walks, release, confirming="run 9", **options)
+
+
+def test_people_are_drawn_whole_where_scores_would_be_too_many(walks):
+    assert draw_people(walks, seed=0) is walks
+    most = (walks.returning.size + 1) * len(walks) ** 2 // 3
+    drawn = draw_people(walks, seed=0, most_scores=most)
+    assert 0 < len(drawn) < len(walks)
+    assert (drawn.returning.size + 1) * len(drawn) ** 2 <= most
+    rows = [walks.source.index(name) for name in drawn.source]
+    assert (np.isin(walks.person, drawn.person).nonzero()[0] == rows).all()
+    assert np.array_equal(drawn.person, walks.person[rows])
+    for name, values in drawn.closeness.items():
+        assert np.array_equal(values, walks.closeness[name][np.ix_(rows, rows)])
+    last = slice(walks.offsets[rows[-1]], walks.offsets[rows[-1] + 1])
+    assert np.array_equal(drawn.xy[drawn.offsets[-2] :], walks.xy[last])
+    other = draw_people(walks, seed=1, most_scores=most)
+    assert set(other.source) != set(drawn.source)
 
 
 def test_the_error_at_which_linkage_crosses_chance():

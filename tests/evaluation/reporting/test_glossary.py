@@ -13,7 +13,7 @@ from helpers.finished_runs import (
 )
 from helpers.pages import Tags
 
-from attacks.tasks.task_list import TASKS
+from attacks.tasks.task_list import ALL_TASKS
 from evaluation.estimates.metrics import METRICS
 from evaluation.estimates.strongest import BEYOND, HEADLINE
 from evaluation.reporting.glossary import (
@@ -56,7 +56,7 @@ def test_every_built_in_plugin_has_a_sentence(kind):
 
 def test_every_task_metric_adversary_and_word_has_a_sentence():
     heads = [metric.head for metric in METRICS.values()]
-    names = [*TASKS, *heads, *HEADLINE, *BEYOND, "oracle", *WORDS]
+    names = [*ALL_TASKS, *heads, *HEADLINE, *BEYOND, "oracle", *WORDS]
     assert not [name for name in names if not DEFINITIONS.get(name)]
     assert StageSettings().flat()["sensing.law"] in LAWS
 

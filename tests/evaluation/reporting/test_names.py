@@ -2,7 +2,7 @@
 
 import pytest
 
-from attacks.tasks.task_list import TASKS
+from attacks.tasks.task_list import ALL_TASKS
 from evaluation.estimates.families import Family
 from evaluation.estimates.strongest import BEYOND
 from evaluation.reporting import names
@@ -71,7 +71,7 @@ def test_every_mechanism_and_predictor_of_the_project_has_a_plain_name():
 
 
 def test_every_task_and_adversary_of_the_project_has_a_plain_name():
-    for task in TASKS:
+    for task in ALL_TASKS:
         assert names.task_phrase(task) != f"in {task}"
         assert len(names.task_head(task)) <= 11
     for adversary in BEYOND:

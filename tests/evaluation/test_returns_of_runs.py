@@ -1,0 +1,208 @@
+"""Runs on people who come back: the numbers of the library, and a first screen."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.returners import write_sessions
+
+import evaluation
+from attacks.tasks.return_study import FUSION, study_returns
+from attacks.tasks.returns import hide, passages
+from evaluation import matrix
+from evaluation.plan.settings import Settings
+from evaluation.reporting.first_screen import first_screen
+from isac_track import datasets
+from isac_track.place import placed
+
+KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric"]
+ENDS = ["value", "ci_low", "ci_high", "n"]
+
+
+def run(sessions, out, **changes):
+    """A run of two levels, without pictures."""
+    usual = {"preset": "smoke", "mechanisms": ("raw", "fixed:1"), "jobs": 1}
+    settings = Settings(sessions=sessions, out=out, **(usual | changes))
+    return evaluation.run(settings, progress=False, pictures=False)
+
+
+@pytest.fixture(scope="module")
+def sessions(tmp_path_factory):
+    return write_sessions(tmp_path_factory.mktemp("sessions"))
+
+
+@pytest.fixture(scope="module")
+def made(sessions, tmp_path_factory):
+    return run(sessions, tmp_path_factory.mktemp("returns") / "run")
+
+
+@pytest.fixture(scope="module")
+def study(sessions):
+    """The same passages without error, from the library alone."""
+    tracks = datasets.load(None, sessions=sessions).tracks
+    walks = passages(placed(tracks, settings=Settings().stages))
+    release = hide(t=walks.t, xy=walks.xy, offsets=walks.offsets, sigma=None, seed=0)
+    return study_returns(walks, release, enrolled=(None,))
+
+
+def number(made, consumer, metric, *, mechanism="clean"):
+    rows = made.summary[made.summary["mechanism"] == mechanism]
+    rows = rows[(rows["consumer"] == consumer) & (rows["metric"] == metric)]
+    (row,) = rows[ENDS].to_numpy()
+    return row
+
+
+def ends(estimate):
+    return [estimate.value, estimate.ci_low, estimate.ci_high, estimate.n]
+
+
+def test_rows_are_those_of_the_library(made, study):
+    for (name, _), cell in study.cells.items():
+        np.testing.assert_equal(
+            number(made, f"returns/{name}", "rank1"), ends(cell.rank1)
+        )
+        assert number(made, f"returns/{name}", "chance")[0] == cell.chance
+        assert number(made, f"returns/{name}", "rank1_gain")[0] == cell.gain.value
+    for name, cell in study.controls.items():
+        consumer = f"returns/control-{name.replace(' ', '-')}"
+        np.testing.assert_equal(number(made, consumer, "rank1"), ends(cell.rank1))
+    strongest = number(made, "returns/control-strongest", "rank1")
+    np.testing.assert_equal(strongest, ends(study.primary.control))
+    same_run = number(made, "returns/control-same-run", "rank1")
+    np.testing.assert_equal(same_run, ends(study.same_run.rank1))
+    nested_p = number(made, f"returns/{FUSION}", "nested_p")
+    assert nested_p[0] == study.regression.p_value
+
+
+def test_every_level_has_rows_and_none_stands_twice(made):
+    assert not made.summary.duplicated(KEY).any()
+    assert set(made.returns["mechanism"]) == {"clean", "raw", "fixed"}
+    assert len(made.returns) == len(made.summary)
+    raw = number(made, f"returns/{FUSION}", "rank1", mechanism="raw")
+    assert raw[0] < number(made, f"returns/{FUSION}", "rank1")[0]
+    assert set(made.returns.loc[made.returns["metric"] == "rank1", "unit"]) == {
+        "fraction"
+    }
+
+
+def test_the_decision_is_that_of_the_rule(made, study):
+    answer = json.loads((made.out / "verdict.json").read_text())["returns"]
+    assert answer["decision"] == study.decision.decision == "not decided"
+    assert answer["why"] == study.decision.why
+    assert answer["n"] == study.decision.n < 20
+    assert answer["n_needed"] == study.decision.n_needed
+    assert answer["nested_p"] == study.regression.p_value
+    assert answer["gain"] == study.primary.gain.value
+    assert sum(answer["controls"].values()) == answer["n"]
+
+
+def test_a_run_without_scenes_has_a_first_screen_that_says_so(made):
+    lines = first_screen(made)
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    (left_out,) = [line for line in lines if line.startswith("Left out:")]
+    assert "0 of 37 tracks last 21.6 s" in left_out
+    text = " ".join(" ".join(lines).split())
+    n = made.verdict["returns"]["n"]
+    assert f"Return: With {n} people we cannot tell whether a walk identifies" in text
+    assert re.search(r"are named first, guessing \d+ %, [\w ]+ \d+ %\.", text)
+    assert "resample.min_duration_s=" in (made.out / "tables.txt").read_text()
+
+
+def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
+    made, sessions, tmp_path
+):
+    scenes = {
+        "preset": "quick",
+        "jobs": 2,
+        "mechanisms": ("fixed:1",),
+        "predictors": ("least_squares",),
+        "attacks": (),
+        "policies": (),
+        "scenes": 4,
+        "stages": {"resample.min_duration_s": 4.0, "conflict.horizons_s": ()},
+    }
+    more = run(sessions, tmp_path / "more", **scenes)
+    assert more.has_scenes
+    assert (more.summary["metric"] == "missed_conflict_rate").any()
+    known = made.returns[made.returns["mechanism"] != "raw"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(
+        known, more.returns.reset_index(drop=True), check_exact=True
+    )
+    lines = first_screen(more)
+    assert len(lines) <= 24
+    assert any(line.startswith("Return: With") for line in lines)
+    assert not any(line.startswith("Left out") for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("--predictor", "kalman_cv"), "no track lasts 21.6 s"),
+        (("--task", "+rerelease"), "no track lasts 21.6 s"),
+        (("--scenes", "8"), "no track lasts 21.6 s"),
+        (("--confirming", "run4"), "no session is called 'run4'"),
+        (("--confirming", "run1", "--task", "rerelease"), "--task +returns"),
+    ],
+)
+def test_what_was_named_is_never_left_out_silently(sessions, capsys, words, says):
+    named = [word for path in sessions for word in ("--session", path)]
+    assert matrix.main([*named, *words, "--dry-run"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert says in line
+
+
+def test_a_recording_of_nobody_who_comes_back_is_refused_by_name(sessions, capsys):
+    first = ["--dataset", sessions[0]]
+    assert matrix.main([*first, "--task", "returns", "--dry-run"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "task returns: returning people need a person and a session" in line
+    assert "a column person" in line
+
+
+def write_text(path, labels, *, rate=10, second_begins=0):
+    """Write a run of PedPy text with passages 1 and 2, of 6 s each."""
+    rows = [
+        f"{number} {begin + frame} {0.1 * frame:.1f} {number} 1.7"
+        for number, begin in ((1, 0), (2, second_begins))
+        for frame in range(6 * rate)
+    ]
+    lines = [f"# framerate: {rate}", *labels, "# id frame x y z", *rows]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("labels", "rate", "says"),
+    [
+        (["# 1 M 1", "# 9 F 2"], 10, ["line 3", "passage 9", "no rows", "remove"]),
+        (["# 1 M 1", "# 2 M 1"], 10, ["person M1", "two places at once", "correct"]),
+        (["# 1 M 1", "# 2 F 2"], 25, ["every 0.1 and 0.04 s", "resample one"]),
+    ],
+    ids=["a label without a passage", "a person twice at once", "other rates"],
+)
+def test_faulty_labels_and_rates_end_in_a_line(tmp_path, capsys, labels, rate, says):
+    write_text(tmp_path / "a.txt", ["# 1 M 1", "# 2 F 2"])
+    write_text(tmp_path / "b.txt", labels, rate=rate)
+    words = ["--format", "pedpy", "--out", tmp_path / "run"]
+    words += ["--session", tmp_path / "a.txt", "--session", tmp_path / "b.txt"]
+    assert matrix.main([*map(str, words)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert [text for text in says if text not in line] == []
+    assert not (tmp_path / "run").exists()
+
+
+def test_sessions_that_name_nobody_say_how_people_are_named(tmp_path, capsys):
+    write_text(tmp_path / "a.txt", [])
+    write_text(tmp_path / "b.txt", [], second_begins=5)
+    words = ["--session", tmp_path / "a.txt", "--session", tmp_path / "b.txt"]
+    words += ["--format", "pedpy", "--out", tmp_path / "run"]
+    for task in ("returns", "cross_session"):
+        own = [*words, "--task", task, "--set", "resample.min_duration_s=3"]
+        assert matrix.main([*map(str, own)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        for text in (f"task {task}", "column person", "# 14 M 17", "--persistent-ids"):
+            assert text in line
