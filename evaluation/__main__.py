@@ -19,6 +19,7 @@ COMMANDS = {
         "evaluation.design",
         "choose a level that meets a target, with yes or no",
     ),
+    "card": ("evaluation.card", "score mechanisms, a card each; verify a card"),
     "publish": (
         "evaluation.publish",
         "copy a run without ids' key, true walks and paths",

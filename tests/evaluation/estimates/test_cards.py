@@ -1,0 +1,162 @@
+"""Cards compared: by bits, by joint standard errors, and by who beats whom."""
+
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+import pytest
+from helpers.cards import made_up_card
+from statsmodels.stats.multitest import multipletests
+
+from evaluation.estimates.cards import (
+    AXES,
+    agreement,
+    card_score,
+    has_own_primary,
+    on_front,
+    primary_scores,
+    same_board,
+)
+from evaluation.plan.protocol import read_protocol
+from evaluation.store.cards import CardScore
+from isac_track.errors import DataError
+from isac_track.intervals import Estimate
+from isac_track.rng import stream
+
+PROTOCOL = read_protocol()
+
+
+def many_scores(values, *, error=0.01):
+    """A card with a score for each value."""
+    first = made_up_card()
+    further = tuple(
+        CardScore("known_share", f"a{n}", value, None, None, error, 50)
+        for n, value in enumerate(values)
+    )
+    scores = first.scores + further
+    return replace(first, scores=scores, primary=primary_scores(scores, PROTOCOL))
+
+
+class TestAgreement:
+    def test_equal_numbers_are_equal_whatever_the_machine(self):
+        card = made_up_card()
+        elsewhere = replace(card, environment={**card.environment, "python": "3.13"})
+        assert agreement(card, elsewhere, PROTOCOL).verdict == "equal"
+
+    def test_under_equal_circumstances_the_last_bit_counts(self):
+        card = made_up_card()
+        other = made_up_card(known=np.nextafter(0.3, 1.0))
+        answer = agreement(card, other, PROTOCOL)
+        assert answer.verdict == "differs"
+        assert "known_share by ou_rts" in answer.reason
+
+    def test_another_seed_agrees_within_its_errors(self):
+        card, other = made_up_card(), made_up_card(known=0.32, seed=1)
+        assert agreement(card, other, PROTOCOL).verdict == "agrees"
+        far = made_up_card(known=0.36, seed=1)
+        answer = agreement(card, far, PROTOCOL)
+        assert answer.verdict == "differs"
+        assert "4.2 joint standard errors" in answer.reason  # 0.06 / (0.01 sqrt 2)
+
+    def test_holm_holds_over_the_scores_of_a_card(self):
+        rng = stream(0, "test", "holm")
+        for _ in range(40):
+            gaps = rng.normal(0.0, 2.2, 12)
+            card = many_scores(np.full(12, 0.1))
+            other = many_scores(0.1 + gaps * 0.01 * np.sqrt(2.0))
+            other = replace(other, seed=1, seed_commitment="f" * 64)
+            all_gaps = np.append(np.abs(gaps), np.zeros(len(made_up_card().scores)))
+            p_values = 2.0 * (1.0 - _normal_cdf(all_gaps))
+            is_rejected = multipletests(p_values, alpha=0.05, method="holm")[0].any()
+            answer = agreement(card, other, PROTOCOL)
+            assert (answer.verdict == "differs") == is_rejected
+
+    def test_a_number_without_an_error_must_be_the_same(self):
+        card = many_scores([0.5], error=None)
+        other = replace(many_scores([0.5001], error=None), seed_commitment="f" * 64)
+        assert agreement(card, other, PROTOCOL).verdict == "differs"
+
+    def test_another_reader_is_named(self):
+        card, other = made_up_card(), many_scores([0.1])
+        with pytest.raises(DataError, match="only one of both cards has known_share"):
+            agreement(card, other, PROTOCOL)
+
+
+def _normal_cdf(values):
+    from statistics import NormalDist  # noqa: PLC0415 - another library than ours
+
+    return np.array([NormalDist().cdf(value) for value in values])
+
+
+class TestScores:
+    def test_the_best_robot_and_the_strongest_adversary_count(self):
+        card = made_up_card(known=0.2, weaker=0.25)
+        assert card.primary["known"].by == "log:smooth"
+        assert has_own_primary(card, PROTOCOL)
+        changed = replace(card, primary={**card.primary, "known": card.scores[2]})
+        assert not has_own_primary(changed, PROTOCOL)
+
+    def test_a_share_without_spread_has_the_error_of_its_interval(self):
+        estimate = Estimate(0.0, 0.0, 0.098, n=30, replicates=np.zeros(10))
+        assert card_score("known_share", "map", estimate).error == pytest.approx(
+            0.025, abs=1e-4
+        )
+        nothing = card_score("known_share", "map", Estimate(np.nan))
+        assert (nothing.value, nothing.error) == (None, None)
+
+    def test_a_card_without_a_score_of_an_axis_is_refused(self):
+        with pytest.raises(DataError, match="followed_10s"):
+            primary_scores(made_up_card().scores[:3], PROTOCOL)
+
+
+class TestFront:
+    def test_it_is_that_of_a_plain_loop(self):
+        rng = stream(0, "test", "front")
+        cards = [
+            made_up_card(
+                missed=float(a), known=float(b), followed=float(c), weaker=0.0, seed=n
+            )
+            for n, (a, b, c) in enumerate(rng.integers(0, 4, (40, 3)) / 4)
+        ]
+        values = [[card.primary[axis].value for axis in AXES] for card in cards]
+
+        def beats(a, b):
+            return all(x <= y for x, y in zip(a, b, strict=True)) and a != b
+
+        expected = [not any(beats(other, own) for other in values) for own in values]
+        assert on_front(cards).tolist() == expected
+        assert 0 < sum(expected) < len(cards)
+
+    def test_known_and_followed_both_count(self):
+        """Less known at more followed is no progress, and neither is the reverse."""
+        cards = [
+            made_up_card(known=known, followed=followed, weaker=0.0)
+            for known, followed in product((0.1, 0.5), (0.1, 0.5))
+        ]
+        assert on_front(cards).tolist() == [True, False, False, False]
+        assert on_front(cards[1:3]).tolist() == [True, True]
+
+    def test_a_control_beats_nobody(self):
+        control = made_up_card(
+            missed=0.0, known=0.0, followed=0.0, weaker=0.0, mechanism="clean",
+            protects=False,
+        )  # fmt: skip
+        assert on_front([control, made_up_card()]).tolist() == [False, True]
+        raw = replace(control, mechanism=replace(control.mechanism, spec="raw"))
+        assert on_front([raw, made_up_card()]).tolist() == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"protocol_version": 2}, "it is of protocol 2, and this board is of 1"),
+        ({"protocol_digest": "a" * 64}, "has other values than ours"),
+        ({"recording_digest": "a" * 64}, "its recording has the sha256 aaaaaaaaaaaa"),
+        ({"recording": "elsewhere"}, "and the protocol's none"),
+    ],
+)
+def test_cards_that_do_not_belong_together_are_refused(changes, message):
+    same_board([made_up_card()], PROTOCOL)
+    with pytest.raises(DataError, match=message) as error:
+        same_board([made_up_card(), made_up_card(**changes)], PROTOCOL)
+    assert "\n" not in str(error.value)
