@@ -19,6 +19,7 @@ from isac_track.measurement import (
     square_roots,
 )
 from isac_track.mechanisms.controls import Correlated, Offset, Thin
+from isac_track.mechanisms.literature import Fourier, GpPrior, Qclm, Remap
 from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw, fid_d_sigma
 from isac_track.mechanisms.protections import Forecast, Laplace, Ou
 from isac_track.mechanisms.withholding import Window
@@ -161,6 +162,19 @@ def test_an_independent_error_is_round(ellipse, mechanism, std_m):
     added = along_and_across(release.xy - ellipse.xy)
     tolerance = 8.0 * np.sqrt(5.0 / N_SAMPLES)  # a Laplace error has a kurtosis of 6
     np.testing.assert_allclose((added**2).mean(axis=0), std_m**2, rtol=tolerance)
+
+
+@pytest.mark.parametrize(
+    "mechanism",
+    [Ou(0.3), Laplace(0.3), Qclm(0.3), GpPrior(0.3), Fourier(0.3), Remap(0.3)],
+    ids=lambda mechanism: type(mechanism).__name__,
+)
+def test_added_noise_has_a_law_of_its_own(mechanism):
+    """Behind radial errors, too, it is N(0, std) on either axis."""
+    raw = sensed(shaped(), n_samples=60)
+    release = mechanism.share(raw, np.random.default_rng(4))
+    added = np.tile(0.09 * np.eye(2), (60, 1, 1))
+    np.testing.assert_allclose(release.cov - raw.cov, added, atol=1e-9)
 
 
 def test_correlated_errors_have_the_declared_shape(ellipse):
