@@ -20,6 +20,7 @@ walks through its mast.
 """
 SPEED_OF_LIGHT_MPS: Final = 299_792_458.0
 _LEAST_ANTENNAS: Final = 2
+_LEAST_SHARE: Final = 1e-9  # Variance along a flat axis, of the mean variance.
 
 
 def axis_share(law: ErrorLaw) -> float:
@@ -148,11 +149,14 @@ def least_share(cov: Floats) -> Floats:
 def error_ellipses(cov: Floats) -> Floats:
     """Return covariances in units of their mean variance, (M, 2, 2).
 
-    An error of no size is round.
+    An error of no size is round. A flat ellipse gets a least width, which a filter
+    needs.
     """
     mean = mean_variance(cov)[:, None, None]
-    round_ellipses = np.broadcast_to(np.eye(2), cov.shape).copy()
-    return np.asarray(np.divide(cov, mean, out=round_ellipses, where=mean > 0.0))
+    ellipses = np.broadcast_to(np.eye(2), cov.shape).copy()
+    np.divide(cov, mean, out=ellipses, where=mean > 0.0)
+    ellipses += _LEAST_SHARE * (np.eye(2) - ellipses)
+    return ellipses
 
 
 def shaped_errors(*, cov: Floats, unit_error: Floats, law: ErrorLaw) -> Floats:

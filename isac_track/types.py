@@ -65,7 +65,8 @@ class Knowledge(Enum):
     MECHANISM
         The frozen mechanism object with its parameters (Kerckhoffs).
     SIGMA
-        The standard deviation declared with each sample.
+        The standard deviation declared with each sample, and the covariance of an
+        error with a shape.
     TRAIN
         Releases of other people, with their truth, perturbed by the same mechanism.
     SCENE

@@ -16,7 +16,7 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import block_diag, expm
 
-from isac_track.kalman import MAX_REJECTIONS, Batch, Moods
+from isac_track.kalman import MAX_REJECTIONS, Batch, Moods, PlanarState
 from isac_track.kalman.slow_errors import SlowError
 from isac_track.types import Floats
 
@@ -29,12 +29,23 @@ def last_states(
     Parameters are those of `isac_track.kalman.kalman_last`, whose d states per axis are
     the first of D. A slow `error` is a further state, the last of them.
     """
+    state = planar_states(batch, q=q, gate=gate, error=error)
+    return state.mean, state.cov[:, 0, :, 0]  # The other axis has the same.
+
+
+def planar_states(
+    batch: Batch, *, q: float, gate: float, error: SlowError | None = None
+) -> PlanarState:
+    """Return what `last_states` does, for errors with a shape, which couple the axes.
+
+    The likelihood is not computed: it is NaN.
+    """
     n, n_states = len(batch), len(batch.prior_std) + (error is not None)
-    mean, cov = np.empty((n, 2, n_states)), np.empty((n, n_states, n_states))
+    mean, cov = np.empty((n, 2, n_states)), np.empty((n, 2, n_states, 2, n_states))
     for track, (kf, _) in enumerate(_run_filters(batch, (q,), gate, error=error)):
         mean[track] = kf.x.reshape(2, n_states)
-        cov[track] = kf.P[:n_states, :n_states]  # The other axis has the same.
-    return mean, cov
+        cov[track] = kf.P.reshape(2, n_states, 2, n_states)
+    return PlanarState(mean, cov, np.full(n, np.nan))
 
 
 def last_modes(
@@ -87,7 +98,8 @@ def _run_filters(
                     )
                 tracker.predict()
             for mode in modes:
-                mode.R = np.eye(2) * batch.variance[lo + k]
+                shape = np.eye(2) if batch.ellipse is None else batch.ellipse[lo + k]
+                mode.R = shape * batch.variance[lo + k]
             if moods:
                 tracker.M = expm(rates * steps[k])
             nearest = min(_squared_distance(mode, z) for mode in modes)

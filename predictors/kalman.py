@@ -11,8 +11,17 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from isac_track.kalman import Batch, LastState, Moods, imm_last, kalman_last
+from isac_track.kalman import (
+    Batch,
+    LastState,
+    Moods,
+    PlanarState,
+    imm_last,
+    kalman_last,
+    planar_last,
+)
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
+from isac_track.measurement import error_ellipses, mean_variance
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
 from isac_track.types import (
     ErrorLaw,
@@ -29,6 +38,7 @@ GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; earlier ones no longer change the prediction (tested).
 # Least share of the innovations' variance that is not attributed to a slow error.
 LEAST_REST = 0.05
+_LEAST_DECLARED_M2 = 1e-12
 # m around the first sample, m/s, m/s^2: more than in any walk.
 _PRIOR_STD = (100.0, 10.0, 10.0)
 
@@ -41,7 +51,8 @@ class KalmanCV:
     gate: float = GATE
     window: int = WINDOW
     noise: Literal["estimated", "declared"] = "estimated"
-    # Law of declared noise: a radial error has the variance sigma^2 / 2 per axis.
+    # Law of declared noise without a covariance: a radial error has the variance
+    # sigma^2 / 2 per axis.
     law: ErrorLaw = "radial"
     engine: Literal["kernels", "filterpy"] = "kernels"
     aware: bool = False  # Whether `knowing` adapts it to the mechanism before a run.
@@ -51,6 +62,8 @@ class KalmanCV:
     tau_s: float = 0.0
 
     states: ClassVar[int] = 2
+    # Whether it filters by declared covariances; else by the standard deviations alone.
+    takes_shape: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if type(self) is not KalmanCV and (
@@ -71,24 +84,29 @@ class KalmanCV:
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return mean and covariance at `t_future`, (N, H) s."""
         batch = self.batch(release)
-        error = self._slow_error
-        if self.engine == "filterpy":
-            from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
-
-            mean, cov = filterpy_engine.last_states(
-                batch, q=self.q, gate=self.gate, error=error
-            )
-        else:
-            last = self._last(batch)
-            mean, cov = last.mean, last.cov
+        state = self._planar_state(batch)
         # Leave out the last state, the error: predict the true position.
-        mean, cov = mean[..., : self.states], cov[..., : self.states, : self.states]
-        # The axes are independent with the same covariance: (N, 2, d, 2, d).
-        planar = np.einsum("ab,nde->nadbe", np.eye(2), cov)
+        d = self.states
+        mean, planar = state.mean[..., :d], state.cov[..., :d, :, :d]
         elapsed_s = t_future - release.t[release.offsets[1:] - 1, None]
         return Prediction(
             *_extrapolate(mean, planar, q=np.array(self.q), elapsed_s=elapsed_s)
         )
+
+    def _planar_state(self, batch: Batch) -> PlanarState:
+        """Return the last states with the covariances of both axes."""
+        if self.engine == "filterpy":
+            from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
+
+            return filterpy_engine.planar_states(
+                batch, q=self.q, gate=self.gate, error=self._slow_error
+            )
+        last = self._last(batch)
+        if isinstance(last, PlanarState):
+            return last
+        # The axes are independent with the same covariance: (N, 2, d, 2, d).
+        planar = np.einsum("ab,nde->nadbe", np.eye(2), last.cov)
+        return PlanarState(last.mean, planar, last.log_likelihood)
 
     def knowing(self, mechanism: object) -> Self:
         """Return the predictor, adapted to a mechanism's error if it is `aware`."""
@@ -106,8 +124,10 @@ class KalmanCV:
         """Return the log density of the shared positions in the window, (N,)."""
         return self._last(self.batch(release)).log_likelihood
 
-    def _last(self, batch: Batch) -> LastState:
+    def _last(self, batch: Batch) -> LastState | PlanarState:
         error = self._slow_error
+        if batch.ellipse is not None:
+            return planar_last(batch, q=self.q, gate=self.gate)
         if error is None:
             return kalman_last(batch, q=self.q, gate=self.gate)
         return filter_tracks(batch, error, q=self.q, gate=self.gate).last
@@ -142,20 +162,25 @@ class KalmanCV:
         offsets = np.concatenate([[0], np.cumsum(sizes)])
         t = end_to_end(release.t, runs) - np.repeat(release.t[last - 1], sizes)
         xy = end_to_end(release.xy, runs)
+        ellipse = None
         if self.noise == "declared":
             assert release.sigma is not None  # granted because it is required
             variance = self._declared_variance(end_to_end(release.sigma, runs))
+            if self.takes_shape and error is None and release.cov is not None:
+                cov = end_to_end(release.cov, runs)
+                variance = np.maximum(mean_variance(cov), _LEAST_DECLARED_M2)
+                ellipse = None if is_causal else error_ellipses(cov)
         else:
             level = self._estimated_level(t, xy, offsets, is_causal=is_causal)
             variance = level if is_causal else np.repeat(level, sizes)
-        return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states])
+        return Batch(t, xy, variance, offsets, _PRIOR_STD[: self.states], ellipse)
 
     def _declared_variance(self, sigma: Floats) -> Floats:
         """Return the white variance per axis of samples with declared std, (M,) m^2."""
         error = self._slow_error
         slow_m2 = 0.0 if error is None else self.added_std_m**2
         axis_share = 0.5 if self.law == "radial" else 1.0
-        least_m2 = 1e-12 if error is None else MIN_VARIANCE_M2
+        least_m2 = _LEAST_DECLARED_M2 if error is None else MIN_VARIANCE_M2
         return np.asarray(np.maximum((sigma**2 - slow_m2) * axis_share, least_m2))
 
     def _estimated_level(
@@ -190,6 +215,8 @@ class KalmanIMM(KalmanCV):
     # as long as tracks.
     walk_s: float = 4.0
     turn_s: float = 1.5
+
+    takes_shape: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

@@ -20,6 +20,7 @@ from attacks.reconstruction.own_motion import (
 from attacks.remembered import memoised, noise_m2
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import SlowError
+from isac_track.measurement import error_ellipses, round_errors
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
@@ -44,7 +45,7 @@ class _Choice(NamedTuple):
 class KalmanRTS:
     """A constant-velocity smoother with white-noise acceleration.
 
-    It is exact for Gaussian errors of known variance.
+    It is exact for Gaussian errors of known variance, and of a declared shape.
     """
 
     # m^2/s^3; None: learnt from the training set, or `DEFAULT_Q`.
@@ -126,8 +127,10 @@ class RadialRTS:
 
 
 def _smooth(release: Release, variance: Floats, choice: _Choice) -> Reconstruction:
-    """Return smoothed positions."""
-    batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
+    """Return smoothed positions; the shape of the errors is as declared, if any."""
+    ellipse = None if release.cov is None else error_ellipses(release.cov)
+    t, xy, offsets = release.t, release.xy, release.offsets
+    batch = Batch(t, xy, variance, offsets, PRIOR_STD, ellipse)
     q, passes, anneal = choice
     if q is None:
         nothing = SlowError(0.0, 0.0)
@@ -164,12 +167,15 @@ def looks_radial(release: Release) -> bool:
     """Return whether errors are radial, by the distances to smoothed walks.
 
     The decision rests on the third cumulant of the log distance, about each track's own
-    mean; the scale of the errors does not change it. A radial error is often far
+    mean; the scale of the errors does not change it. Where a shape is declared, a
+    distance counts in units of the ellipse. A radial error is often far
     smaller than sigma, which skews the logarithm to the left; the smoother's own error
     blurs that. Tracks of fewer than three samples do not count.
     """
     single_pass = _Choice(KalmanRTS.DEFAULT_Q, 1, 0.0)
     gap_m = release.xy - smooth_memoised(release, _smooth, single_pass).xy
+    if release.cov is not None:
+        gap_m = round_errors(cov=error_ellipses(release.cov), error=gap_m)
     square_m2 = gap_m[:, 0] * gap_m[:, 0] + gap_m[:, 1] * gap_m[:, 1]
     log_m = 0.5 * np.log(
         np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2

@@ -4,7 +4,8 @@ Two models, each per axis: constant velocity, with state (position, velocity), a
 constant acceleration, with state (position, velocity, acceleration). Continuous white
 noise of spectral density q drives the constant quantity, so that predictions over
 irregular steps compose. Both axes have the same measurement variance and no
-correlation; they share one covariance.
+correlation; they share one covariance. Errors with a shape couple the axes: see
+`Batch.ellipse` and `planar_last`.
 
 Interacting multiple models (IMM) are two models of constant velocity, each with its own
 spectral density; the current model follows a Markov chain in continuous time. A cycle
@@ -30,7 +31,8 @@ import numpy as np
 from isac_track.types import Floats, Ints, check_offsets, positive, within
 
 __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
-__all__ += ["imm_last", "imm_states", "kalman_last", "prepare", "smooth_positions"]
+__all__ += ["PlanarState", "imm_last", "imm_states", "kalman_last", "planar_last"]
+__all__ += ["prepare", "smooth_positions"]
 
 MAX_REJECTIONS = 3
 """After this many rejected samples in a row the next is accepted.
@@ -60,6 +62,13 @@ class Batch:
     The prior holds at the time of the first sample, which is then measured like any
     other.
     """
+    ellipse: Floats | None = None
+    """(M, 2, 2), covariance of the measurement in units of `variance`, of trace 2.
+
+    None: the same variance on both axes. Only `planar_last`, `smooth_positions` and
+    `slow_errors.smooth_mixture` without a slow error take an ellipse; all others refuse
+    it by a ValueError.
+    """
 
     def __post_init__(self) -> None:
         offsets = np.ascontiguousarray(self.offsets, dtype=np.int64)
@@ -74,13 +83,34 @@ class Batch:
             raise ValueError("variance must be positive and finite")
         for std in self.prior_std:
             positive("prior_std", std)
+        if self.ellipse is not None and np.shape(self.ellipse) != (len(self.t), 2, 2):
+            raise ValueError(f"ellipse must have shape {(len(self.t), 2, 2)}")
 
     def __len__(self) -> int:
         """Return the number of tracks."""
         return self.offsets.size - 1
 
     def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-        """Return a loop's arguments; ValueError for another number of states."""
+        """Return a loop's arguments.
+
+        ValueError for another number of states, or an ellipse.
+        """
+        if self.ellipse is not None:
+            raise ValueError("this filter needs the same variance on both axes")
+        return self._arrays(*n_states)
+
+    def planar_arrays(self, *n_states: int) -> tuple[Floats | Ints, ...]:
+        """Return the arguments of a loop for errors with a shape.
+
+        ValueError for another number of states, or an ellipse that is flat.
+        """
+        ellipse = np.eye(2) if self.ellipse is None else self.ellipse
+        shares, axes = np.linalg.eigh(np.broadcast_to(ellipse, (len(self.t), 2, 2)))
+        if not within(shares, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
+            raise ValueError("an ellipse needs two axes of positive, finite variance")
+        return *self._arrays(*n_states), np.ascontiguousarray(axes), shares
+
+    def _arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
         if len(self.prior_std) not in n_states:
             numbers = " or ".join("two" if n == 2 else "three" for n in n_states)  # noqa: PLR2004 - the sizes that there are
             raise ValueError(
@@ -128,6 +158,61 @@ def kalman_last(batch: Batch, *, q: float, gate: float = np.inf) -> LastState:
     return out
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PlanarState:
+    """States of N tracks after their last sample, whose axes are coupled."""
+
+    mean: Floats  # (N, 2, d) m, m/s, m/s^2: per axis, as in `LastState`.
+    cov: Floats  # (N, 2, d, 2, d)
+    log_likelihood: Floats  # (N,) as in `LastState`.
+
+
+def planar_last(batch: Batch, *, q: float, gate: float = np.inf) -> PlanarState:
+    """Return the state of every track after its last sample, for errors with a shape.
+
+    Parameters and errors are those of `kalman_last`.
+    """
+    arrays, n, d = batch.planar_arrays(2, 3), len(batch), len(batch.prior_std)
+    mean, cov = np.empty((n, 2 * d)), np.empty((n, 2 * d, 2 * d))
+    out = mean, cov, np.empty(n)
+    import_module("isac_track.kalman._planar_loops").last_states(
+        arrays,
+        positive("q", q),
+        positive("gate", gate, finite=False),
+        MAX_REJECTIONS,
+        out,
+    )
+    return PlanarState(mean.reshape(n, 2, d), cov.reshape(n, 2, d, 2, d), out[2])
+
+
+def smooth_planar(
+    batch: Batch,
+    *,
+    motions: Floats,
+    weight: Floats,
+    passes: int,
+    anneal: float,
+) -> tuple[Floats, Floats]:
+    """Return the mean, (M, 2) m, and mean variance of positions behind ellipses, (M,).
+
+    `motions`, (K, 3), are the variance of the first velocity, the time over which the
+    velocity's correlation falls to 1/e, and q; `weight`, (N, K), is that of each for
+    each track. Nothing else is checked here.
+    """
+    loops = import_module("isac_track.kalman._planar_loops")
+    fill_steps = import_module("isac_track.kalman._error_loops").fill_steps
+    arrays, steps = batch.planar_arrays(2), np.empty((batch.t.size, 5))
+    out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))
+    for motion, own in zip(np.ascontiguousarray(motions), weight.T, strict=True):
+        track = np.flatnonzero(own)
+        if track.size:
+            fill_steps(batch.t, batch.offsets, motion, steps)
+            loops.smooth_tracks(
+                arrays, motion, steps, track, own[track], passes, float(anneal), out
+            )
+    return out[:2]
+
+
 def smooth_positions(
     batch: Batch, *, q: float, passes: int = 1, anneal: float = 0.0
 ) -> tuple[Floats, Floats]:
@@ -148,7 +233,8 @@ def smooth_positions(
     The `batch` has a prior of two states, and sigma^2 is twice its variance per axis;
     `q` is the spectral density of the acceleration, m^2/s^3, positive. There are
     `passes` passes, at least 1; the first is that of Gaussian errors. `anneal` is in
-    [0, 1). ValueError otherwise.
+    [0, 1). ValueError otherwise. Behind an ellipse the distance r is in its units, and
+    the variance is the mean of both axes.
 
     References
     ----------
@@ -158,6 +244,12 @@ def smooth_positions(
     if passes < 1 or not 0 <= anneal < 1:
         raise ValueError(
             f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}"
+        )
+    if batch.ellipse is not None:
+        motions = np.array([[batch.prior_std[1] ** 2, np.inf, positive("q", q)]])
+        weight = np.ones((len(batch), 1))
+        return smooth_planar(
+            batch, motions=motions, weight=weight, passes=passes, anneal=anneal
         )
     out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
@@ -266,6 +358,6 @@ def prepare() -> None:
     """
     from isac_track.compiling import loops_in  # noqa: PLC0415 - imports numba
 
-    for name in ("linear", "imm", "error"):
+    for name in ("linear", "imm", "error", "planar"):
         for loop in loops_in(import_module(f"isac_track.kalman._{name}_loops")):
             loop.prepare()

@@ -85,6 +85,21 @@ def _integrate(dt: float, tau_s: float, memory_s: float, q: float) -> _Step:
     )
 
 
+@compiled(read(1), read(1, "int64"), read(1), written(2))
+def fill_steps(t: Floats, offsets: Ints, motion: Floats, out: Floats) -> None:
+    """Fill the step to each sample under a motion, (M, 5): `_Step` without an error.
+
+    They are the displacement per velocity, what remains of the velocity, and the
+    increments of pp, pv and vv; those of a track's first sample are of no time.
+    """
+    for i in range(offsets.size - 1):
+        for k in range(offsets[i], offsets[i + 1]):
+            dt = t[k] - t[k - 1] if k > offsets[i] else 0.0
+            step = _integrate(dt, 0.0, motion[1], motion[2])
+            out[k, 0], out[k, 1] = step[0], step[1]
+            out[k, 2], out[k, 3], out[k, 4] = step[3], step[4], step[5]
+
+
 @part_of_loop
 def _predict(cov: _Symmetric, step: _Step) -> _Symmetric:
     """Return the covariance after a step: F P F' + Q."""

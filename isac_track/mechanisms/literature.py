@@ -106,7 +106,14 @@ class Qclm:
         squares = np.square(paths).reshape(-1, 2, 4)
         # Four squares with signs have the variance 4 times 2.
         unit = squares @ np.array([1.0, 1.0, -1.0, -1.0]) / math.sqrt(8.0)
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +153,14 @@ class GpPrior:
             walk=_walk_numbers(sensed, self.reuse, rng),
             shape=gaussian_filter(self.tau_s),
         )
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +251,14 @@ class Fourier:
             basis = np.hstack([np.ones((len(turn), 1)), np.cos(turn), np.sin(turn)])
             draws = stream(0, "fourier errors", number).laplace(size=(scale.size, 2))
             unit[own] = basis @ ((amplitude * scale)[:, None] * draws)
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 INFORMATION_AREA: Final = 1.748038369528081
@@ -289,7 +310,14 @@ class LeastInformation:
             walk=_walk_numbers(sensed, self.reuse, rng),
             shape=_information_filter(self.corner_per_s),
         )
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 # The filters of the last few levels, for the process: a level is shared block by block.
@@ -312,8 +340,8 @@ class Remap:
 
     The prior of a report is what a constant-velocity filter predicts from the reports
     before it; its q is that of other people. The position that is shared has the least
-    expected squared error of all linear remaps. It follows from the reports alone, and
-    so keeps their promise. It declares the error of the reports.
+    expected squared error of all linear remaps of round errors. It follows from the
+    reports alone, and so keeps their promise. It declares the error of the reports.
     """
 
     std_m: float  # m, standard deviation of a report's Laplace noise, per axis.

@@ -7,12 +7,13 @@ Fisher information density is high. Derivations: docs/explanation/mechanisms.md.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal, TypeAlias
+from typing import ClassVar, Final, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.kalman import Batch, kalman_last
+from isac_track.kalman import Batch, kalman_last, planar_last
+from isac_track.measurement import error_ellipses, mean_variance, scalar_covariance
 from isac_track.mechanisms.controls import correlated_errors
 from isac_track.mechanisms.paper import Fid, fid_d_sigma
 from isac_track.mechanisms.perturb import check_at_least, draw_pseudonyms, perturb
@@ -227,6 +228,26 @@ class Laplace:
         )
 
 
+class _Filtered(NamedTuple):
+    """Filtered positions at the ends of N stretches of samples."""
+
+    xy: Floats  # (N, 2) m
+    cov: Floats  # (N, 2, 2) m^2
+
+
+def _filter_positions(
+    sensed: Sensed, sample: Ints, variance: Floats, offsets: Ints, *, q: float
+) -> _Filtered:
+    """Filter stretches of samples to their ends, with the shape of the raw error."""
+    t, xy = sensed.t[sample], sensed.xy[sample]
+    if sensed.cov is None:
+        state = kalman_last(Batch(t, xy, variance, offsets, _PRIOR_STD), q=q)
+        return _Filtered(state.mean[:, :, 0], scalar_covariance(state.cov[:, 0, 0]))
+    ellipse = error_ellipses(sensed.cov[sample])
+    planar = planar_last(Batch(t, xy, variance, offsets, _PRIOR_STD, ellipse), q=q)
+    return _Filtered(planar.mean[:, :, 0], planar.cov[:, :, 0, :, 0])
+
+
 @dataclass(frozen=True, slots=True)
 class Forecast:
     """Share the network's filtered position at intervals, with white Gaussian noise.
@@ -269,14 +290,15 @@ class Forecast:
         variance = np.maximum(
             axis_share * sensed.sigma_raw[sample] ** 2, np.finfo(float).tiny
         )
-        history = Batch(
-            sensed.t[sample], sensed.xy[sample], variance, offsets, _PRIOR_STD
-        )
-        state = kalman_last(history, q=self.q)
+        filtered = _filter_positions(sensed, sample, variance, offsets, q=self.q)
+        cov = None
+        if sensed.cov is not None:
+            cov = filtered.cov + self.std_m**2 * np.eye(2)
         return Release(
             t=sensed.t[rows],
-            xy=state.mean[:, :, 0] + self.std_m * white[rows],
-            sigma=np.hypot(np.sqrt(state.cov[:, 0, 0]), self.std_m),
+            xy=filtered.xy + self.std_m * white[rows],
+            sigma=np.hypot(np.sqrt(mean_variance(filtered.cov)), self.std_m),
+            cov=cov,
             offsets=np.append(
                 0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))
             ),

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from isac_track.config import SensingSettings
+from isac_track.kalman import Batch
 from isac_track.measurement import (
     SPEED_OF_LIGHT_MPS,
     covariance_after,
@@ -18,11 +19,13 @@ from isac_track.measurement import (
     square_roots,
 )
 from isac_track.mechanisms.controls import Correlated, Offset, Thin
+from isac_track.mechanisms.literature import Fourier, GpPrior, Qclm, Remap
 from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw, fid_d_sigma
-from isac_track.mechanisms.protections import Laplace, Ou
+from isac_track.mechanisms.protections import Forecast, Laplace, Ou
 from isac_track.mechanisms.withholding import Window
 from isac_track.sensing import draw_channel, sense
 from isac_track.types import ErrorLaw
+from predictors.filterpy_engine import planar_states
 
 SCALAR = SensingSettings()
 N_SAMPLES = 4000
@@ -161,6 +164,19 @@ def test_an_independent_error_is_round(ellipse, mechanism, std_m):
     np.testing.assert_allclose((added**2).mean(axis=0), std_m**2, rtol=tolerance)
 
 
+@pytest.mark.parametrize(
+    "mechanism",
+    [Ou(0.3), Laplace(0.3), Qclm(0.3), GpPrior(0.3), Fourier(0.3), Remap(0.3)],
+    ids=lambda mechanism: type(mechanism).__name__,
+)
+def test_added_noise_has_a_law_of_its_own(mechanism):
+    """Behind radial errors, too, it is N(0, std) on either axis."""
+    raw = sensed(shaped(), n_samples=60)
+    release = mechanism.share(raw, np.random.default_rng(4))
+    added = np.tile(0.09 * np.eye(2), (60, 1, 1))
+    np.testing.assert_allclose(release.cov - raw.cov, added, atol=1e-9)
+
+
 def test_correlated_errors_have_the_declared_shape(ellipse):
     release = Correlated(0.3, tau_s=0.01).share(ellipse, np.random.default_rng(4))
     truth = ellipse.xy - raw_errors(ellipse)
@@ -179,6 +195,23 @@ def test_mechanisms_without_an_error_of_their_own(ellipse):
     assert np.array_equal(thin.cov, ellipse.cov[3::4])
     window = Window(1.05).share(ellipse, rng)
     assert np.array_equal(window.cov, ellipse.cov[-11:])
+
+
+def test_a_forecast_filters_with_the_shape():
+    first = sensed(shaped(law="isotropic"), n_samples=25)
+    release = Forecast(0.2, every_s=1.0).share(first, np.random.default_rng(0))
+    whole = Batch(
+        t=first.t,
+        xy=first.xy,
+        variance=np.trace(first.cov, axis1=1, axis2=2) / 2.0,
+        offsets=first.offsets,
+        prior_std=(100.0, 10.0),
+    )
+    whole = replace(whole, ellipse=first.cov / whole.variance[:, None, None])
+    state = planar_states(whole, q=Forecast(0.2).q, gate=np.inf)
+    expected = state.cov[0, :, 0, :, 0] + 0.04 * np.eye(2)
+    np.testing.assert_allclose(release.cov[-1], expected, rtol=1e-6)
+    assert release.sigma[-1] ** 2 == pytest.approx(np.trace(expected) / 2.0, rel=1e-6)
 
 
 def test_fid_holds_the_mean_or_the_least_information_against_its_threshold(ellipse):
@@ -216,6 +249,8 @@ def test_square_roots_and_ellipses():
     nothing = np.zeros((1, 2, 2))
     assert not square_roots(nothing).any()
     assert np.array_equal(error_ellipses(nothing)[0], np.eye(2))
+    flat = np.linalg.eigvalsh(error_ellipses(np.ones((1, 2, 2))))
+    assert flat[0] == pytest.approx([1e-9, 2.0])
     assert least_share(nothing).tolist() == [1.0]
     assert not round_errors(cov=nothing, error=np.zeros((1, 2))).any()
 

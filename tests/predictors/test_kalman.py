@@ -50,6 +50,48 @@ def test_the_kernels_are_filterpy(tracker, noise):
     assert np.allclose(ours.cov, theirs.cov, atol=1e-9, rtol=1e-9)
 
 
+def shaped(release, *, ratio=8.0):
+    """The release with declared ellipses of the same trace that turn along the way."""
+    angle = 0.05 * np.arange(release.t.size)
+    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along = 2.0 / (1.0 + ratio**2)
+    shape = along * np.eye(2) + along * (ratio**2 - 1.0) * (
+        axis[:, :, None] * axis[:, None, :]
+    )
+    return replace(release, cov=0.5 * release.sigma[:, None, None] ** 2 * shape)
+
+
+@pytest.mark.parametrize("tracker", [KalmanCV(), KalmanCA()], ids=["cv", "ca"])
+def test_declared_shapes_are_those_of_filterpy(tracker):
+    release, t_future, _ = walks(60, 1, 2, 30)
+    tracker = replace(tracker, noise="declared")
+    ours = tracker.predict(shaped(release), t_future)
+    theirs = replace(tracker, engine="filterpy").predict(shaped(release), t_future)
+    assert np.allclose(ours.mean, theirs.mean, atol=1e-9, rtol=1e-9)
+    assert np.allclose(ours.cov, theirs.cov, atol=1e-9, rtol=1e-9)
+    assert np.abs(ours.cov[0, 0, 0, 1]) > 1e-3
+    assert np.isfinite(tracker.log_likelihood(shaped(release))).all()
+    # A round ellipse is the declared standard deviation under a radial law.
+    expected = tracker.predict(release, t_future)
+    got = tracker.predict(shaped(release, ratio=1.0), t_future)
+    assert np.allclose(got.mean, expected.mean, atol=1e-7)
+    assert np.allclose(got.cov, expected.cov, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    "tracker",
+    [KalmanCV(), KalmanIMM(noise="declared"), replace(AWARE, noise="declared")],
+    ids=["estimated", "imm", "slow error"],
+)
+def test_who_takes_no_shape_takes_the_standard_deviation(tracker):
+    release, t_future, _ = walks(60, 2)
+    ours, expected = (
+        tracker.predict(each, t_future) for each in (shaped(release), release)
+    )
+    assert np.array_equal(ours.mean, expected.mean)
+    assert np.array_equal(ours.cov, expected.cov)
+
+
 @pytest.mark.parametrize("tracker", [KalmanCV(), AWARE], ids=["plain", "aware"])
 @pytest.mark.parametrize("noise", ["estimated", "declared"])
 def test_what_it_tracks_is_filterpy_after_each_sample(tracker, noise):

@@ -8,6 +8,7 @@ from helpers.sensed import LAWS
 from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS, looks_radial
+from isac_track.measurement import shaped_errors
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sensing import unit_errors
@@ -111,3 +112,26 @@ def test_a_single_pass_is_the_linear_smoother():
     theirs = KalmanRTS(q=Q).fit(context())(release)
     np.testing.assert_array_equal(ours.xy, theirs.xy)
     np.testing.assert_array_equal(ours.std, theirs.std)
+
+
+@pytest.mark.parametrize("law", ["radial", "isotropic"])
+def test_an_adversary_who_sees_the_shape_uses_it(law):
+    """Errors are ellipses of 6 to 1 that turn from track to track."""
+    t, truth, offsets = cv_walks(*[N_SAMPLES] * N_TRACKS, q=Q)
+    rng = stream(0, "test", "walks with a shape")
+    angle = np.repeat(rng.uniform(0.0, np.pi, N_TRACKS), N_SAMPLES)
+    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    cov = 0.01 * np.eye(2) + 0.35 * axis[:, :, None] * axis[:, None, :]
+    unit = unit_errors(n_samples=t.size, law=law, rng=rng)
+    xy = truth + shaped_errors(cov=cov, unit_error=unit, law=law)
+    sigma = np.full(t.size, np.sqrt(0.37))  # twice the mean variance per axis
+    release = replace(flat_release(t, xy, offsets, sigma=sigma), cov=cov)
+    for attack in (KalmanRTS(), RadialRTS()):
+        with_shape, without = (
+            track_rmse(attack, each, truth, Knowledge.SIGMA)
+            for each in (release, replace(release, cov=None))
+        )
+        ratio = np.log(with_shape / without)
+        half_width = 1.96 * ratio.std(ddof=1) / np.sqrt(N_TRACKS)
+        assert ratio.mean() + half_width < -0.02
+    assert looks_radial(release) == (law == "radial")
