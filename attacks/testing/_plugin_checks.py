@@ -91,7 +91,7 @@ class MechanismCase(made.Case):
         arrays: dict[str, Any] = {
             item.name: np.concatenate([getattr(part, item.name) for part in parts])
             for item in fields(self.sensed)
-            if item.metadata.get("per")
+            if item.metadata.get("per") and getattr(self.sensed, item.name) is not None
         }
         offsets = np.cumsum([0, *(part.t.size for part in parts)])
         changed = replace(self, sensed=replace(self.sensed, offsets=offsets, **arrays))
