@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from isac_track.config import SensingSettings
+from isac_track.measurement import shaped_sigma
 from isac_track.sensing import (
     draw_walk_channel,
     information,
@@ -51,10 +52,13 @@ def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometr
         distance_m=distance_m, owner=owner, channel=channel, settings=settings
     )
     info = information(gain=gain, settings=settings)
+    scalar_m = sigma_from_information(information=info, settings=settings)
     sigma_m = medians(
-        sigma_from_information(information=info, settings=settings), tracks.offsets
+        shaped_sigma(xy=tracks.xy, sigma_m=scalar_m, settings=settings), tracks.offsets
     )
-    is_capped: Bools = sigma_m >= settings.sigma_cap_m * (1.0 - _ROUNDING)
+    is_capped: Bools = medians(scalar_m, tracks.offsets) >= settings.sigma_cap_m * (
+        1.0 - _ROUNDING
+    )
     return Geometry(
         distance_m=float(np.median(medians(distance_m, tracks.offsets))),
         sigma_raw_m=float(np.median(sigma_m)),

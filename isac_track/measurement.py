@@ -20,6 +20,7 @@ walks through its mast.
 """
 SPEED_OF_LIGHT_MPS: Final = 299_792_458.0
 _LEAST_ANTENNAS: Final = 2
+_ANGLES: Final = 64
 _LEAST_SHARE: Final = 1e-9  # Variance along a flat axis, of the mean variance.
 
 
@@ -124,6 +125,18 @@ def sensed_covariance(
     )
 
 
+def shaped_sigma(*, xy: Floats, sigma_m: Floats, settings: SensingSettings) -> Floats:
+    """Return the standard deviation of raw errors with their shape, (M,) m.
+
+    It is that of a round error with the same mean square; parameters are those of
+    `sensed_covariance`.
+    """
+    if settings.measurement == "scalar":
+        return sigma_m
+    cov = sensed_covariance(xy=xy, sigma_m=sigma_m, settings=settings)
+    return np.asarray(np.sqrt(mean_variance(cov) / axis_share(settings.law)))
+
+
 def mean_variance(cov: Floats) -> Floats:
     """Return the mean variance of both axes, (M, 2, 2) m^2 -> (M,) m^2."""
     return np.asarray((cov[:, 0, 0] + cov[:, 1, 1]) / 2.0)
@@ -144,6 +157,21 @@ def least_share(cov: Floats) -> Floats:
     apart = np.sqrt(np.maximum(np.square(mean) - det, 0.0))
     share = np.divide(mean - apart, mean, out=np.ones_like(mean), where=mean > 0.0)
     return np.asarray(share)
+
+
+def share_within(cov: Floats, *, epsilon_m: float) -> Floats:
+    """Return how probably Gaussian errors lie within a distance, (M,).
+
+    The mean of 1 - exp(-epsilon^2 / 2 (a cos^2 + b sin^2)) over all angles, where a and
+    b are the variances along both axes of `cov`, (M, 2, 2) m^2, both positive.
+    """
+    mean = mean_variance(cov)
+    apart = np.sqrt(np.maximum(np.square(mean) - np.linalg.det(cov), 0.0))
+    share = np.zeros_like(mean)
+    for cosine in np.cos(2.0 * np.pi * (np.arange(_ANGLES) + 0.5) / _ANGLES):
+        variance = np.maximum(mean + apart * cosine, np.finfo(np.float64).tiny)
+        share -= np.expm1(-(epsilon_m**2) / (2.0 * variance))
+    return np.asarray(share / _ANGLES)
 
 
 def error_ellipses(cov: Floats) -> Floats:

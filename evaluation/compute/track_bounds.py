@@ -13,14 +13,19 @@ from attacks.reconstruction.kalman_rts import KalmanRTS
 from attacks.reconstruction.own_motion import PRIOR_STD
 from evaluation.compute.model_walks import recording_own_motions
 from evaluation.compute.tables import Rows, track_means
-from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman import Batch, smooth_ellipses, smooth_positions
+from isac_track.measurement import (
+    error_ellipses,
+    mean_variance,
+    share_within,
+)
 from isac_track.model_world import known_share, release_errors
 from isac_track.rng import stream
 
 if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut
-    from isac_track.types import Release, Scenes, Sensed
+    from isac_track.types import Floats, Release, Scenes, Sensed
 
 BENCHMARK_Q = KalmanRTS.DEFAULT_Q  # m^2/s^3, motion of the benchmark.
 _BENCHMARK = ("benchmark_mse_m2", "benchmark_plr")
@@ -72,13 +77,13 @@ def benchmark(
     and none at all if the errors are Gaussian. Its posterior covariance P per axis
     depends on no position: the expected squared error is 2 P, and a Gaussian error of
     that size leaks with probability 1 - exp(-epsilon^2 / 2P). NaN for a mechanism that
-    denies `errors_are_independent`: its errors depend on each other, and for errors with
-    a shape.
+    denies `errors_are_independent`: its errors depend on each other. Errors with a shape
+    leave a P of both axes together; the PLR then is `share_within`.
     """
-    # The closed form holds for the same variance on both axes.
-    is_round = sensed.cov is None
-    if not (is_round and getattr(mechanism.instance, "errors_are_independent", True)):
+    if not getattr(mechanism.instance, "errors_are_independent", True):
         return dict.fromkeys(_BENCHMARK, np.full(len(release), np.nan))
+    if release.cov is not None:
+        return _shaped_benchmark(release, release.cov, epsilon_m=epsilon_m)
     law = getattr(mechanism.instance, "law", None) or sensed.law
     assert release.sigma is not None  # `share` refuses a release without
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
@@ -90,6 +95,25 @@ def benchmark(
     batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
     square_m2 = 2.0 * smooth_positions(batch, q=BENCHMARK_Q)[1]
     leaked = -np.expm1(-(epsilon_m**2) / square_m2)
+    return _benchmark_rows(square_m2, leaked, release)
+
+
+def _shaped_benchmark(release: Release, cov: Floats, *, epsilon_m: float) -> Rows:
+    """Return the benchmark of errors with declared covariances, (M, 2, 2) m^2."""
+    batch = Batch(
+        t=release.t,
+        xy=release.xy,
+        variance=np.maximum(mean_variance(cov), _LEAST_VARIANCE_M2),
+        offsets=release.offsets,
+        prior_std=PRIOR_STD,
+        ellipse=error_ellipses(cov),
+    )
+    _, posterior = smooth_ellipses(batch, q=BENCHMARK_Q)
+    leaked = share_within(posterior, epsilon_m=epsilon_m)
+    return _benchmark_rows(2.0 * mean_variance(posterior), leaked, release)
+
+
+def _benchmark_rows(square_m2: Floats, leaked: Floats, release: Release) -> Rows:
     return {
         "benchmark_mse_m2": track_means(square_m2, release.offsets),
         "benchmark_plr": track_means(leaked, release.offsets),

@@ -28,11 +28,12 @@ from importlib import import_module
 
 import numpy as np
 
+from isac_track.measurement import mean_variance
 from isac_track.types import Floats, Ints, check_offsets, positive, within
 
 __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
 __all__ += ["PlanarState", "imm_last", "imm_states", "kalman_last", "planar_last"]
-__all__ += ["prepare", "smooth_positions"]
+__all__ += ["prepare", "smooth_ellipses", "smooth_positions"]
 
 MAX_REJECTIONS = 3
 """After this many rejected samples in a row the next is accepted.
@@ -193,7 +194,7 @@ def smooth_planar(
     passes: int,
     anneal: float,
 ) -> tuple[Floats, Floats]:
-    """Return the mean, (M, 2) m, and mean variance of positions behind ellipses, (M,).
+    """Return mean, (M, 2) m, and covariance, (M, 2, 2) m^2, of smoothed positions.
 
     `motions`, (K, 3), are the variance of the first velocity, the time over which the
     velocity's correlation falls to 1/e, and q; `weight`, (N, K), is that of each for
@@ -202,7 +203,7 @@ def smooth_planar(
     loops = import_module("isac_track.kalman._planar_loops")
     fill_steps = import_module("isac_track.kalman._error_loops").fill_steps
     arrays, steps = batch.planar_arrays(2), np.empty((batch.t.size, 5))
-    out = np.zeros((batch.t.size, 2)), np.zeros(batch.t.size), np.zeros(len(batch))
+    out = np.zeros_like(batch.xy), np.zeros((batch.t.size, 2, 2)), np.zeros(len(batch))
     for motion, own in zip(np.ascontiguousarray(motions), weight.T, strict=True):
         track = np.flatnonzero(own)
         if track.size:
@@ -211,6 +212,20 @@ def smooth_planar(
                 arrays, motion, steps, track, own[track], passes, float(anneal), out
             )
     return out[:2]
+
+
+def smooth_ellipses(
+    batch: Batch, *, q: float, passes: int = 1, anneal: float = 0.0
+) -> tuple[Floats, Floats]:
+    """Return smoothed positions, (M, 2) m, and their covariances, (M, 2, 2) m^2.
+
+    Parameters are those of `smooth_positions`.
+    """
+    motions = np.array([[batch.prior_std[1] ** 2, np.inf, positive("q", q)]])
+    weight = np.ones((len(batch), 1))
+    return smooth_planar(
+        batch, motions=motions, weight=weight, passes=passes, anneal=anneal
+    )
 
 
 def smooth_positions(
@@ -246,11 +261,8 @@ def smooth_positions(
             f"need passes >= 1 and 0 <= anneal < 1, got {passes} and {anneal}"
         )
     if batch.ellipse is not None:
-        motions = np.array([[batch.prior_std[1] ** 2, np.inf, positive("q", q)]])
-        weight = np.ones((len(batch), 1))
-        return smooth_planar(
-            batch, motions=motions, weight=weight, passes=passes, anneal=anneal
-        )
+        xy, cov = smooth_ellipses(batch, q=q, passes=passes, anneal=anneal)
+        return xy, mean_variance(cov)
     out = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     order = np.argsort(np.diff(batch.offsets), kind="stable")
     loops = import_module("isac_track.kalman._linear_loops")

@@ -315,18 +315,23 @@ def _reweigh(
 
 @part_of_loop
 def _add_to_mixture(
-    rows: Floats, weight: float, weight_before: float, position: Floats, spread: Floats
+    rows: Floats, weight: float, weight_before: float, position: Floats, cov: Floats
 ) -> None:
     """Add a smoothed track with a `weight` to the mixture of the tracks before."""
-    share = weight / (weight_before + weight)
+    total = weight_before + weight
+    share = weight / total
+    gap = np.empty(2)
     for k in range(len(rows)):
-        x, y = rows[k, 0] - position[k, 0], rows[k, 2] - position[k, 1]
-        mean = (rows[k, _COV] + rows[k, _COV + 10]) / 2.0
-        apart = weight_before * share * (x * x + y * y) / 2.0
-        total = weight_before * spread[k] + weight * mean + apart
-        spread[k] = total / (weight_before + weight)
-        position[k, 0] += share * x
-        position[k, 1] += share * y
+        for a in range(2):
+            gap[a] = rows[k, 2 * a] - position[k, a]
+        for a in range(2):
+            for b in range(2):
+                own = rows[k, _COV + 8 * a + 2 * b]
+                apart = weight_before * share * gap[a] * gap[b]
+                cov[k, a, b] = (
+                    weight_before * cov[k, a, b] + weight * own + apart
+                ) / total
+            position[k, a] += share * gap[a]
 
 
 @compiled(
@@ -337,7 +342,7 @@ def _add_to_mixture(
     read(1),
     INT,
     FLOAT,
-    together(written(2), written(1), written(1)),
+    together(written(2), written(3), written(1)),
 )
 def smooth_tracks(
     batch: _Batch,
@@ -352,11 +357,11 @@ def smooth_tracks(
     """Smooth R tracks under a motion in `passes` passes, as `_error_loops` does.
 
     `motion` are its numbers there, and `steps`, (M, 5), what `fill_steps` makes of it;
-    `track` and `weight` are (R,). Positions and variances join the mixture in `out`,
+    `track` and `weight` are (R,). Positions and covariances join the mixture in `out`,
     whose last array sums the weights of each track.
     """
     _, xy, variance, offsets, prior, axes, shares = batch
-    position, spread, total_weight = out
+    position, cov, total_weight = out
     longest = 0
     for i in track:
         longest = max(longest, offsets[i + 1] - offsets[i])
@@ -383,6 +388,6 @@ def smooth_tracks(
             )
             _backward(own_axes, steps[first:end], rows)
         _add_to_mixture(
-            rows, weight[run], total_weight[i], position[first:end], spread[first:end]
+            rows, weight[run], total_weight[i], position[first:end], cov[first:end]
         )
         total_weight[i] += weight[run]

@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from isac_track.kalman import MAX_REJECTIONS, Batch, LastState, smooth_planar
+from isac_track.measurement import mean_variance
 from isac_track.noise import running_means
 from isac_track.types import Floats, Ints, positive
 
@@ -224,13 +225,14 @@ def smooth_mixture(
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
     if batch.ellipse is not None and not np.any(error.std_m):
-        return smooth_planar(
+        xy, cov = smooth_planar(
             batch,
             motions=motions.arrays(batch.prior_std),
             weight=np.asarray(weight, dtype=np.float64),
             passes=passes,
             anneal=anneal,
         )
+        return xy, mean_variance(cov)
     track, index = np.nonzero(weight)
     motion = motions.arrays(batch.prior_std)[index]
     return _smooth_runs(

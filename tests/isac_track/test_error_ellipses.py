@@ -5,6 +5,8 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from scipy import stats
+from scipy.integrate import quad
 
 from isac_track.config import SensingSettings
 from isac_track.kalman import Batch
@@ -16,6 +18,7 @@ from isac_track.measurement import (
     least_share,
     round_errors,
     scalar_covariance,
+    share_within,
     square_roots,
 )
 from isac_track.mechanisms.controls import Correlated, Offset, Thin
@@ -253,6 +256,24 @@ def test_square_roots_and_ellipses():
     assert flat[0] == pytest.approx([1e-9, 2.0])
     assert least_share(nothing).tolist() == [1.0]
     assert not round_errors(cov=nothing, error=np.zeros((1, 2))).any()
+
+
+@pytest.mark.parametrize("ratio", [1.0, 3.0, 10.0])
+def test_how_much_of_a_normal_law_lies_within_a_circle(ratio):
+    """Against the integral over one axis, with the other in closed form."""
+    long_m, short_m, epsilon_m = 0.4, 0.4 / ratio, 0.3
+
+    def density(x_m):
+        rest_m = np.sqrt(max(epsilon_m**2 - x_m**2, 0.0))
+        inside = 1.0 - 2.0 * stats.norm.sf(rest_m / short_m)
+        return stats.norm.pdf(x_m, scale=long_m) * inside
+
+    expected = 2.0 * quad(density, 0.0, epsilon_m)[0]
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    cov = turn * np.square([long_m, short_m]) @ turn.T
+    assert share_within(cov[None], epsilon_m=epsilon_m) == pytest.approx(
+        expected, abs=1e-6
+    )
 
 
 def test_a_mechanism_without_a_declared_shape_adds_a_round_error(ellipse):

@@ -1,12 +1,14 @@
 """Covariances on the way from a mechanism to a robot or an adversary."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from evaluation.compute.sharing import Frame, adversary_view, share
+from evaluation.compute.track_bounds import benchmark
 from isac_track import plugins
+from isac_track.measurement import share_within
 from isac_track.sharing import perturb
 from isac_track.types import Knowledge, Release, Sensed, derived
 
@@ -74,3 +76,22 @@ def test_an_ellipse_turns_with_its_frame(sensed, per_sample):
 
     np.testing.assert_allclose(squared_distances(seen), squared_distances(release))
     assert not np.allclose(seen.cov, release.cov)
+
+
+def test_the_benchmark_knows_the_shape(sensed):
+    """A line through three samples on either axis: nobody turns within 0.2 s.
+
+    Its mean squared error is two thirds of that of a sample.
+    """
+    small = replace(sensed, sigma_raw=0.1 * sensed.sigma_raw, cov=0.01 * sensed.cov)
+    (plugin,) = plugins.parse_all("mechanisms", ["fixed:0.05,adding=independent"])
+    release = plugin.instance.share(small, np.random.default_rng(0))
+    expected = benchmark(release, sensed=small, mechanism=plugin, epsilon_m=0.03)
+    error = 0.01 * COV + 0.05**2 * np.eye(2)
+    np.testing.assert_allclose(
+        expected["benchmark_mse_m2"], 2.0 / 3.0 * np.trace(error), rtol=0.01
+    )
+    # In the middle it is a third of the covariance, at the ends five sixths.
+    errors = error * np.array([5 / 6, 1 / 3, 5 / 6])[:, None, None]
+    known = share_within(errors, epsilon_m=0.03).mean()
+    np.testing.assert_allclose(expected["benchmark_plr"], known, rtol=0.01)
