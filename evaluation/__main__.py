@@ -19,6 +19,7 @@ COMMANDS = {
         "evaluation.design",
         "choose a level that meets a target, with yes or no",
     ),
+    "board": ("evaluation.board", "a page of cards; new attacks and mechanisms on it"),
     "card": ("evaluation.card", "score mechanisms, a card each; verify a card"),
     "publish": (
         "evaluation.publish",

@@ -302,6 +302,19 @@ def environment() -> dict[str, str]:
     }
 
 
+def is_of_this_code(card: Card, maker: Maker) -> bool:
+    """Whether a card is of the code, the plug-ins and the machine of this process."""
+    entry = card_entry(card)
+    return (
+        card.protocol_digest == maker.protocol.digest
+        and card.code_digest == code_digest(maker.protocol.robots)
+        and card.environment == environment()
+        and card.mechanism.digest == card_plugin(entry.mechanism).digest
+        and card.policy.digest == card_plugin(entry.policy).digest
+        and {*card.attacks} <= {*map(attack_of_card, maker.all_attacks())}
+    )
+
+
 def make_cards(
     maker: Maker, entries: Iterable[Entry], *, folder: Path
 ) -> Iterator[tuple[Card, Path]]:
@@ -342,12 +355,9 @@ def _made_before(path: Path, maker: Maker, entry: Entry) -> Card | None:
     except DataError:
         return None  # Missing or broken: it is made anew.
     is_same = (
-        card.protocol_digest == maker.protocol.digest
+        card.file_name == path.name == _file_name(maker, entry)
         and card.seed_commitment == maker.seed.commitment(maker.protocol)
-        and card.code_digest == code_digest(maker.protocol.robots)
-        and card.environment == environment()
-        and card.mechanism.digest == card_plugin(entry.mechanism).digest
-        and card.policy.digest == card_plugin(entry.policy).digest
+        and is_of_this_code(card, maker)
         and card.attacks == tuple(map(attack_of_card, maker.all_attacks()))
     )
     return card if is_same else None

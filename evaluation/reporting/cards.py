@@ -29,3 +29,13 @@ def card_line(card: Card) -> str:
         for axis in AXES
     ]
     return f"{card.label}: {', '.join(shown)}"
+
+
+def fall_line(before: Card, after: Card) -> str:
+    """Return what new attacks changed about a card, in a line."""
+    ours, others = before.primary[KNOWN], after.primary[KNOWN]
+    word = "fell" if (others.value or 0.0) > (ours.value or 0.0) else "stands"
+    shown = f"known {score_text(ours)} % by {ours.by}"
+    if word == "fell":
+        shown += f" -> {score_text(others)} % by {others.by}"
+    return f"{after.label}: {word}: {shown}"

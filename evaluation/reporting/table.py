@@ -38,6 +38,7 @@ class Cell:
     mark: str = ""  # Stands behind the value; `Table.marks` says what it means.
     value: float | None = None  # None for text.
     tone: str = ""  # Name of a colour.
+    link: str = ""  # Where the text leads to, on a page.
 
     @property
     def interval(self) -> str:

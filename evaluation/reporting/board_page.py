@@ -1,0 +1,310 @@
+"""The page of a board: for each world its front, a table, and what breaks each entry."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+
+from evaluation.estimates.cards import (
+    AXES,
+    FOLLOWED,
+    KNOWN,
+    MISSED,
+    is_control,
+    on_front,
+)
+from evaluation.plan.protocol import read_protocol
+from evaluation.reporting.amounts import counted
+from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
+from evaluation.reporting.figures.figure import Figure
+from evaluation.reporting.markup import HTML
+from evaluation.reporting.names import dataset_title
+from evaluation.reporting.table import (
+    Cell,
+    Column,
+    Table,
+    build_table,
+    number_cell,
+    plugin_label,
+    text_cell,
+)
+from evaluation.store.cards import Card, CardScore, seed_label
+from isac_track.intervals import Estimate
+from isac_track.types import Bools
+
+_LABELS: Final = {
+    MISSED: "conflicts missed (%)",
+    KNOWN: "person-time known (%)",
+    FOLLOWED: "people followed 10 s (%)",
+}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Broken:
+    """An entry, and how far each reader gets against it."""
+
+    card: Card
+    anchor: str
+    sentence: str
+    table: Table
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class World:
+    """The entries on a recording, under a law and a seed."""
+
+    title: str
+    anchor: str
+    finding: str
+    figure: Figure
+    table: Table
+    entries: Sequence[Broken]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Board:
+    """All worlds of a board, the first with the most entries."""
+
+    worlds: Sequence[World]
+    attacks: Sequence[str]
+    extent: str  # How many cards, worlds and attacks.
+
+
+def make_board(cards: Sequence[Card]) -> Board:
+    """Return what the page of some cards shows."""
+
+    def world(card: Card) -> tuple[str, str, str]:
+        return card.recording, card.law, seed_label(card.seed, card.seed_commitment)
+
+    groups = [
+        (key, list(group)) for key, group in groupby(sorted(cards, key=world), world)
+    ]
+    groups.sort(key=lambda group: (-len(group[1]), group[0]))
+    attacks = dict.fromkeys(attack.spec for card in cards for attack in card.attacks)
+    extent = ", ".join(
+        [
+            counted(len(cards), "card"),
+            counted(len(groups), "world"),
+            counted(len(attacks), "attack"),
+        ]
+    )
+    return Board([_world(*group) for group in groups], list(attacks), extent)
+
+
+def render(board: Board) -> str:
+    """Return the page."""
+    text = HTML.get_template("board.html.j2").render(
+        board=board, protocol=read_protocol(), plugin_label=plugin_label
+    )
+    # A line's end between two elements would be a node of its own.
+    return re.sub(r">\n+<", "><", text)
+
+
+def _world(key: tuple[str, str, str], cards: Sequence[Card]) -> World:
+    recording, law, seed = key
+    is_front = on_front(cards)
+    anchor = _anchor("world", *key)
+    title = f"{dataset_title(recording)}, {law} error, seed {seed.replace('-', ' ')}"
+    order = sorted(
+        range(len(cards)),
+        key=lambda row: (not is_front[row], _value(cards[row], KNOWN)),
+    )
+    ordered, placed = [cards[row] for row in order], is_front[order]
+    return World(
+        title=title,
+        anchor=anchor,
+        finding=_finding(ordered, placed),
+        figure=_figure(anchor, title, ordered, placed),
+        table=_table(anchor, title, ordered, placed),
+        entries=[_broken(card) for card in ordered],
+    )
+
+
+def _finding(cards: Sequence[Card], is_front: Bools) -> str:
+    """Return how many entries are on the front, and which attacks decide."""
+    decisive: dict[str, int] = {}
+    for card in cards:
+        if not is_control(card):
+            name = plugin_label(card.primary[KNOWN].by)
+            decisive[name] = decisive.get(name, 0) + 1
+    by_count = sorted(decisive.items(), key=lambda item: (-item[1], item[0]))
+    named = ", ".join(f"{name} ({count})" for name, count in by_count)
+    return (
+        f"{int(is_front.sum())} of {len(cards)} entries are on the front. The strongest"
+        f" adversary, and against how many entries: {named}."
+    )
+
+
+def _table(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> Table:
+    """Return the table of a world: entries on the front first."""
+    most = max(len(card.attacks) for card in cards)
+    records = list(zip(cards, is_front.tolist(), strict=True))
+    columns = [
+        Column("mechanism", lambda record: _link(record[0]), align="left"),
+        Column("policy", lambda record: text_cell(record[0].policy.spec), align="left"),
+        Column("place", lambda record: _place(*record), align="left"),
+        *(_axis_column(axis) for axis in AXES),
+        Column(
+            "known best by",
+            lambda record: text_cell(plugin_label(record[0].primary[KNOWN].by)),
+            align="left",
+        ),
+        Column("digits", lambda record: _digits(record[0]), align="left"),
+        Column("attacks", lambda record: number_cell(len(record[0].attacks), digits=0)),
+    ]
+    notes = []
+    if any(len(card.attacks) < most for card in cards):
+        notes.append(
+            f"Some entries met fewer attacks than {most}: python -m evaluation.board"
+            " --attack SPEC CARDS runs an attack against all."
+        )
+    return build_table(f"entries-{anchor}", title, records, columns, notes=notes)
+
+
+def _axis_column(axis: str) -> Column:
+    def make_cell(record: tuple[Card, bool]) -> Cell:
+        score = record[0].primary[axis]
+        return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0)
+
+    return Column(axis, make_cell, "%")
+
+
+def _link(card: Card) -> Cell:
+    return Cell(plugin_label(card.mechanism.spec), link=f"#{_anchor('entry', card)}")
+
+
+def _place(card: Card, is_front: bool) -> Cell:  # noqa: FBT001 - a record of a table
+    if is_control(card):
+        return Cell("control")
+    return Cell("front", tone="good") if is_front else Cell("beaten")
+
+
+def _digits(card: Card) -> Cell:
+    if card.digits is None:
+        return Cell()
+    if card.digits.is_message:
+        return Cell("hide a message", tone="bad")
+    return Cell("say nothing")
+
+
+def _broken(card: Card) -> Broken:
+    """Return what breaks an entry: all its readers, those who know most first."""
+    known = [score for score in card.scores if score.metric == "known_share"]
+    known.sort(key=lambda score: -(score.value or 0.0))
+    others = [score for score in card.scores if score.metric != "known_share"]
+    table = build_table(
+        f"scores-{_anchor('entry', card)}",
+        f"All scores of {card.label}",
+        [*known, *others],
+        [
+            Column("metric", lambda score: text_cell(score.metric), align="left"),
+            Column("by", lambda score: text_cell(plugin_label(score.by)), align="left"),
+            Column("value", _scored),
+            Column("people", lambda score: number_cell(score.n, digits=0)),
+        ],
+    )
+    strongest, *weaker = known
+    beside = (
+        f"; next {plugin_label(weaker[0].by)}, {_percent(weaker[0])}" if weaker else ""
+    )
+    sentence = (
+        f"{plugin_label(strongest.by)} knows most: {_percent(strongest)} of person-time"
+        f"{beside}. Robot {card.primary[MISSED].by} misses least:"
+        f" {_percent(card.primary[MISSED])} of conflicts."
+        f" {_percent(card.primary[FOLLOWED])} of people are followed for 10 s."
+    )
+    if card.digits is not None and card.digits.is_message:
+        sentence += (
+            f" Low-order digits explain {100 * card.digits.explained:.0f} % of where"
+            " people are: the release hides a message."
+        )
+    return Broken(card, _anchor("entry", card), sentence, table)
+
+
+def _scored(score: CardScore) -> Cell:
+    """Return a score in its unit: shares in percent, times in s, alarms per minute."""
+    if score.metric == "followed_s":
+        return number_cell(score.value, score.ci_low, score.ci_high, unit="s")
+    if score.metric == "false_alarms_per_min":
+        return number_cell(
+            score.value, score.ci_low, score.ci_high, digits=2, unit="/min"
+        )
+    return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0, unit="%")
+
+
+def _percent(score: CardScore) -> str:
+    return "-" if score.value is None else f"{100 * score.value:.1f} %"
+
+
+def _figure(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> Figure:
+    """Return both planes of a world: known, and followed, over missed."""
+    names = [_series(card) for card in cards]
+    series = list(dict.fromkeys(names))
+    looks = {
+        name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
+        for n, name in enumerate(name for name in series if name != "raw")
+    } | {"raw": Look(LOOKS - 1)}
+    panels = []
+    for axis in (KNOWN, FOLLOWED):
+        curves = []
+        for name in series:
+            points = [
+                Point(
+                    looks[name]._replace(hollow=not front),
+                    f"{plugin_label(card.mechanism.spec)}, {card.policy.spec}",
+                    _estimate(card.primary[MISSED]),
+                    _estimate(card.primary[axis]),
+                )
+                for card, own, front in zip(cards, names, is_front, strict=True)
+                if own == name
+            ]
+            curves.append(sorted(points, key=lambda point: point.x.value))
+        chart = plane_chart(curves, x_label=_LABELS[MISSED], y_label=_LABELS[axis])
+        panels.append((f"{axis} over missed", chart))
+    return Figure(
+        name=f"board-{anchor}",
+        title=title,
+        section="board",
+        panels=panels,
+        columns=2,
+        key={name: looks[name] for name in series},
+        caption="",
+        note="Filled: on the front of all three axes. Hollow: beaten, or a control.",
+    )
+
+
+def _series(card: Card) -> str:
+    """Return the name under which entries share colour and shape."""
+    mechanism = plugin_label(card.mechanism_name)
+    policy = card.policy.spec.partition(":")[0]
+    if policy == "everything":
+        return mechanism
+    return policy if mechanism == "raw" else f"{mechanism} and {policy}"
+
+
+def _estimate(score: CardScore) -> Estimate:
+    return Estimate(
+        _number(score.value), _number(score.ci_low), _number(score.ci_high), n=score.n
+    )
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _value(card: Card, axis: str) -> float:
+    return card.primary[axis].value or 0.0
+
+
+def _anchor(kind: str, *parts: Card | str) -> str:
+    """Return a name that a link can lead to."""
+    texts = [
+        part.file_name.removesuffix(".json") if isinstance(part, Card) else part
+        for part in parts
+    ]
+    return re.sub(r"[^A-Za-z0-9]+", "-", "-".join([kind, *texts]))

@@ -1,0 +1,238 @@
+"""The board: its page, new attacks on it, new mechanisms, and cards that do not fit."""
+
+import re
+import sys
+from dataclasses import replace
+
+import pytest
+from helpers.cards import SMALL, made_up_card, small_card
+
+from evaluation import board as command
+from evaluation.api import boarding, carding
+from evaluation.api.boarding import attack_cards, join_mechanisms, write_board
+from evaluation.api.carding import Maker, Seed, cross_entries, load_cards, verify
+from evaluation.plan.protocol import read_protocol
+from evaluation.reporting.board_page import make_board, render
+from evaluation.store.cards import card_text, read_card, write_card
+from isac_track.errors import DataError, SettingsError
+
+DIGITS = "attacks.reconstruction.low_digits:LowDigits"
+WATERMARK = "helpers.watermarks:Watermark:0.8"
+ATTACK = """
+from dataclasses import dataclass
+from typing import ClassVar
+
+from isac_track.types import Reconstruction
+
+
+@dataclass(frozen=True)
+class Still:
+    requires: ClassVar[frozenset] = frozenset()
+    uses: ClassVar[frozenset] = frozenset()
+
+    def fit(self, context):
+        return lambda release: Reconstruction(release.xy, None)
+"""
+
+
+def small_board():
+    """Cards of one world: raw, a policy, and a mechanism that hides the place."""
+    return [small_card("raw"), small_card("raw", "ahead:1.2"), small_card(WATERMARK)]
+
+
+@pytest.fixture
+def stranger(tmp_path, monkeypatch):
+    """An attack in a file of its own."""
+    (tmp_path / "stranger_still.py").write_text(ATTACK, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    yield "stranger_still:Still"
+    sys.modules.pop("stranger_still", None)
+
+
+class TestPage:
+    CARDS = (
+        made_up_card(missed=0.3, known=0.9, weaker=0.8, mechanism="raw", protects=False),
+        made_up_card(missed=0.4, known=0.5, mechanism="ou:0.4"),
+        made_up_card(missed=0.5, known=0.6, mechanism="fid:1"),
+        made_up_card(missed=0.1, known=1.0, mechanism="clean", protects=False),
+        made_up_card(known=0.3, seed=1),
+    )  # fmt: skip
+
+    def test_each_entry_has_its_place(self):
+        worlds = make_board(self.CARDS).worlds
+        assert [len(world.entries) for world in worlds] == [4, 1]
+        rows = {row[0].text: row[2].text for row in worlds[0].table.rows}
+        assert rows == {
+            "raw": "front",
+            "ou:0.4": "front",
+            "fid:1": "beaten",
+            "clean": "control",
+        }
+        marks = {
+            name.partition(":  ")[0]: look.hollow
+            for look, _, name in worlds[0].figure.panels[0][1].marks
+        }
+        hollow = {
+            name.partition(",")[0] for name, is_hollow in marks.items() if is_hollow
+        }
+        assert hollow == {"fid:1", "clean"}
+
+    def test_links_lead_somewhere_and_nothing_is_fetched(self, tmp_path):
+        page = write_board(self.CARDS, tmp_path / "board")
+        text = page.read_text(encoding="utf-8")
+        names = set(re.findall(r' id="([^"]+)"', text))
+        targets = set(re.findall(r'href="#([^"]+)"', text))
+        assert targets <= names
+        assert len(targets) == 2 + len(self.CARDS)
+        for name in re.findall(r'href="(cards/[^"]+)"', text):
+            assert read_card(page.parent / name) in self.CARDS
+        assert not re.findall(r'(?:src|href)="(?:https?:)?//', text)
+        figures = sorted(item.name for item in page.parent.glob("*.svg"))
+        assert len(figures) == 2
+
+    def test_the_strongest_reader_of_an_entry_comes_first(self):
+        entry = make_board(self.CARDS[:1]).worlds[0].entries[0]
+        assert entry.sentence.startswith("ou_rts knows most: 90.0 %")
+        assert [row[1].text for row in entry.table.rows[:2]] == ["ou_rts", "log:smooth"]
+
+    def test_a_name_cannot_write_html(self):
+        card = made_up_card(mechanism='my:Mine:"><script>alert(1)</script>')
+        assert "<script>alert" not in render(make_board([card]))
+
+    def test_a_message_in_the_digits_is_said(self):
+        card = small_card(WATERMARK)
+        text = render(make_board([card]))
+        assert "hide a message" in text
+        assert "the release hides a message" in text
+
+    def test_an_empty_board_is_refused(self, tmp_path):
+        with pytest.raises(DataError, match="needs a card"):
+            write_board([], tmp_path)
+
+
+class TestAttack:
+    def test_a_new_attack_meets_every_card_and_lowers_what_it_breaks(self):
+        met = list(attack_cards(small_board(), [DIGITS], protocol=SMALL))
+        fallen = {item.after.mechanism.spec for item in met if item.has_fallen}
+        assert fallen == {WATERMARK}
+        for item in met:
+            assert item.after.attacks[-1].spec == DIGITS
+            assert item.after.scores[: len(item.before.scores)] == item.before.scores
+        (broken,) = [item for item in met if item.has_fallen]
+        assert broken.is_beyond_interval
+        assert broken.after.primary["known"].by == DIGITS
+
+    def test_a_card_that_met_a_new_attack_is_verified(self, stranger):
+        (item,) = attack_cards([small_card("raw")], [stranger], protocol=SMALL)
+        assert verify(item.after, protocol=SMALL).verdict == "equal"
+
+    def test_a_card_of_other_code_is_computed_anew(self):
+        other = replace(small_card("raw"), code_digest="0" * 64)
+        changed = replace(
+            other.scores[0], value=0.123, ci_low=None, ci_high=None, error=None
+        )
+        other = replace(other, scores=(changed, *other.scores[1:]))
+        (item,) = attack_cards([other], [DIGITS], protocol=SMALL)
+        assert item.after.scores[0] == small_card("raw").scores[0]
+        assert item.after.code_digest == small_card("raw").code_digest
+
+    def test_a_linker_is_refused(self):
+        with pytest.raises(SettingsError, match="a linker runs in"):
+            list(attack_cards([small_card("raw")], ["dtw"], protocol=SMALL))
+
+
+class TestMechanism:
+    def test_a_new_mechanism_meets_every_attack_of_the_board(self, stranger):
+        (item,) = attack_cards([small_card("raw")], [stranger], protocol=SMALL)
+        cards = join_mechanisms(
+            [item.after], ["ou:0.4"], ["everything"], protocol=SMALL
+        )
+        (card,) = cards
+        assert [attack.spec for attack in card.attacks] == ["ou_rts", stranger]
+        own = [score for score in card.scores if score.by != stranger]
+        assert tuple(own) == small_card("ou:0.4").scores
+
+    def test_a_secret_world_needs_its_seed(self):
+        seed = Seed(2**120, is_secret=True)
+        card = replace(
+            small_card("raw"), seed=None, seed_commitment=seed.commitment(SMALL)
+        )
+        with pytest.raises(SettingsError, match="give the file of its seed"):
+            list(join_mechanisms([card], ["ou:0.4"], ["everything"], protocol=SMALL))
+        (new,) = join_mechanisms(
+            [card], ["raw"], ["everything"], seeds=[seed], protocol=SMALL
+        )
+        assert new.seed_commitment == card.seed_commitment
+        (entry,) = cross_entries(["plaza"], ["radial"], ["raw"], ["everything"])
+        assert new == Maker(seed, (), SMALL).card(entry)
+
+
+class TestCommand:
+    @pytest.fixture
+    def folder(self, tmp_path, monkeypatch):
+        for module in (boarding, carding):
+            monkeypatch.setattr(module, "read_protocol", lambda: SMALL)
+        for card in (small_card("raw"), small_card(WATERMARK)):
+            write_card(card, tmp_path / "cards")
+        return tmp_path / "cards"
+
+    def test_an_attack_by_one_command(self, folder, tmp_path, capsys):
+        out = tmp_path / "board"
+        words = ["--attack", DIGITS, str(folder), "--out", str(out)]
+        assert command.main(words) == 0
+        shown = capsys.readouterr().out
+        assert "1 of 2 scores fell, 1 of them beyond the interval" in shown
+        assert len(load_cards([out / "cards"], protocol=SMALL)) == 2
+        assert (out / "index.html").is_file()
+
+    def test_a_mechanism_by_one_command(self, folder, tmp_path, capsys):
+        out = tmp_path / "board"
+        words = ["--mechanism", "ou:0.4", str(folder), "--out", str(out)]
+        assert command.main(words) == 0
+        assert "ou:0.4, everything, plaza" in capsys.readouterr().out
+        assert len(load_cards([out / "cards"], protocol=SMALL)) == 3
+
+    def test_two_cards_of_an_entry_are_refused(self, folder, tmp_path, capsys):
+        copy = tmp_path / "copy.json"
+        copy.write_text(card_text(small_card("raw")), encoding="utf-8")
+        assert command.main([str(folder), str(copy)]) == 2
+        assert "are both of raw, everything, plaza" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("changes", "message"),
+        [
+            ({"protocol_version": 2}, "it is of protocol 2, and this board is of 1"),
+            ({"recording_digest": "a" * 64}, "its recording has the sha256 aaaaaaaa"),
+        ],
+    )
+    def test_cards_that_do_not_fit_are_refused_in_a_line(
+        self, changes, message, folder, capsys
+    ):
+        write_card(replace(small_card("ou:0.4"), **changes), folder)
+        assert command.main([str(folder)]) == 2
+        shown = capsys.readouterr().err
+        assert message in shown
+        assert shown.count("\n") == 1
+
+    def test_a_changed_primary_score_is_refused(self, folder, capsys):
+        card = small_card("ou:0.4")
+        known = replace(card.primary["known"], value=0.01)
+        write_card(replace(card, primary={**card.primary, "known": known}), folder)
+        assert command.main([str(folder)]) == 2
+        assert "the card was changed" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("words", "message"),
+        [
+            (["none"], "none is missing"),
+            (["none", "--policy", "state"], "--policy goes with --mechanism"),
+            (["none", "--attack", "a", "--mechanism", "b"], "first the one"),
+        ],
+    )
+    def test_wrong_usage_is_answered_in_a_line(self, words, message, capsys):
+        assert command.main(words) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_the_small_protocol_is_the_real_one_on_less_time():
+    assert SMALL.version == read_protocol().version
