@@ -91,6 +91,7 @@ _MECHANISMS = (
     "isac_track.mechanisms.controls",
     "isac_track.mechanisms.protections",
     "isac_track.mechanisms.literature",
+    "isac_track.mechanisms.shaped",
     "isac_track.mechanisms.withholding",
 )
 """Modules with a table ``MECHANISMS``, whose entries are built-in plug-ins."""

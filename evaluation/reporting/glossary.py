@@ -127,6 +127,10 @@ _MECHANISMS: Final = {
     "remap": (
         "Planar Laplace noise, then the likeliest position given the reports before."
     ),
+    "shaped": (
+        "Smooth slow noise that costs a robot least for the error, in m, that it leaves"
+        " an adversary with four releases and a known position."
+    ),
     "correlated": (
         "A control: noise as large as fixed noise, but similar from sample to sample."
     ),

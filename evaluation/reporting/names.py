@@ -27,6 +27,7 @@ _MECHANISMS: Final = {
     "fourier": "Fourier noise, {level} m",
     "least_information": "least informative, {level} m",
     "remap": "remapped Laplace, {level} m",
+    "shaped": "shaped noise, floor {level} m",
     "correlated": "correlated noise, {level} m",
     "offset": "constant shift, {level} m",
     "thin": "every {level}th sample",

@@ -33,13 +33,13 @@ from isac_track.mechanisms.stationary import (
     Filter,
     gaussian_filter,
     stationary_errors,
+    walk_numbers,
 )
 from isac_track.rng import stream
 from isac_track.types import (
     Adding,
     ErrorLaw,
     Floats,
-    Ints,
     Release,
     Sensed,
     derived,
@@ -56,15 +56,6 @@ and velocities give 9.8 s, and those within each walk 5.2 s.
 _PRIOR_STD = (100.0, 10.0)  # m around the first sample, and m/s: more than in any walk.
 _MOST_COEFFICIENTS = 10_000  # Far more than any walk shows.
 _LEAST_STD_M = 1e-3  # Below it, the shape of an error no longer matters.
-
-
-def _walk_numbers(sensed: Sensed, reuse: str, rng: Generator) -> Ints:
-    """Return the numbers that the errors of N walks depend on, (N,).
-
-    Both kinds of reuse draw the same numbers from `rng`.
-    """
-    fresh = rng.integers(2**62, size=len(sensed))
-    return sensed.walk if reuse == "session" else fresh
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +90,7 @@ class Qclm:
         paths = stationary_errors(
             t=sensed.t,
             offsets=sensed.offsets,
-            walk=_walk_numbers(sensed, self.reuse, rng),
+            walk=walk_numbers(sensed, self.reuse, rng),
             shape=gaussian_filter(math.sqrt(2.0) * self.tau_s),
             n_paths=8,
         )
@@ -150,7 +141,7 @@ class GpPrior:
         unit = stationary_errors(
             t=sensed.t,
             offsets=sensed.offsets,
-            walk=_walk_numbers(sensed, self.reuse, rng),
+            walk=walk_numbers(sensed, self.reuse, rng),
             shape=gaussian_filter(self.tau_s),
         )
         return perturb(
@@ -244,7 +235,7 @@ class Fourier:
         scale = np.concatenate([self.scale_m, self.scale_m[1:]])
         scale = scale / self.std_m if self.std_m else np.zeros_like(scale)
         amplitude = np.append(1.0, np.full(2 * k.size, math.sqrt(2.0)))
-        numbers = _walk_numbers(sensed, self.reuse, rng)
+        numbers = walk_numbers(sensed, self.reuse, rng)
         for track, number in enumerate(numbers.tolist()):
             own = slice(sensed.offsets[track], sensed.offsets[track + 1])
             turn = 2.0 * np.pi * np.outer(sensed.t[own] / self.period_s, k)
@@ -307,7 +298,7 @@ class LeastInformation:
         unit = stationary_errors(
             t=sensed.t,
             offsets=sensed.offsets,
-            walk=_walk_numbers(sensed, self.reuse, rng),
+            walk=walk_numbers(sensed, self.reuse, rng),
             shape=_information_filter(self.corner_per_s),
         )
         return perturb(

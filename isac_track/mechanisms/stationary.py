@@ -7,10 +7,11 @@ number of a walk alone, so that all releases of a walk share its path of errors.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 from scipy.signal import fftconvolve
 
 from isac_track.rng import stream
-from isac_track.types import Floats, Ints
+from isac_track.types import Floats, Ints, Sensed
 
 # Grid points of a block, which is computed as a whole: an instant has one error.
 _BLOCK = 1024
@@ -67,6 +68,16 @@ def stationary_errors(
             lost = 2.0 * (1.0 - neighbour) * weight * (1.0 - weight)
             errors[first + inside] = mixed / np.sqrt(1.0 - lost)
     return errors
+
+
+def walk_numbers(sensed: Sensed, reuse: str, rng: Generator) -> Ints:
+    """Return the numbers that the errors of N walks depend on, (N,).
+
+    With the reuse `session` they are those of the walks, else fresh. Both kinds of
+    reuse make the same draws from `rng`.
+    """
+    fresh = rng.integers(2**62, size=len(sensed))
+    return sensed.walk if reuse == "session" else fresh
 
 
 def _block_path(

@@ -81,6 +81,7 @@ MECHANISMS = [
         "fourier:0.7",
         "least_information:0.7",
         "remap:0.7",
+        "shaped:0.3",
         "window:0.7",
         "window:0.7,d_sigma=0.5",
     )
