@@ -147,6 +147,23 @@ def mean_information(cov: Floats) -> Floats:
     return np.asarray(mean_variance(cov) / np.linalg.det(cov))
 
 
+def principal_axes(cov: Floats) -> tuple[Floats, Floats]:
+    """Return the principal axes of covariances and the variances along them, (M, 2).
+
+    The axes, (M, 2, 2), are the columns of a rotation, the longer axis first. `cov` is
+    (M, 2, 2).
+    """
+    xx, xy, yy = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
+    angle = np.arctan2(2.0 * xy, xx - yy) / 2.0
+    cosine, sine = np.cos(angle), np.sin(angle)
+    axes = np.stack([cosine, -sine, sine, cosine], axis=1).reshape(-1, 2, 2)
+    longer = (xx + yy) / 2.0 + np.hypot(xx - yy, 2.0 * xy) / 2.0
+    # The product of both is the determinant; a difference would lose digits.
+    shorter = np.zeros_like(longer)
+    np.divide(xx * yy - xy * xy, longer, out=shorter, where=longer > 0.0)
+    return axes, np.stack([longer, shorter], axis=1)
+
+
 def least_share(cov: Floats) -> Floats:
     """Return the least information of any direction, as a share of the mean, (M,).
 

@@ -28,7 +28,7 @@ from importlib import import_module
 
 import numpy as np
 
-from isac_track.measurement import mean_variance
+from isac_track.measurement import mean_variance, principal_axes
 from isac_track.types import Floats, Ints, check_offsets, positive, within
 
 __all__ = ["MAX_REJECTIONS", "Batch", "ImmStates", "LastState", "Moods"]
@@ -106,10 +106,10 @@ class Batch:
         ValueError for another number of states, or an ellipse that is flat.
         """
         ellipse = np.eye(2) if self.ellipse is None else self.ellipse
-        shares, axes = np.linalg.eigh(np.broadcast_to(ellipse, (len(self.t), 2, 2)))
+        axes, shares = principal_axes(np.broadcast_to(ellipse, (len(self.t), 2, 2)))
         if not within(shares, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
             raise ValueError("an ellipse needs two axes of positive, finite variance")
-        return *self._arrays(*n_states), np.ascontiguousarray(axes), shares
+        return *self._arrays(*n_states), axes, shares
 
     def _arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
         if len(self.prior_std) not in n_states:

@@ -16,6 +16,7 @@ from isac_track.measurement import (
     cross_range_ratio,
     error_ellipses,
     least_share,
+    principal_axes,
     round_errors,
     scalar_covariance,
     share_within,
@@ -249,7 +250,14 @@ def test_square_roots_and_ellipses():
     np.testing.assert_allclose(root @ root, cov, rtol=1e-6)
     np.testing.assert_allclose(root, np.swapaxes(root, 1, 2))
     np.testing.assert_allclose(np.trace(error_ellipses(cov), axis1=1, axis2=2), 2.0)
+    axes, variances = principal_axes(cov)
+    np.testing.assert_allclose(
+        axes * variances[:, None, :] @ np.swapaxes(axes, 1, 2), cov, rtol=1e-9
+    )
+    np.testing.assert_allclose(np.linalg.det(axes), 1.0)
+    np.testing.assert_allclose(variances[:, ::-1], np.linalg.eigvalsh(cov), rtol=1e-6)
     nothing = np.zeros((1, 2, 2))
+    assert not principal_axes(nothing)[1].any()
     assert not square_roots(nothing).any()
     assert np.array_equal(error_ellipses(nothing)[0], np.eye(2))
     flat = np.linalg.eigvalsh(error_ellipses(np.ones((1, 2, 2))))
