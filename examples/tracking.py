@@ -23,9 +23,15 @@ import numpy as np
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError, SettingsError
-from isac_track.patrols import Patrol, horizon_scans, make_patrol, sense_people
+from isac_track.patrols import (
+    Patrol,
+    horizon_scans,
+    make_patrol,
+    query_scans,
+    sense_people,
+)
 from isac_track.patrols.knowledge import guesses_from_map
-from isac_track.patrols.utility import missed_futures, true_conflicts
+from isac_track.patrols.utility import first_entries, true_conflicts
 from isac_track.place import placed
 from isac_track.plugins import parse
 from isac_track.sharing import Raw
@@ -38,15 +44,15 @@ from isac_track.tracking import (
     detect_people,
     run_tracker,
 )
-from isac_track.tracking.blocks import block_numbers, block_ratio
-from isac_track.tracking.knowledge import known_instants
-from isac_track.tracking.metrics import (
-    GospaScans,
-    fragment_starts,
-    gospa_scans,
-    identity_switches,
-    pure_samples,
+from isac_track.tracking.blocks import block_ratio
+from isac_track.tracking.counts import (
+    GOSPA_CUTOFF_M,
+    Blocks,
+    robot_counts,
+    track_counts,
 )
+from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
+from isac_track.tracking.metrics import GospaScans, gospa_scans
 from isac_track.tracking.sharing import (
     SharedTracks,
     perturb_detections,
@@ -62,16 +68,14 @@ MECHANISMS = (
     "ou:0.4",
 )
 ERRORS = ("fitted",)
-ESTIMATORS = ("smooth", "radial", "radial_smooth", "interpolate")
-"""Estimators of the adversary; those for logs with long gaps know less here."""
-AS_SENT = ESTIMATORS.index("interpolate")  # Lines between samples: no smoother.
+AS_SENT = TRACK_ESTIMATORS.index("interpolate")  # Lines between samples: no smoother.
 LEAST_DENSITY_PER_M2 = 0.005  # Of new people, which a tracker assumes without clutter.
-GOSPA_CUTOFF_M = 1.0
 COLUMNS = {
     "purity": "purity, %",
     "id_switches": "switches a person-minute",
     "fragments": "fragments a person-minute",
     "gospa": "GOSPA, m",
+    "ospa": "OSPA, m",
     "missed_people": "missed a scan, % of people",
     "false_tracks": "false a scan, per person",
     "known_as_sent": "known as sent, %",
@@ -95,22 +99,13 @@ class Scene:
     detection: DetectionSettings
     guesses: np.ndarray
     actual: np.ndarray
+    entries: np.ndarray
     block_s: float
 
-    def blocks(self, t):
-        block = block_numbers(t, start_s=self.patrol.scan_s[0], block_s=self.block_s)
-        # The last instant does not begin a block of its own.
-        return np.minimum(block, self.n_blocks - 1)
-
     @property
-    def n_blocks(self):
-        last_s = max(self.patrol.people.t.max(), self.patrol.grid.t.max())
-        blocks = (last_s - self.patrol.scan_s[0]) / self.block_s
-        return max(1, int(np.ceil(blocks - 1e-9)))
-
-    def count(self, t, values=None):
-        """Sum values, or count instants, in each block."""
-        return np.bincount(self.blocks(t), weights=values, minlength=self.n_blocks)
+    def blocks(self):
+        """Blocks of the recording, which intervals draw."""
+        return Blocks(self.patrol, self.block_s)
 
 
 @dataclass
@@ -129,7 +124,7 @@ class Row:
         counts["known_share"] = list(
             zip([known[best] for known in self.known], instants, strict=True)
         )
-        return ESTIMATORS[best], {
+        return TRACK_ESTIMATORS[best], {
             name: block_ratio(
                 numerator=np.stack([top for top, _ in pairs], axis=1),
                 denominator=np.stack([bottom for _, bottom in pairs], axis=1),
@@ -156,6 +151,9 @@ def make_scene(tracks, error, *, detection, settings, block_s, seed):
         detection=detection,
         guesses=guesses_from_map(patrol, epsilon_m=settings.privacy.epsilon_m),
         actual=true_conflicts(
+            patrol, safety_radius_m=settings.conflict.safety_radius_m
+        ),
+        entries=first_entries(
             patrol, safety_radius_m=settings.conflict.safety_radius_m
         ),
         block_s=block_s,
@@ -220,25 +218,8 @@ def variants(scene, method, mechanisms, *, seed):
 
 def add_tracking(row, scene, shared, scans):
     """Add the counts of the tracking field."""
-    patrol = scene.patrol
-    minutes = scene.count(patrol.people.t) * patrol.ahead_s[1] / 60.0
-    t, is_pure = shared.release.t, pure_samples(shared)
-    row.counts["purity"].append((scene.count(t[is_pure]), scene.count(t)))
-    for name, events in (
-        ("id_switches", identity_switches(shared)),
-        ("fragments", fragment_starts(shared)),
-    ):
-        row.counts[name].append((scene.count(patrol.scan_s[events]), minutes))
-    scan_s = patrol.scan_s[: scans.distance.size]
-    people = scene.count(patrol.people.t)
-    row.counts["gospa"].append(
-        (scene.count(scan_s, scans.distance), scene.count(scan_s))
-    )
-    for name, values in (
-        ("missed_people", scans.missed),
-        ("false_tracks", scans.false),
-    ):
-        row.counts[name].append((scene.count(scan_s, values), people))
+    for name, counts in track_counts(scene.blocks, shared, scans).items():
+        row.counts[name].append((counts.numerator, counts.denominator))
 
 
 def add_answers(row, scene, shared):
@@ -249,37 +230,34 @@ def add_answers(row, scene, shared):
         shared,
         guesses=scene.guesses,
         epsilon_m=rules.privacy.epsilon_m,
-        estimators=ESTIMATORS,
+        estimators=TRACK_ESTIMATORS,
     )
-    row.known.append(np.stack([scene.count(patrol.grid.t[flags]) for flags in known]))
-    instants = scene.count(patrol.grid.t)
+    blocks = scene.blocks
+    row.known.append(np.stack([blocks.count(patrol.grid.t[flags]) for flags in known]))
+    instants = blocks.count(patrol.grid.t)
     row.counts["known_share"].append((None, instants))
     row.counts["known_as_sent"].append((row.known[-1][AS_SENT], instants))
+    horizon = horizon_scans(rules)[-1]
     foresight = foresee_from_tracks(
         patrol,
         shared,
         predictor=KalmanCV(),
         safety_radius_m=rules.conflict.safety_radius_m,
+        horizons=(horizon,),
     )
-    horizon = horizon_scans(rules)[-1]
-    query_s = patrol.scan_s[patrol.query_scan]
-    misses = missed_futures(scene.actual, foresight.foreseen, horizon=horizon)
-    asked_s = query_s[patrol.presences.query]
-    row.counts["missed_future_rate"].append(
-        (
-            scene.count(asked_s, (misses.hits & misses.trials).sum(axis=1)),
-            scene.count(asked_s, misses.trials.sum(axis=1)),
-        )
+    counts = robot_counts(
+        blocks,
+        foresight,
+        actual=scene.actual,
+        entries=scene.entries,
+        horizon=horizon,
+        query_scans=query_scans(rules.patrol),
     )
-    is_conflict = np.zeros((query_s.size, patrol.n_robots), dtype=bool)
-    np.logical_or.at(is_conflict, patrol.presences.query, scene.actual <= horizon)
-    false = foresight.alarms(patrol, horizon=horizon) & ~is_conflict
-    row.counts["false_alarms"].append(
-        (
-            scene.count(query_s, false.sum(axis=1)),
-            scene.count(query_s) * patrol.n_robots,
-        )
-    )
+    for name, part in (
+        ("missed_future_rate", counts.shares["missed_future_rate"]),
+        ("false_alarms", counts.false_queries),
+    ):
+        row.counts[name].append((part.numerator, part.denominator))
 
 
 def compare(

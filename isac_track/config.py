@@ -32,6 +32,8 @@ of the axes by (r + 1/r)^2 / 4.
 """
 _EMPTY: Final = "none"  # Text for an empty list of numbers.
 _NUMBER_LIST: Final = tuple[float, ...]  # Type of a setting with several numbers.
+LINK: Final = "link"  # Detection probability: from the link budget.
+_NUMBER_OR_LINK: Final[Any] = float | Literal["link"]  # Type of that setting.
 
 
 def _number(
@@ -65,6 +67,11 @@ class _Stage:
             if item.type == _NUMBER_LIST:
                 numbers = _sort_numbers(name, value, item.metadata["range"])
                 object.__setattr__(self, item.name, numbers)
+            elif item.type is str:
+                _check_spec(name, value)
+            elif item.type == _NUMBER_OR_LINK:
+                if value != LINK:
+                    _check_number(name, value, item, beside=f", or be {LINK}")
             elif choices := get_args(item.type):
                 if value not in choices:
                     wanted = f"be one of {', '.join(choices)}"
@@ -73,11 +80,28 @@ class _Stage:
                 _check_number(name, value, item)
 
 
-def _check_number(name: str, value: Any, item: Field[Any]) -> None:  # noqa: ANN401 - anything
-    """Raise SettingsError for a value of another type, or outside the field's range."""
+def _check_spec(name: str, value: object) -> None:
+    """Raise SettingsError for a value that cannot be the SPEC of a plug-in."""
+    if not isinstance(value, str) or not value or len(value.split()) != 1:
+        raise SettingsError(
+            f"{name} must be the SPEC of a plug-in, without spaces, got {quoted(value)}"
+        )
+
+
+def _check_number(
+    name: str,
+    value: Any,  # noqa: ANN401 - anything
+    item: Field[Any],
+    *,
+    beside: str = "",
+) -> None:
+    """Raise SettingsError for a value of another type, or outside the field's range.
+
+    `beside` says which other values the field takes.
+    """
     kind, noun = (Integral, "whole number") if item.type is int else (Real, "number")
     if isinstance(value, bool) or not isinstance(value, kind):
-        raise SettingsError(f"{name} must be a {noun}, got {quoted(value)}")
+        raise SettingsError(f"{name} must be a {noun}{beside}, got {quoted(value)}")
     low, high = item.metadata["range"]
     if item.metadata["open"]:
         fits, wanted = low < value < high, f"between {low:g} and {high:g}"
@@ -86,7 +110,7 @@ def _check_number(name: str, value: Any, item: Field[Any]) -> None:  # noqa: ANN
     if item.metadata["inf"]:
         fits, wanted = fits or value == inf, f"{wanted}, or be inf"
     if not fits:  # NaN does not fit either
-        raise SettingsError(f"{name} must lie {wanted}, got {quoted(value)}")
+        raise SettingsError(f"{name} must lie {wanted}{beside}, got {quoted(value)}")
 
 
 def _sort_numbers(
@@ -296,6 +320,32 @@ class PatrolSettings(_Stage):
 
 
 @dataclass(frozen=True, slots=True)
+class TrackingSettings(_Stage):
+    """How the network associates its detections (`isac_track.tracking`)."""
+
+    method: str = "oracle"
+    """reading: SPEC of the tracker; `oracle`, perfect association, is the paper's, and
+    adds no numbers to a run"""
+    noise: Literal["after", "before"] = "after"
+    """a mechanism acts along tracks, after tracking, or on detections, before it"""
+    release: Literal["tracks", "detections"] = "tracks"
+    """what is released: tracks of the network, or unlabelled points of its scans, which
+    their recipient tracks by the same method"""
+    # of a person at a scan: a number, or `link`: from the link budget
+    detection_probability: float | Literal["link"] = _number(0.9, 0, 1)
+    # probability of a false alarm of the detector's threshold; counts with `link` only
+    p_false_alarm: float = _number(1e-4, 0, 1, is_open=True)
+    # mean number of detections of nobody in a scan
+    clutter_per_scan: float = _number(3.0, 0, 1000)
+    seeds: int = _number(
+        5, 1, 100
+    )  # draws of all sensing errors, of which intervals draw
+    block_s: float = _number(
+        10.0, 0.1, 1e6
+    )  # length of a block, of which intervals draw
+
+
+@dataclass(frozen=True, slots=True)
 class StageSettings:
     """Everything that changes numbers and is not an axis of the matrix."""
 
@@ -307,6 +357,7 @@ class StageSettings:
     attacks: AttackSettings = field(default_factory=AttackSettings)
     linkage: LinkageSettings = field(default_factory=LinkageSettings)
     patrol: PatrolSettings = field(default_factory=PatrolSettings)
+    tracking: TrackingSettings = field(default_factory=TrackingSettings)
 
     def __post_init__(self) -> None:
         values = self.flat()
@@ -320,6 +371,11 @@ class StageSettings:
                 f"scenes.near_miss_max_m ({self.scenes.near_miss_max_m:g}) must exceed "
                 f"conflict.safety_radius_m ({self.conflict.safety_radius_m:g}): "
                 "a near miss would be a conflict"
+            )
+        if self.tracking.release == "detections" and self.tracking.noise == "after":
+            raise SettingsError(
+                "tracking.release=detections has no tracks to add noise along: add"
+                " --set tracking.noise=before"
             )
 
     def changed(self, values: Mapping[str, Any]) -> Self:
@@ -369,7 +425,9 @@ def _parse(value: Any, kind: Any) -> Any:  # noqa: ANN401 - text, or TOML's type
         numbers = () if value.strip() in ("", _EMPTY) else value.split(",")
         parsed = tuple(_parse(number, float) for number in numbers)
         return value if any(isinstance(number, str) for number in parsed) else parsed
-    if get_args(kind) or isinstance(value, bool):
+    if kind == _NUMBER_OR_LINK:
+        return value if value == LINK else _parse(value, float)
+    if kind is str or get_args(kind) or isinstance(value, bool):
         return value
     try:
         number = float(value)

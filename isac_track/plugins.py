@@ -34,12 +34,13 @@ from isac_track.errors import (
     quoted,
 )
 
-Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks", "policies"]
+Kind: TypeAlias = Literal["mechanisms", "predictors", "attacks", "policies", "trackers"]
 _SINGULAR: dict[Kind, str] = {
     "mechanisms": "mechanism",
     "predictors": "predictor",
     "attacks": "attack",
     "policies": "policy",
+    "trackers": "tracker",
 }
 
 KIND_BY_NOUN: dict[str, Kind] = {noun: kind for kind, noun in _SINGULAR.items()}
@@ -81,6 +82,12 @@ _BUILT_IN: dict[Kind, dict[str, str]] = {
         "state": "isac_track.policies.summaries:State",
         "flag": "isac_track.policies.summaries:Flag",
     },
+    "trackers": {
+        "oracle": "isac_track.tracking.methods:Oracle",
+        "genie": "isac_track.tracking.methods:Genie",
+        "gnn": "isac_track.tracking.methods:GNN",
+        "jpda": "isac_track.tracking.methods:JPDA",
+    },
 }
 _IN_PACKAGES: dict[Kind, dict[str, str]] = {
     "attacks": dict.fromkeys(("imm_rts", "posterior", "fusion"), "examples/attacks")
@@ -100,6 +107,7 @@ _METHOD: dict[Kind, str] = {
     "mechanisms": "share",
     "predictors": "predict",
     "policies": "select",
+    "trackers": "track",
 }
 # Kinds whose first parameter, if a number, is the level.
 _WITH_LEVEL: tuple[Kind, ...] = ("mechanisms", "policies")
@@ -113,7 +121,7 @@ _CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")
 
 @dataclass(frozen=True, slots=True)
 class Plugin:
-    """A configured mechanism or policy at a level, or a predictor, or an attack."""
+    """A mechanism or policy at a level, a predictor, an attack, or a tracker."""
 
     # As in the result columns: family and non-default parameters, without the level.
     name: str
@@ -603,6 +611,7 @@ def check_declared(kind: Kind, instance: object, origin: str) -> str:
         return adding if is_rule else ""
     if kind == "policies":
         check_form(instance, origin)
+    if kind in ("policies", "trackers"):
         return ""
     for attribute in ("requires", "uses") if kind == "attacks" else ("requires",):
         needs = declared(attribute)

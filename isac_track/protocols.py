@@ -30,10 +30,14 @@ from isac_track.types import (
 
 if TYPE_CHECKING:
     from isac_track.policies.query import Form, Query
+    from isac_track.tracking.association import Likelihood
+    from isac_track.tracking.detections import Detections
+    from isac_track.tracking.trackers import Tracked
 
 __all__ = ["ADVERSARIES", "USUAL", "WALK_KNOWLEDGE", "Adversary", "AttackContext"]
 __all__ += ["LinkageAttack", "LinkageTrainingSet", "Linker", "Mechanism", "Policy"]
-__all__ += ["Predictor", "ReconstructionAttack", "Reconstructor", "TrainingSet"]
+__all__ += ["Predictor", "ReconstructionAttack", "Reconstructor", "Tracker"]
+__all__ += ["TrainingSet"]
 __all__ += ["attack_kind", "grants", "knowing"]
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
@@ -123,6 +127,23 @@ class Policy(Protocol):
 
     def select(self, query: Query) -> Bools:
         """Return which of the M samples of the query are sent, (M,)."""
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Interface of a tracker: from unlabelled detections to tracks.
+
+    It is causal: the tracks up to a scan depend on no later scan. A robot is given
+    tracks as they grow.
+    """
+
+    def track(self, detections: Detections, likelihood: Likelihood) -> Tracked:
+        """Return the tracks of D detections in K scans.
+
+        `detections` has unlabelled points with the covariance of each error.
+        `likelihood` says what a network knows about its sensing: the probability of
+        detecting a person at a scan, and the density of clutter.
+        """
 
 
 class Adversary(Protocol):

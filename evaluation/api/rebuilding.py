@@ -30,6 +30,7 @@ from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
 from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
+from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address
 from evaluation.plan.settings import check_drawing
 from evaluation.plan.world import World
@@ -120,6 +121,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         )
         on_patrol = patrol_numbers(out, manifest)
         returns = return_numbers(out, manifest)
+        tracked = track_numbers(out, manifest)
         flags, searched = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
@@ -129,7 +131,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         out=out,
         manifest=manifest,
         summary=_whole_summary(
-            tidy, on_patrol, returns, families=families, dataset=dataset
+            tidy, [*on_patrol, *tracked], returns, families=families, dataset=dataset
         ),
         paper_table=paper.paper_table(sweeps, dataset=dataset),
         claims=paper.claims(
@@ -166,7 +168,7 @@ def _whole_summary(
     families: Mapping[str, Family],
     dataset: str,
 ) -> pd.DataFrame:
-    """Return the tidy summary; behind it rows of returning people, then of patrols."""
+    """Return the tidy summary; behind it returning people, then patrols and tracks."""
     patrols = patrol_frame(
         on_patrol, families=families, dataset=dataset, columns=summary.COLUMNS
     )

@@ -17,7 +17,13 @@ import numpy as np
 from evaluation.compute import sharing
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.linkage import score_releases
-from evaluation.compute.work import Block, PatrolWork, compute_cells
+from evaluation.compute.work import (
+    Block,
+    PatrolWork,
+    TrackingWork,
+    Work,
+    compute_cells,
+)
 from isac_track import plugins
 from isac_track.errors import PluginError, code_at, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
@@ -170,7 +176,7 @@ def plugin_code(instance: Any) -> CodeType | None:  # noqa: ANN401 - a user's ob
     """Return the code of the method that a plug-in is called by, if it is Python's."""
     methods = (
         getattr(type(instance), name, None)
-        for name in ("share", "predict", "fit", "select")
+        for name in ("share", "predict", "fit", "select", "track")
     )
     codes = (getattr(method, "__code__", None) for method in methods)
     return next((code for code in codes if isinstance(code, CodeType)), None)
@@ -190,10 +196,13 @@ def _call(
             plugin, consumer, mechanism, tracks=tracks, order=order, stages=stages
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
-    work: Block | PatrolWork = Block(0, 0, order, (level,))
+    work: Work = Block(0, 0, order, (level,))
     if consumer is not None and consumer.policy is not None:
-        work = PatrolWork(people, (level,))
-        stages = stages.changed({"patrol.fleets": 1, "patrol.robots": 1})
+        reads_tracks = consumer.reads_tracks
+        work = (TrackingWork if reads_tracks else PatrolWork)(people, (level,))
+        stages = stages.changed(
+            {"patrol.fleets": 1, "patrol.robots": 1, "tracking.seeds": 1}
+        )
     started_s = process_time()
     for _ in compute_cells(work, tracks=tracks, stages=stages, seed=_SEED):
         pass

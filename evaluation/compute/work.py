@@ -8,16 +8,23 @@ of its consumers read the same release.
 from __future__ import annotations
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
-from evaluation.compute import linkage, model_walks, patrols, reconstruction, sharing
+from evaluation.compute import (
+    linkage,
+    model_walks,
+    patrols,
+    reconstruction,
+    sharing,
+    tracking,
+)
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
-from evaluation.compute.tables import ROWS, Tables, rows_table
+from evaluation.compute.tables import ROWS, Tables, rows_table, table
 from evaluation.plan.fingerprint import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
@@ -87,7 +94,17 @@ class ReturnWork:
     world: World = OWN_WORLD
 
 
-Work: TypeAlias = "Block | LinkWork | PatrolWork | ReturnWork"
+@dataclass(frozen=True, eq=False, slots=True)
+class TrackingWork:
+    """Work of tracks of a network's detections, over the whole recording."""
+
+    recorded: Tracks  # Placed where they are sensed.
+    levels: Levels
+    # That of the run: readers of further horizons name theirs.
+    world: World = OWN_WORLD
+
+
+Work: TypeAlias = "Block | LinkWork | PatrolWork | ReturnWork | TrackingWork"
 
 
 def attempt_cells(
@@ -130,9 +147,9 @@ def compute_cells(
 
     Rows of `shared` and of a reconstruction are per track (scene, agent), those of a
     predictor per scene, those of a linkage task per window or probe, those of a patrol
-    per person and route, those of people who come back per linker and metric. Raises
-    PluginError if a plug-in raises or breaks its contract, which names it, and
-    DataError if an attack has nobody to learn from.
+    per person and route, those of tracks per seed and block, those of people who come
+    back per linker and metric. Raises PluginError if a plug-in raises or breaks its
+    contract, which names it, and DataError if an attack has nobody to learn from.
     """
     if work.world.law:
         stages = stages.changed({"sensing.law": work.world.law})
@@ -140,6 +157,8 @@ def compute_cells(
         yield from _return_cells(work, stages=stages, seed=seed)
     elif isinstance(work, PatrolWork):
         yield from _patrol_cells(work, stages=stages, seed=seed)
+    elif isinstance(work, TrackingWork):
+        yield from _tracking_cells(work, stages=stages, seed=seed)
     elif isinstance(work, LinkWork):
         yield from _linkage_cells(work, tracks=tracks, stages=stages, seed=seed)
     else:
@@ -153,14 +172,10 @@ def _patrol_cells(
     people = setup.patrol.people
     for mechanism, consumers in work.levels:
         note_cell(mechanism.spec, "")
-        readers: dict[str, list[Consumer]] = {}
-        policies: dict[str, Plugin] = {}
-        for consumer in consumers:
-            assert consumer.policy is not None
-            policies[consumer.policy.spec] = consumer.policy
-            readers.setdefault(consumer.policy.spec, []).append(consumer)
-        shared = patrols.share_level(mechanism, setup, policies.values())
-        for own in readers.values():
+        readers = _readers_by_policy(consumers)
+        policies = [policy for policy, _ in readers]
+        shared = patrols.share_level(mechanism, setup, policies)
+        for _, own in readers:
             made = patrols.policy_rows(own, shared, mechanism=mechanism)
             for consumer, rows_by_table in made:
                 tables = {
@@ -182,6 +197,33 @@ def _return_cells(
             note_cell(mechanism.spec, consumer.label)
             tables = returns.return_tables(mechanism, setup)
             yield FinishedCell(0, mechanism, consumer, tables)
+
+
+def _readers_by_policy(
+    consumers: Iterable[Consumer],
+) -> list[tuple[Plugin, list[Consumer]]]:
+    """Return each policy, or release of tracks, with its consumers."""
+    readers: dict[str, tuple[Plugin, list[Consumer]]] = {}
+    for consumer in consumers:
+        assert consumer.policy is not None
+        readers.setdefault(consumer.policy.spec, (consumer.policy, []))[1].append(
+            consumer
+        )
+    return [*readers.values()]
+
+
+def _tracking_cells(
+    work: TrackingWork, *, stages: StageSettings, seed: int
+) -> Iterator[FinishedCell]:
+    setup = tracking.tracking_setup(work.recorded, stages=stages, seed=seed)
+    for mechanism, consumers in work.levels:
+        for tracker, own in _readers_by_policy(consumers):
+            note_cell(mechanism.spec, own[0].label)
+            releases = tracking.share_tracked(mechanism, tracker, setup)
+            made = tracking.release_rows(own, releases, setup, mechanism=mechanism)
+            for consumer, rows_by_table in made:
+                tables = {name: table(rows) for name, rows in rows_by_table.items()}
+                yield FinishedCell(0, mechanism, consumer, tables)
 
 
 def _linkage_cells(

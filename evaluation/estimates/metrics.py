@@ -15,12 +15,13 @@ Measured = Literal[
     "bound",
     "patrol",
     "returns",
+    "tracking",
 ]
 """Kinds of metric, in this order: a predictor's utility; a privacy descriptor of
 positions, as shared and after a reconstruction; a further measure of a reconstruction;
 the distance of positions beyond epsilon; a linker's success; a bound on all attacks in
 a world of the fitted motion; what a disclosure policy costs and reveals on patrols;
-the evidence on people who come back."""
+the evidence on people who come back; how well a tracker associates detections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +179,11 @@ _ROWS: Final = (
         is_difference=True,
     ),
     Metric("confirming_p", "nested p there", "returns", "ratio", digits=3),
+    Metric("gospa", "GOSPA", "tracking", "m", digits=2),
+    Metric("ospa", "OSPA", "tracking", "m", digits=2),
+    Metric("purity", "purity", "tracking"),
+    Metric("id_switches", "switches", "tracking", "1/min", digits=1),
+    Metric("fragments", "fragments", "tracking", "1/min", digits=2),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}

@@ -30,6 +30,7 @@ from evaluation.compute.patrols import (
 )
 from evaluation.compute.tables import ROWS
 from evaluation.estimates.metrics import KNOWN_SHARE, METRICS, WITHHELD
+from evaluation.plan.axes import PATROL_KINDS
 from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.patrols.metrics import estimate_utility, knowledge_metrics
@@ -72,7 +73,7 @@ def patrol_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]
     seed = int(manifest["identity"]["seed"])
     numbers: list[PatrolNumber] = []
     for entry in manifest["cells"]:
-        if entry.address.policy:
+        if entry.kind in PATROL_KINDS:
             numbers += _numbers(out, entry, seed=seed)
     return numbers
 

@@ -241,7 +241,7 @@ def settings_text(stages: Mapping[str, Any]) -> str:
     return " ".join(
         f"{name}={value}"
         for name, value in changed.items()
-        if name != _LAW and not name.startswith("patrol.")
+        if name != _LAW and not name.startswith(("patrol.", "tracking."))
     )
 
 

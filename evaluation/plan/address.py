@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any, Final, NamedTuple
 
-from evaluation.plan.constants import SHARED
+from evaluation.plan.constants import SHARED, TRACK_RELEASES
 from evaluation.plan.world import OWN_WORLD, World, parse_world
 
 _CONTROL: Final = "control-"
@@ -188,6 +188,14 @@ class Address:
 
 
 AS_SHARED: Final = Address(plugin=SHARED)
+
+
+def is_track_release(policy: str) -> bool:
+    """Whether a text of the column `policy` names a release of tracks, or detections.
+
+    Such a text is `RELEASE:TRACKER`, as `tracks:gnn`; all others are disclosure policies.
+    """
+    return policy.partition(":")[0] in TRACK_RELEASES
 
 
 def control_name(name: str) -> str:

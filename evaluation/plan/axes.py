@@ -35,6 +35,10 @@ WORTH_WORKERS: Final = 5000
 WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
 FUSION: Final = "fusion"  # Of all linkers of people who come back.
 LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
+TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
+PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
+PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
+TRACK_KINDS: Final = ("tracks", "tracked")  # Kinds of consumer that read tracks.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
 """Adversaries with a log: the informed one knows routes and policy, the oracle knows
@@ -56,6 +60,8 @@ class Consumer:
         "patrol",
         "log",
         "returns",
+        "tracks",
+        "tracked",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -67,6 +73,7 @@ class Consumer:
     control: str = ""
     world: World = OWN_WORLD
     # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
+    # Of `tracks` and of a robot with them (`tracked`), the release and its tracker.
     policy: Plugin | None = None
 
     @property
@@ -95,6 +102,7 @@ class Consumer:
             "bound": BOUND,
             "log": LOG,
             "returns": FUSION,
+            "tracks": TRACKER,
         }
         name, behind = names.get(self.kind, BOUND), ""
         if self.kind == "control":
@@ -120,6 +128,11 @@ class Consumer:
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins takes if granted."""
         return frozenset().union(*(plugin.instance.uses for plugin in self._readers))
+
+    @property
+    def reads_tracks(self) -> bool:
+        """Whether it reads tracks of detections."""
+        return self.kind in TRACK_KINDS
 
     @property
     def is_slow(self) -> bool:
@@ -175,6 +188,9 @@ class Axes:
     no_scenes: str = ""  # Why a run has none: too few tracks are long enough.
     links_returns: bool = False
     """Whether people who come back are linked, wherever a recording has any."""
+    track_releases: tuple[Plugin, ...] = ()
+    """Trackers of a network's detections; the SPEC is that of the release."""
+    tracked: tuple[Plugin, ...] = ()  # Mechanisms of these releases.
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -257,6 +273,22 @@ class Axes:
             replace(reader, policy=policy)
             for policy in self.policies
             for reader in (robots if world else [*robots, *logs])
+        )
+
+    def track_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the readers of tracks in a world: metrics of tracks, and robots.
+
+        The robots are those of patrols. The tracks belong to no further horizon.
+        """
+        robots = [
+            Consumer("tracked", plugin, world=world)
+            for plugin in self.predictors
+            if plugin.spec in self.utility
+        ]
+        return tuple(
+            replace(reader, policy=release)
+            for release in self.track_releases
+            for reader in (robots if world else [Consumer("tracks"), *robots])
         )
 
     def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
@@ -367,6 +399,7 @@ def axes(settings: Settings) -> Axes:
     # A user who names mechanisms has asked for these alone.
     policies = plugins.parse_all("policies", names["policies"])
     _check_policies(policies, settings)
+    releases = _track_releases(settings)
     if not chosen["mechanisms"].replaces:
         worlds = _worlds(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
@@ -391,6 +424,8 @@ def axes(settings: Settings) -> Axes:
         patrolled=_patrolled(settings, preset, mechanisms) if policies else (),
         follows_informed=preset.follows_informed,
         links_returns=RETURNS in tasks,
+        track_releases=releases,
+        tracked=_tracked(settings, preset, mechanisms) if releases else (),
     )
     _check_adversaries_used(crossed, settings)
     return crossed
@@ -428,6 +463,42 @@ def _patrolled(
     if settings.choice("policies").named:
         named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
         specs |= {plugin.spec for plugin in named}
+    return tuple(
+        plugin
+        for plugin in mechanisms
+        if plugin.spec in specs and not getattr(plugin.instance, "withholds", False)
+    )
+
+
+def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
+    """Return the trackers of a run, each with the SPEC of its release.
+
+    The oracle is beside every other tracker, as a reference. Alone it adds nothing:
+    perfect association is what all other numbers assume.
+    """
+    rules = settings.stages.tracking
+    (oracle,) = plugins.parse("trackers", PERFECT)
+    trackers = plugins.parse("trackers", rules.method)
+    if trackers == (oracle,):
+        return ()
+    is_before = rules.release == "tracks" and rules.noise == "before"
+    end = ",noise=before" if is_before else ""
+    return tuple(
+        replace(plugin, spec=f"{rules.release}:{plugin.spec}{end}")
+        for plugin in (oracle, *trackers)
+    )
+
+
+def _tracked(
+    settings: Settings, preset: Preset, mechanisms: Iterable[Plugin]
+) -> tuple[Plugin, ...]:
+    """Return the mechanisms of a run that tracks are shared with.
+
+    They are those of the preset's patrols, and those that a user names. A mechanism
+    that withholds samples is left out.
+    """
+    named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
+    specs = {*preset.patrolled, *(plugin.spec for plugin in named)}
     return tuple(
         plugin
         for plugin in mechanisms
@@ -535,7 +606,7 @@ def most_workers(crossed: Axes, settings: Settings) -> int:
         len(levels) for levels in crossed.linked_in.values()
     )
     n_tasks = len(crossed.tasks) + len(crossed.return_readers)
-    n_patrols = len(crossed.patrolled)
+    n_patrols = len(crossed.patrolled) + len(crossed.tracked)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
 

@@ -16,3 +16,4 @@ BLOCK_SCENES = 250
 MOST_SCENES = 10_000_000
 # Worker processes: more than a machine has cores; each takes 130 MB.
 MOST_JOBS: Final = 256
+TRACK_RELEASES: Final = ("tracks", "detections")  # Values of `tracking.release`.

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 RETURNS: Final = "returns"  # People who come back: a task of whole passages.
+TRACKING: Final = "tracking"  # Robots and logs with tracks of detections.
 # The packages of the project.
 OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _COMMON: Final = (
@@ -39,6 +40,7 @@ _STAGES: Final = {
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
     PATROL: ("evaluation.compute.patrols", *_COMMON),
     RETURNS: ("evaluation.compute.returns", *_COMMON),
+    TRACKING: ("evaluation.compute.tracking", *_COMMON),
 }
 _LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
 _COMPUTES_NOTHING: Final = re.compile(
@@ -80,6 +82,7 @@ def has_user_plugins(crossed: Axes) -> bool:
     consumers = (
         *crossed.consumers,
         *crossed.patrol_readers(),
+        *crossed.track_readers(),
         *(link for _, link in crossed.links),
     )
     used = (plugin for consumer in consumers for plugin in consumer.plugins)
@@ -102,6 +105,9 @@ def list_user_plugins(crossed: Axes) -> dict[str, list[str]]:
         ],
         "policies": [
             policy.spec for policy in filter(is_user_plugin, crossed.policies)
+        ],
+        "trackers": [
+            release.name for release in filter(is_user_plugin, crossed.track_releases)
         ],
         "attacks": [attack.spec for attack in filter(is_user_plugin, crossed.attacks)],
     }

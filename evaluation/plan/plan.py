@@ -17,7 +17,13 @@ from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.presets import BREAKER, PRESETS
-from evaluation.plan.settings import Settings, check_threads, patrol_values
+from evaluation.plan.settings import (
+    TRACK_RELEASE,
+    Settings,
+    check_threads,
+    patrol_values,
+    tracking_values,
+)
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
@@ -292,9 +298,10 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
-    # Axes: another horizon adds cells to a folder and changes no others, and other
-    # patrols change those of patrols alone.
-    for name in patrol_values(settings.stages.flat()):
+    # Axes: another horizon or tracker adds cells to a folder and changes no others, and
+    # other patrols change those of patrols alone.
+    values = settings.stages.flat()
+    for name in (*patrol_values(values), *tracking_values(values), *TRACK_RELEASE):
         del identity[name]
     # Only what differs from the default: an option that is new keeps earlier folders.
     if settings.unit is not None:
@@ -391,6 +398,11 @@ def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
         for world in worlds
         if crossed.patrolled
     ]
+    crossings += [
+        _Crossing(crossed.tracked, crossed.track_readers(world), (0,))
+        for world in worlds
+        if crossed.tracked
+    ]
     for world, mechanisms in crossed.linked_in.items():
         for task in filter(_is_linked_in_models, crossed.tasks):
             readers = crossed.readers_in(world, task)
@@ -425,8 +437,11 @@ def _units(
 
 def _own_settings(stage: str, settings: Settings) -> list[Any]:
     """Return the settings that only the cells of a stage depend on."""
+    values = settings.stages.flat()
     if stage == fingerprint.PATROL:
-        return [patrol_values(settings.stages.flat())]
+        return [patrol_values(values)]
+    if stage == fingerprint.TRACKING:
+        return [patrol_values(values), tracking_values(values)]
     if stage == fingerprint.RETURNS and settings.confirming is not None:
         return [settings.confirming]
     return []
@@ -463,6 +478,8 @@ def _stage(consumer: Consumer) -> str:
     """Return the stage of a consumer: its task, or a stage of scenes."""
     if consumer.task:
         return consumer.task
+    if consumer.reads_tracks:
+        return fingerprint.TRACKING
     if consumer.policy:
         return fingerprint.PATROL
     if consumer.kind in {"attack", "bound"}:

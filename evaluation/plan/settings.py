@@ -53,6 +53,8 @@ USUAL_STAGES: Final = StageSettings().changed(
     {"patrol.fleets": 0, "patrol.segment_s": 0.0}
 )
 """A run has the fleets and the patrolled segment of its preset (`plan`)."""
+TRACK_RELEASE: Final = ("tracking.method", "tracking.noise", "tracking.release")
+"""Settings that the name of a release of tracks has: numbers of several stay apart."""
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),
@@ -317,6 +319,18 @@ def patrol_values(stages: Mapping[str, Any]) -> dict[str, Any]:
         name: value
         for name, value in stages.items()
         if name.startswith("patrol.") or name == "conflict.horizons_s"
+    }
+
+
+def tracking_values(stages: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings that tracks alone depend on, ``{"stage.key": value}``.
+
+    What is released, by which tracker, is a part of the name of each number instead.
+    """
+    return {
+        name: value
+        for name, value in stages.items()
+        if name.startswith("tracking.") and name not in TRACK_RELEASE
     }
 
 

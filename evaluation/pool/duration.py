@@ -11,10 +11,11 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.compute.work import Block, PatrolWork, ReturnWork, Work
+from evaluation.compute.work import Block, PatrolWork, ReturnWork, TrackingWork, Work
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
 from evaluation.pool.pieces import cut_work, planned_cells, unfinished
+from isac_track.types import Tracks
 
 RATES: Final = "rates.json"
 """CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
@@ -77,7 +78,7 @@ def _millions_of_samples(work: Work, plan: Plan) -> float:
 
     For linkage these are samples of both sides, where `work_size` counts pairs.
     """
-    if isinstance(work, Block | PatrolWork):
+    if isinstance(work, Block | PatrolWork | TrackingWork):
         return work_size(work, plan)
     if isinstance(work, ReturnWork):
         return float(work.passages.offsets[-1]) / 1e6
@@ -105,15 +106,21 @@ def work_size(work: Work, plan: Plan) -> float:
 
     On a patrol each robot reads the last samples of people at each query: the
     person-seconds of the recording, once for each robot. Passages of people who come
-    back are compared once for each of these people, who is left out.
+    back are compared once for each of these people, who is left out. Tracks have the
+    samples of people at all scans, once for each seed.
     """
     if isinstance(work, ReturnWork):
         n_passages, n_people = len(work.passages), work.passages.returning.size
         return (n_people + 1) * n_passages**2 / 1e6
+    if isinstance(work, TrackingWork):
+        stages = plan.settings.stages
+        tracks, segment_s = work.recorded, stages.patrol.segment_s
+        share = min(1.0, segment_s / float(tracks.t.max() - tracks.t.min()))
+        n_samples = share * _present_s(tracks) / stages.patrol.scan_s
+        return n_samples * stages.tracking.seeds / 1e6
     if isinstance(work, PatrolWork):
-        rules, tracks = plan.settings.stages.patrol, work.recorded
-        present_s = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
-        n_queries = float(present_s.sum()) / rules.query_s
+        rules = plan.settings.stages.patrol
+        n_queries = _present_s(work.recorded) / rules.query_s
         return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, Block):
         return work.order.size * float(np.diff(plan.tracks.offsets).mean()) / 1e6
@@ -124,12 +131,20 @@ def work_size(work: Work, plan: Plan) -> float:
     return float(probes @ gallery) / 1e6
 
 
+def _present_s(tracks: Tracks) -> float:
+    """Return the person-seconds of a recording."""
+    present_s = tracks.t[tracks.offsets[1:] - 1] - tracks.t[tracks.offsets[:-1]]
+    return float(present_s.sum())
+
+
 def setup_name(work: Work) -> str:
     """Return the name of the rate of all that the levels of a work share."""
     if isinstance(work, ReturnWork):
         return "setup/returns"
     if isinstance(work, PatrolWork):
         return "setup/patrol"
+    if isinstance(work, TrackingWork):
+        return "setup/tracking"
     return "setup/scenes" if isinstance(work, Block) else "setup/linkage"
 
 

@@ -16,10 +16,11 @@ from evaluation.compute.work import (
     LinkWork,
     PatrolWork,
     ReturnWork,
+    TrackingWork,
     Work,
 )
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.plan.fingerprint import PATROL, RETURNS
+from evaluation.plan.fingerprint import PATROL, RETURNS, TRACKING
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_index import cell_places, read_index
 from evaluation.store.files import FOLDER, checksummed_files
@@ -97,7 +98,7 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
     due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
     due += [(n + 1) / len(links) for n in range(len(links))]
-    patrols = _cut_patrols(missing, plan)
+    patrols: list[Work] = [*_cut_patrols(missing, plan), *_cut_tracking(missing, plan)]
     # A patrol takes as long as several blocks: it begins early.
     due += [(n + 1) / (len(patrols) + 1) for n in range(len(patrols))]
     returns = _cut_returns(missing, plan)
@@ -124,7 +125,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
                 unit
                 for unit in missing
                 if unit.block == number
-                and unit.stage not in {*tasks, PATROL, RETURNS}
+                and unit.stage not in {*tasks, PATROL, RETURNS, TRACKING}
                 and unit.world == world
             )
             is_attacked = number < n_attacked and not world
@@ -200,6 +201,17 @@ def _cut_returns(missing: Sequence[Unit], plan: Plan) -> list[ReturnWork]:
     return [
         ReturnWork(plan.passages, piece, confirming)
         for piece in _share_out(levels, plan.jobs)
+    ]
+
+
+def _cut_tracking(missing: Sequence[Unit], plan: Plan) -> list[TrackingWork]:
+    """Return the missing levels of tracks, a piece for each worker.
+
+    Each piece detects everybody and tracks the detections without noise again.
+    """
+    levels = _levels(unit for unit in missing if unit.stage == TRACKING)
+    return [
+        TrackingWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)
     ]
 
 

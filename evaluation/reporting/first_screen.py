@@ -58,6 +58,7 @@ from evaluation.reporting.return_words import (
 )
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shorten_name
+from evaluation.reporting.tracking_table import tracking_sentence
 from evaluation.store.files import PAGE
 from evaluation.verdict.rules import DOES_NOT
 from isac_track.linkability import LEVEL
@@ -94,8 +95,7 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
     texts = [_level_line(table)]
     shown = answers(run, table, names_level=False)
     texts += [f"{answer.topic}: {answer.sentence}" for answer in shown]
-    on_patrol = patrol_sentence(run)
-    patrols = [f"On patrol: {on_patrol}"] if on_patrol else []
+    patrols = _patrol_lines(run)
     own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
     smallest_grid = _table_lines(run, table, room=0)
     most = LINES - len([*top, *smallest_grid, *last])
@@ -134,6 +134,18 @@ def _returning_screen(run: Results, *, before: int) -> list[str]:
     if room > len(grid) + 1:
         grid = ["", *grid, ""]
     return [*top, *grid, *last]
+
+
+def _patrol_lines(run: Results) -> list[str]:
+    """Return the line on patrols, or with a tracker that on tracks in its place.
+
+    Tables and page have both.
+    """
+    if sentence := tracking_sentence(run):
+        return [f"Tracking: {sentence}"]
+    if sentence := patrol_sentence(run):
+        return [f"On patrol: {sentence}"]
+    return []
 
 
 def data_line(manifest: Mapping[str, Any]) -> str:

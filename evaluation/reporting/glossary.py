@@ -77,6 +77,9 @@ _WORDS: Final = {
     ),
     "patrol": "Robots that walk through a recording and ask where people are.",
     "policy": "A rule that chooses whom, and which samples, an answer discloses.",
+    "tracker": "What joins a network's detections to tracks.",
+    "detection": "A point that a network senses at a scan, without a label.",
+    "clutter": "Detections of nobody.",
     "log": "All answers that a fleet of robots was given.",
     "map": "An adversary without a log, that knows where people stand most.",
     "model world": (
@@ -210,6 +213,12 @@ _POLICIES: Final = {
     "random": "Policy that sends a random share of people: a control.",
 }
 
+_TRACKERS: Final = {
+    "gnn": "Joins each scan by its most probable assignment (global nearest neighbour).",
+    "jpda": "Weighs all assignments of a scan (joint probabilistic data association).",
+    "genie": "A reference: assigns each scan given where everybody truly is.",
+}
+
 _METRICS: Final = {
     "missed": "Share of conflicts that a robot misses.",
     "missed future": "Share of future conflicts that a robot misses.",
@@ -289,6 +298,11 @@ _METRICS: Final = {
     ),
     "gain in the session left aside": "The same gain in a session that confirms.",
     "nested p there": "The same probability in a session that confirms.",
+    "GOSPA": "Distance of tracks from people, with a cost of misses and of false tracks.",
+    "OSPA": "The same as a mean over the larger of both sets, at most 1 m.",
+    "purity": "Share of samples of tracks that are of the track's main person.",
+    "switches": "Changes of the track that holds a person, per minute of presence.",
+    "fragments": "Further tracks of a person who has a track, per minute of presence.",
 }
 
 GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
@@ -301,6 +315,7 @@ GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(
         "Robots": _PREDICTORS,
         "Adversaries": _ADVERSARIES,
         "Disclosure policies": _POLICIES,
+        "Trackers": _TRACKERS,
         "Metrics": _METRICS,
     }
 )

@@ -24,6 +24,7 @@ _KINDS: Final[tuple["Kind", ...]] = (
     "predictors",
     "attacks",
     "policies",
+    "trackers",
 )
 _NO_LEVELS: Final = ("", "adding", "law", "select_on")
 """First parameters that are no level."""
@@ -117,6 +118,14 @@ SETTINGS: Final = {
     "patrol.grid_s": "step of the instants that are judged",
     "patrol.errors": "errors last for a walk, or are fresh at every query",
     "patrol.pseudonyms": "pseudonyms last for a query, or for an encounter",
+    "tracking.method": "SPEC of the tracker; `oracle` computes no tracks",
+    "tracking.noise": "a mechanism acts after tracking, or before it on detections",
+    "tracking.release": "a network releases tracks, or unlabelled detections",
+    "tracking.detection_probability": "of a person at a scan, or `link`: link budget",
+    "tracking.p_false_alarm": "probability of a false alarm of the detector, with `link`",
+    "tracking.clutter_per_scan": "mean number of detections of nobody",
+    "tracking.seeds": "draws of all sensing errors, which intervals draw",
+    "tracking.block_s": "length of a block of the recording, which intervals draw",
 }
 """The meaning of each stage setting; others are listed with name, value and unit."""
 

@@ -28,6 +28,7 @@ from evaluation.estimates.metrics import METRICS, MISSED_RATE
 from evaluation.plan.address import (
     Address,
     Where,
+    is_track_release,
     parse_consumer,
     parse_dataset,
     plugin_name,
@@ -161,14 +162,14 @@ class Results:
     def without_policy(self) -> pd.DataFrame:
         """The summary of scenes and windows: no patrols, no people who come back.
 
-        Rows of patrols have a disclosure policy.
+        Rows of patrols have a disclosure policy, and those of tracks a release.
         """
-        return self.summary[~(self._is_patrol | self._is_return)]
+        return self.summary[~(self._has_policy | self._is_return)]
 
     @property
     def patrols(self) -> pd.DataFrame:
-        """The rows of the summary that are about patrols."""
-        return self.summary[self._is_patrol]
+        """The rows of the summary that are about disclosure policies of patrols."""
+        return self.summary[self._has_policy & ~self._is_tracked]
 
     @property
     def returns(self) -> pd.DataFrame:
@@ -186,7 +187,21 @@ class Results:
         return self.summary["consumer"].str.startswith(f"{RETURNS.name}/")
 
     @property
-    def _is_patrol(self) -> pd.Series[bool]:
+    def tracks(self) -> pd.DataFrame:
+        """The rows of the summary that are about tracks of a network's detections."""
+        return self.summary[self._is_tracked]
+
+    @property
+    def _is_tracked(self) -> pd.Series[bool]:
+        """Which rows of the summary are of a release of tracks."""
+        if "policy" not in self.summary:
+            return self._has_policy
+        texts = self.summary["policy"]
+        known = [text for text in texts.unique() if isinstance(text, str)]
+        return texts.isin([text for text in known if is_track_release(text)])
+
+    @property
+    def _has_policy(self) -> pd.Series[bool]:
         """Which rows of the summary have a policy; none if it has no such column."""
         if "policy" not in self.summary:
             return pd.Series(data=False, index=self.summary.index)

@@ -66,6 +66,7 @@ from evaluation.reporting.table import (
     text_column,
 )
 from evaluation.reporting.terminal import Part
+from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
 from evaluation.store.files import to_csv, write_whole
 from isac_track.errors import DataError
 
@@ -128,6 +129,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield result_tables.strength_table(run)
     yield from return_tables(run)
     yield from patrol_tables(run)
+    yield tracking_table(run)
     yield answer_tables.paper_table(run)
     yield answer_tables.claims_table(run)
     for name, reason in run.manifest.get("linkage", {}).get("skipped", {}).items():
@@ -154,6 +156,8 @@ def _answer_lines(run: Results) -> Iterator[Part]:
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
     if sentence := patrol_sentence(run):
         yield f"On patrol: {sentence}"
+    if sentence := tracking_sentence(run):
+        yield f"Tracking: {sentence}"
     yield from (f"Doubt: {text}." for text in doubts(run, table))
 
 
@@ -177,6 +181,7 @@ def page_tables(run: Results) -> dict[str, Table]:
         result_tables.strength_table(run),
         *return_tables(run),
         *patrol_tables(run),
+        tracking_table(run),
         answer_tables.flag_table(run),
         result_tables.doubt_table(run),
         *answer_tables.item_tables(run.verdict.get("items", ())).values(),

@@ -30,9 +30,10 @@ import numpy as np
 import isac_track
 from attacks.tasks.returns import LEAST_S, LONGEST_S
 from attacks.tasks.task_list import RETURNS
+from evaluation.plan.axes import TRACK_KINDS
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
-from evaluation.plan.settings import AXES, patrol_values
+from evaluation.plan.settings import AXES, patrol_values, tracking_values
 from evaluation.store.entries import (
     Entry,
     make_entry,
@@ -467,12 +468,18 @@ def cell_entries(
 def without_other_patrols(manifest: Mapping[str, Any], plan: Plan) -> list[Entry]:
     """Return the entries of a manifest, without patrols of other settings than a plan's.
 
-    Their files stay: with the earlier settings a run finds them again.
+    So are tracks. Their files stay: with the earlier settings a run finds them again.
     """
     earlier = manifest.get("settings", {}).get("stages", {})
-    ours = patrol_values(plan.settings.stages.flat())
-    is_same = patrol_values(earlier) == ours
-    return [entry for entry in manifest["cells"] if is_same or not entry.address.policy]
+    ours = plan.settings.stages.flat()
+    is_same = patrol_values(earlier) == patrol_values(ours)
+    same_tracks = is_same and tracking_values(earlier) == tracking_values(ours)
+    return [
+        entry
+        for entry in manifest["cells"]
+        if not entry.address.policy
+        or (same_tracks if entry.kind in TRACK_KINDS else is_same)
+    ]
 
 
 def merged_plugins(

@@ -57,7 +57,7 @@ def count_alarms(
     nearest_m = np.minimum.reduceat(gaps_m, starts)
     is_conflict = np.logical_or.reduceat(actual <= horizon, starts)
     nearest_m[is_conflict] = np.inf  # No alarm there is false.
-    steps = _first_alarms(nearest_m)
+    steps = first_alarms(nearest_m)
     alarms = np.stack(
         [
             np.cumsum(np.bincount(column, minlength=DISTANCES_M.size + 1))
@@ -70,11 +70,11 @@ def count_alarms(
         alarms=alarms[: DISTANCES_M.size],
         person=patrol.presences.person[presence],
         route=route,
-        step=_first_alarms(gaps_m[presence, route]),
+        step=first_alarms(gaps_m[presence, route]),
     )
 
 
-def _first_alarms(gaps_m: Floats) -> Ints:
+def first_alarms(gaps_m: Floats) -> Ints:
     """Return the number of the shortest distance above each gap; D without any."""
     return np.asarray(np.searchsorted(DISTANCES_M, gaps_m, side="right"))
 

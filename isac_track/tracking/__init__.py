@@ -8,6 +8,7 @@ from isac_track.tracking.detections import (
     clutter_density,
     detect_people,
 )
+from isac_track.tracking.methods import GNN, JPDA, Genie, Oracle, track_patrol
 from isac_track.tracking.trackers import (
     METHODS,
     Tracked,
@@ -16,6 +17,7 @@ from isac_track.tracking.trackers import (
     track_detections,
 )
 
-__all__ = ["METHODS", "DetectedPatrol", "DetectionSettings", "Detections"]
-__all__ += ["Likelihood", "Tracked", "TrackerSettings", "clutter_density"]
-__all__ += ["detect_people", "run_tracker", "track_detections"]
+__all__ = ["GNN", "JPDA", "METHODS", "DetectedPatrol", "DetectionSettings"]
+__all__ += ["Detections", "Genie", "Likelihood", "Oracle", "Tracked"]
+__all__ += ["TrackerSettings", "clutter_density", "detect_people", "run_tracker"]
+__all__ += ["track_detections", "track_patrol"]

@@ -13,6 +13,7 @@ from isac_track.intervals import (
     effective_clusters,
     estimate_from_replicates,
 )
+from isac_track.patrols.equal_alarms import AlarmCurve, drawn_misses
 from isac_track.types import Floats, Ints
 
 _REPLICATES = 2000
@@ -23,18 +24,12 @@ def block_numbers(t: Floats, *, start_s: float, block_s: float) -> Ints:
     return np.floor((t - start_s) / block_s).astype(np.int64)
 
 
-def block_ratio(
-    *, numerator: Floats, denominator: Floats, seed: int, is_share: bool = True
-) -> Estimate:
-    """Return sum(numerator) / sum(denominator), (B, S) over B blocks and S seeds.
+def _drawn_weights(n_blocks: int, n_seeds: int, *, seed: int) -> list[Floats]:
+    """Return how often blocks and seeds are drawn, (1 + R, B) and (1 + R, S).
 
-    The 95 % interval draws blocks and seeds with replacement, independently (Owen,
-    Annals of Applied Statistics 1(2), 2007). Draws are the same for all ratios of so
-    many blocks and seeds, so that comparisons are paired. Below `LEAST_CLUSTERS`
-    effective blocks there is no interval, nor for a share of 0 or 1.
+    The first row draws each once: it gives the estimate.
     """
-    n_blocks, n_seeds = denominator.shape
-    weights = [
+    return [
         np.concatenate(
             [
                 np.ones((1, n)),
@@ -48,6 +43,20 @@ def block_ratio(
         )
         for name, n in (("blocks", n_blocks), ("sensing seeds", n_seeds))
     ]
+
+
+def block_ratio(
+    *, numerator: Floats, denominator: Floats, seed: int, is_share: bool = True
+) -> Estimate:
+    """Return sum(numerator) / sum(denominator), (B, S) over B blocks and S seeds.
+
+    The 95 % interval draws blocks and seeds with replacement, independently (Owen,
+    Annals of Applied Statistics 1(2), 2007). Draws are the same for all ratios of so
+    many blocks and seeds, so that comparisons are paired. Below `LEAST_CLUSTERS`
+    effective blocks there is no interval, nor for a share of 0 or 1.
+    """
+    n_blocks, n_seeds = denominator.shape
+    weights = _drawn_weights(n_blocks, n_seeds, seed=seed)
     top, bottom = (
         ((weights[0] @ part) * weights[1]).sum(axis=1)
         for part in (numerator, denominator)
@@ -58,6 +67,42 @@ def block_ratio(
     effective = effective_clusters(by_block)
     n = int((by_block > 0).sum())
     if effective < LEAST_CLUSTERS or (is_share and values[0] in (0.0, 1.0)):
+        return Estimate(
+            float(values[0]), n=n, replicates=values[1:], effective=effective
+        )
+    return estimate_from_replicates(values, n=n, effective=effective)
+
+
+def block_missed_at_equal_alarms(
+    *, alarms: Floats, warned: Floats, allowed: Floats, seed: int
+) -> Estimate:
+    """Return the share of future conflicts missed at the false alarms of a reference.
+
+    `alarms`, (D, B, S), and `warned`, (D + 1, B, S), are those of
+    `isac_track.tracking.counts.AlarmBlocks`; `allowed`, (B, S), are the reference's
+    queries with a false alarm. As `isac_track.patrols.equal_alarms`, with an interval
+    as in `block_ratio`: every replicate sets an alarm distance of its own.
+    """
+    n_distances, n_blocks, n_seeds = alarms.shape
+    blocks, seeds = _drawn_weights(n_blocks, n_seeds, seed=seed)
+    weights = (blocks[:, :, None] * seeds[:, None, :]).reshape(len(blocks), -1)
+    trials = warned.sum(axis=0)
+    missed = trials - np.cumsum(warned[:-1], axis=0)
+    curve = AlarmCurve(
+        alarms=alarms.reshape(n_distances, -1),
+        missed=missed.reshape(n_distances, 1, -1),
+        trials=trials.reshape(1, -1),
+    )
+    values = drawn_misses(
+        curve,
+        reference=allowed.reshape(-1),
+        people=np.ones((len(weights), 1)),
+        routes=weights,
+    )
+    by_block = trials.sum(axis=1)
+    effective = effective_clusters(by_block)
+    n = int((by_block > 0).sum())
+    if effective < LEAST_CLUSTERS:
         return Estimate(
             float(values[0]), n=n, replicates=values[1:], effective=effective
         )

@@ -15,6 +15,8 @@ from isac_track.config import Scaling, SensingSettings
 from isac_track.errors import SettingsError
 from isac_track.measurement import (
     axis_variance,
+    mean_information,
+    mean_variance,
     range_bearing_covariance,
     scalar_covariance,
 )
@@ -140,7 +142,12 @@ def detect_people(
     `sensed` has the people of the patrol, sample by sample (`sense_people`). A person
     and a scan share the draws of all settings; a higher probability only adds
     detections.
+
+    Errors that `sensed` declares with a shape keep it, and clutter has such errors, too;
+    SettingsError if `settings` would shape them again.
     """
+    if sensed.cov is not None and settings.measurement != "scalar":
+        raise SettingsError("errors of range and bearing have their shape already")
     present = np.flatnonzero(
         _are_detected(patrol, sensed, settings=settings, sensing=sensing, seed=seed)
     )
@@ -151,10 +158,13 @@ def detect_people(
     sigma_m = sensed.sigma_raw[model]
     variance_m2 = axis_variance(sigma_m=sigma_m, law=sensed.law)
     cov = _covariance(xy, variance_m2, settings=settings, sensing=sensing)
+    if sensed.cov is not None:
+        cov[: present.size] = sensed.cov[present]
     if settings.measurement == "range_bearing":
-        # The factor of a covariance relative to the scalar shapes the unit error.
-        factor = np.linalg.cholesky(cov / variance_m2[:, None, None])
-        unit_error = np.einsum("mab,mb->ma", factor, unit_error)
+        unit_error = _shaped(unit_error, cov, variance_m2)
+    elif sensed.cov is not None:  # Errors of people have their shape.
+        end = slice(present.size, None)
+        unit_error[end] = _shaped(unit_error[end], cov[end], variance_m2[end])
     scan = np.concatenate([patrol.scan[present], clutter.scan])
     interval_s = float(patrol.scan_s[1] - patrol.scan_s[0])
     points = Sensed(
@@ -167,6 +177,7 @@ def detect_people(
         fid=sensed.information[model] / interval_s,
         offsets=np.arange(scan.size + 1),
         law=sensed.law,
+        cov=None if sensed.cov is None else cov,
     )
     n_scans = int(patrol.scan.max()) + 1
     return order_detections(
@@ -193,16 +204,36 @@ def _covariance(
     sensing: SensingSettings,
 ) -> Floats:
     """Return the covariance of the error at true places, (D, 2, 2) m^2."""
-    if settings.measurement == "scalar":
+    is_scalar = sensing.measurement == settings.measurement == "scalar"
+    if is_scalar:
         return scalar_covariance(variance_m2)
+    is_sensed = sensing.measurement != "scalar"
     return range_bearing_covariance(
         xy=xy,
         station_m=(sensing.bs_x_m, sensing.bs_y_m),
         variance_m2=variance_m2,
         bandwidth_mhz=sensing.bandwidth_mhz,
-        n_antennas=settings.n_antennas,
-        scaling=settings.scaling,
+        n_antennas=sensing.n_antennas if is_sensed else settings.n_antennas,
+        # The variance of sensed errors is that of their shape.
+        scaling="trace" if is_sensed else settings.scaling,
     )
+
+
+def _shaped(unit_error: Floats, cov: Floats, variance_m2: Floats) -> Floats:
+    """Return unit errors, (D, 2), with the shape of covariances of a mean variance."""
+    factor = np.linalg.cholesky(cov / variance_m2[:, None, None])
+    return np.asarray(np.einsum("mab,mb->ma", factor, unit_error))
+
+
+def _link_information(sensed: Sensed, sensing: SensingSettings) -> Floats:
+    """Return the information that follows from the link budget, (M,) 1/m^2.
+
+    At equal mean squared error a shape adds information that no SNR stands behind.
+    """
+    if sensed.cov is None or sensing.scaling == "information":
+        return sensed.information
+    shape = mean_information(sensed.cov) * mean_variance(sensed.cov)
+    return np.asarray(sensed.information / shape)
 
 
 def order_detections(
@@ -237,6 +268,7 @@ def order_detections(
             fid=points.fid[order],
             offsets=points.offsets,
             law=points.law,
+            cov=None if points.cov is None else points.cov[order],
         ),
         sample=sample[order],
         person=person[order],
@@ -262,7 +294,7 @@ def _are_detected(
     if settings.probability is not None:
         return np.concatenate(draws) < settings.probability
     probability = detection_probability(
-        information=sensed.information,
+        information=_link_information(sensed, sensing),
         false_alarm_probability=settings.false_alarm_probability,
         settings=sensing,
     )

@@ -5,6 +5,7 @@ samples. Where the track holds another person, the adversary is wrong.
 """
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.metrics import track_owners
 from isac_track.tracking.sharing import SharedTracks
 from isac_track.types import Bools, Floats, Ints, squared_lengths
+
+TRACK_ESTIMATORS: Final = ("smooth", "radial", "radial_smooth", "interpolate")
+"""Estimators of an adversary with tracks; those for logs with long gaps know less."""
 
 
 def known_instants(

@@ -1,9 +1,11 @@
-"""Metrics of the tracking field: GOSPA and its parts, purity, switches, fragments.
+"""Metrics of the tracking field: GOSPA, OSPA, purity, switches, fragments.
 
 References
 ----------
 Rahmathullah, Garcia-Fernandez, Svensson, "Generalized optimal sub-pattern assignment
-metric", FUSION 2017. Bernardin, Stiefelhagen, "Evaluating multiple object tracking
+metric", FUSION 2017. Schuhmacher, Vo, Vo, "A consistent metric for performance
+evaluation of multi-object filters", IEEE Trans. Signal Processing 56(8), 2008.
+Bernardin, Stiefelhagen, "Evaluating multiple object tracking
 performance: the CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008.
 """
 
@@ -54,6 +56,21 @@ def gospa(truth: Floats, tracks: Floats, *, cutoff_m: float, p: float = 2.0) -> 
     return Gospa(total ** (1.0 / p), localisation, matched, missed, false)
 
 
+def ospa(truth: Floats, tracks: Floats, *, cutoff_m: float, p: float = 2.0) -> float:
+    """Return the OSPA of tracks, (B, 2) m, against the truth, (A, 2) m, in m.
+
+    It is the p-mean over the larger of both sets, where every position without a
+    partner within the cut-off counts as the cut-off; 0 for two empty sets. ValueError
+    as in `gospa`.
+    """
+    parts = gospa(truth, tracks, cutoff_m=cutoff_m, p=p)
+    # The best assignment of GOSPA is that of OSPA: both minimise truncated costs.
+    alone = max(parts.missed, parts.false)
+    n = parts.matched + alone
+    total = parts.localisation + cutoff_m**p * alone
+    return float((total / n) ** (1.0 / p)) if n else 0.0
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class GospaScans:
     """GOSPA of each of K scans with p = 2, and its parts."""
@@ -63,6 +80,12 @@ class GospaScans:
     matched: Ints  # (K,)
     missed: Ints  # (K,)
     false: Ints  # (K,)
+
+    def ospa(self, *, cutoff_m: float) -> Floats:
+        """Return the OSPA of each scan with the same cut-off, (K,) m; see `ospa`."""
+        alone = np.maximum(self.missed, self.false)
+        total = self.localisation + cutoff_m**2 * alone
+        return np.asarray(np.sqrt(total / np.maximum(self.matched + alone, 1)))
 
 
 def gospa_scans(patrol: Patrol, tracked: Tracked, *, cutoff_m: float) -> GospaScans:

@@ -91,6 +91,7 @@ def share_tracks(
             fid=sensed.information[point] / interval_s,
             offsets=offsets,
             law=sensed.law,
+            cov=None if sensed.cov is None else sensed.cov[point],
         )
         release = _share(along, mechanism, seed=seed)
         cov = _noisy_cov(cov, along, release, mechanism)
@@ -119,9 +120,11 @@ def _noisy_cov(
 ) -> Floats:
     """Return the covariances of samples after a mechanism, (D, 2, 2) m^2.
 
-    Linear adding scales the error ellipse; independent noise is round and has the law
-    of the mechanism.
+    A release of errors with a shape declares them. Else linear adding scales the error
+    ellipse; independent noise is round and has the law of the mechanism.
     """
+    if release.cov is not None:
+        return np.asarray(release.cov + _LEAST_SHARE * cov)
     if release.sigma is None:
         raise SettingsError(f"{type(mechanism).__name__} declares no error")
     if getattr(mechanism, "adding", "independent") == "linear":

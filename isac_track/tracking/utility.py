@@ -4,6 +4,7 @@ A track says who it is about by its last sample: the person behind that detectio
 warning counts for the person whom it rests on, not by coincidence.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,16 +20,28 @@ from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Foresight:
-    """What R robots foresee from tracks at Q queries."""
+    """What R robots foresee from tracks at Q queries.
+
+    `gaps_m` and `ghost_gaps_m` have the least forecast distance within each horizon, in
+    scans, up to leaving; infinite without a track.
+    """
 
     foreseen: Ints  # (E, R) scans until a conflict with the person, or `NEVER`.
     ghost: Ints  # (Q, R) the same with a track of nobody present, or `NEVER`.
+    gaps_m: Mapping[int, Floats]  # (E, R) from the person.
+    ghost_gaps_m: Mapping[int, Floats]  # (Q, R) from a track of nobody present.
 
     def alarms(self, patrol: Patrol, *, horizon: int) -> Bools:
         """Return the queries at which a robot foresees any conflict, (Q, R)."""
         alarm = self.ghost <= horizon
         np.logical_or.at(alarm, patrol.presences.query, self.foreseen <= horizon)
         return alarm
+
+    def nearest_m(self, patrol: Patrol, *, horizon: int) -> Floats:
+        """Return the least forecast distance from anybody at each query, (Q, R)."""
+        nearest_m = self.ghost_gaps_m[horizon].copy()
+        np.minimum.at(nearest_m, patrol.presences.query, self.gaps_m[horizon])
+        return nearest_m
 
 
 def foresee_from_tracks(
@@ -37,18 +50,25 @@ def foresee_from_tracks(
     *,
     predictor: Predictor,
     safety_radius_m: float,
+    horizons: Sequence[int] = (),
 ) -> Foresight:
     """Return what robots foresee from the tracks that are alive at each query.
 
     A track is released from its confirmation on, with its earlier samples. Of several
-    tracks about a person the first warning counts.
+    tracks about a person the first warning counts, and the least distance within each
+    of the `horizons`, in scans.
     """
     n_pairs, n_queries = len(patrol.presences), patrol.query_scan.size
-    foreseen = np.full((n_pairs, patrol.n_robots), NEVER)
-    ghost = np.full((n_queries, patrol.n_robots), NEVER)
+    near, far = (n_pairs, patrol.n_robots), (n_queries, patrol.n_robots)
+    foresight = Foresight(
+        foreseen=np.full(near, NEVER),
+        ghost=np.full(far, NEVER),
+        gaps_m={horizon: np.full(near, np.inf) for horizon in horizons},
+        ghost_gaps_m={horizon: np.full(far, np.inf) for horizon in horizons},
+    )
     query, track = _live_tracks(patrol, shared)
     if not query.size:
-        return Foresight(foreseen, ghost)
+        return foresight
     first = shared.release.offsets[track]
     end = _samples_by(shared, track, patrol.query_scan[query])
     now = patrol.query_scan[query][:, None] + np.arange(patrol.ahead_s.size)
@@ -62,18 +82,26 @@ def foresee_from_tracks(
     ).mean
     presence = _presence_at(patrol, query, shared.person[end - 1])
     is_ghost = presence < 0
+    row = np.where(is_ghost, query, presence)
     stay = np.where(is_ghost, NEVER, scans_left(patrol)[presence])
+    after_leaving = np.arange(patrol.ahead_s.size) > stay[:, None]
     for robot in range(patrol.n_robots):
-        wait = _first_conflict(mean, patrol.robot_xy[robot, now], safety_radius_m)
-        wait = np.where(wait <= stay, wait, NEVER)
-        np.minimum.at(foreseen[:, robot], presence[~is_ghost], wait[~is_ghost])
-        np.minimum.at(ghost[:, robot], query[is_ghost], wait[is_ghost])
-    return Foresight(foreseen, ghost)
+        square = squared_lengths(mean - patrol.robot_xy[robot, now])
+        square[after_leaving] = np.inf
+        wait = _first_conflict(square, safety_radius_m)
+        np.minimum.at(foresight.foreseen[:, robot], row[~is_ghost], wait[~is_ghost])
+        np.minimum.at(foresight.ghost[:, robot], row[is_ghost], wait[is_ghost])
+        for horizon in horizons:
+            gap_m = np.sqrt(square[:, : horizon + 1].min(axis=1))
+            near_m, ghost_m = foresight.gaps_m[horizon], foresight.ghost_gaps_m[horizon]
+            np.minimum.at(near_m[:, robot], row[~is_ghost], gap_m[~is_ghost])
+            np.minimum.at(ghost_m[:, robot], row[is_ghost], gap_m[is_ghost])
+    return foresight
 
 
-def _first_conflict(mean: Floats, route: Floats, radius_m: float) -> Ints:
+def _first_conflict(square: Floats, radius_m: float) -> Ints:
     """Return the scans until a forecast comes inside the radius, (U,), or `NEVER`."""
-    inside = squared_lengths(mean - route) < radius_m**2
+    inside = square < radius_m**2
     return np.where(inside.any(axis=1), inside.argmax(axis=1), NEVER)
 
 

@@ -90,8 +90,8 @@ def same(a, b):
 
 # min_duration_s chooses tracks, a decision by probability needs a covariance, and no
 # spline of these tracks overshoots: all three have tests of their own. What is linked
-# passes through no scene: tests/attacks/tasks/test_build.py; nor do patrols:
-# tests/isac_track/test_patrols.py.
+# passes through no scene: tests/attacks/tasks/test_build.py; nor do patrols and tracks:
+# tests/isac_track/patrols/test_patrol.py, tests/evaluation/compute/test_tracking.py.
 ELSEWHERE = (
     "resample.min_duration_s",
     "resample.max_overshoot_m",
@@ -103,7 +103,7 @@ CHANGES = {
     name: 0.8 * value if isinstance(value, float) else value - 1
     for name, value in StageSettings().flat().items()
     if name not in ELSEWHERE
-    and not name.startswith(("linkage.", "patrol."))
+    and not name.startswith(("linkage.", "patrol.", "tracking."))
     and not isinstance(value, str)
 } | {"scenes.clearance_m": 2.5, "scenes.max_redraws": 1, "sensing.law": "isotropic"}
 

@@ -45,7 +45,9 @@ WORDS = (
 )
 
 
-@pytest.mark.parametrize("kind", ["mechanisms", "predictors", "attacks", "policies"])
+@pytest.mark.parametrize(
+    "kind", ["mechanisms", "predictors", "attacks", "policies", "trackers"]
+)
 def test_every_built_in_plugin_has_a_sentence(kind):
     built_in = [
         name for name, path in plugins.names(kind).items() if "tests" not in path

@@ -56,8 +56,8 @@ def other(key):
     return float(f"{1.25 * usual:.4g}") if isinstance(usual, float) else usual
 
 
-# The settings of a run without patrols.
-READ = [key for key in DEFAULTS if not key.startswith("patrol.")]
+# The settings of a run without patrols and tracks.
+READ = [key for key in DEFAULTS if not key.startswith(("patrol.", "tracking."))]
 CHANGED = {key: value for key in READ if (value := other(key)) != DEFAULTS[key]}
 
 

@@ -9,9 +9,18 @@ from scipy.integrate import quad
 
 from isac_track.errors import SettingsError
 from isac_track.patrols import sense_people
+from isac_track.plugins import parse
+from isac_track.rng import stream
 from isac_track.sensing import range_information_per_snr
-from isac_track.tracking import DetectionSettings, clutter_density, detect_people
+from isac_track.tracking import (
+    DetectionSettings,
+    TrackerSettings,
+    clutter_density,
+    detect_people,
+    run_tracker,
+)
 from isac_track.tracking.detections import CLUTTER, detection_probability
+from isac_track.tracking.sharing import perturb_detections, share_tracks
 
 CERTAIN = DetectionSettings(probability=1.0, clutter_per_scan=0.0)
 FIELDS = ("sample", "person")
@@ -169,3 +178,65 @@ def test_without_a_detection_there_are_empty_scans(patrol, sensed):
     detected = detect(patrol, sensed, nothing)
     assert len(detected.detections) == 0
     assert all(getattr(detected, name).size == 0 for name in FIELDS)
+
+
+class TestSensedShape:
+    """Errors that were sensed by range and bearing."""
+
+    SHAPED = ROUND.changed({"sensing.measurement": "range_bearing"})
+
+    def detected(self, patrol, settings, **changes):
+        return detect_people(
+            patrol,
+            sense_people(patrol, settings=settings, seed=0),
+            settings=DetectionSettings(**changes),
+            sensing=settings.sensing,
+            seed=0,
+        )
+
+    def test_people_keep_it_and_clutter_has_it(self, patrol):
+        shaped = self.detected(patrol, self.SHAPED, clutter_per_scan=20.0)
+        detections, sensed = shaped.detections, shaped.sensed
+        people = sense_people(patrol, settings=self.SHAPED, seed=0)
+        is_person = shaped.person != CLUTTER
+        sample = shaped.sample[is_person]
+        np.testing.assert_array_equal(detections.cov[is_person], people.cov[sample])
+        np.testing.assert_array_equal(detections.xy[is_person], people.xy[sample])
+        np.testing.assert_array_equal(sensed.cov, detections.cov)
+        clutter = ~is_person
+        true = sensed.xy - sensed.sigma_raw[:, None] * sensed.unit_error
+        station = np.array([self.SHAPED.sensing.bs_x_m, self.SHAPED.sensing.bs_y_m])
+        away = (true - station)[clutter]
+        along = away / np.linalg.norm(away, axis=1, keepdims=True)
+        least = np.linalg.eigh(detections.cov[clutter])[1][:, :, 0]
+        np.testing.assert_allclose(np.abs((least * along).sum(axis=1)), 1.0, rtol=1e-9)
+        error = (sensed.xy - true)[clutter]
+        squares = np.linalg.solve(detections.cov[clutter], error[:, :, None])
+        mahalanobis = (error[:, :, None] * squares).sum(axis=(1, 2))
+        assert mahalanobis.mean() == pytest.approx(2.0, rel=0.2)
+
+    def test_the_link_budget_does_not_depend_on_it(self, patrol):
+        scalar = self.detected(patrol, ROUND, probability=None)
+        for scaling in ("trace", "information"):
+            settings = self.SHAPED.changed({"sensing.scaling": scaling})
+            shaped = self.detected(patrol, settings, probability=None)
+            assert set(shaped.sample) == set(scalar.sample)
+
+    def test_it_is_not_shaped_twice(self, patrol):
+        with pytest.raises(SettingsError, match="have their shape already"):
+            self.detected(patrol, self.SHAPED, measurement="range_bearing")
+
+    @pytest.mark.parametrize("spec", ["fid:1", "fixed:0.5,adding=independent", "clean"])
+    def test_a_mechanism_declares_it_before_and_after_tracking(self, patrol, spec):
+        shaped = self.detected(patrol, self.SHAPED)
+        (mechanism,) = parse("mechanisms", spec)
+        noisy = perturb_detections(shaped, mechanism=mechanism.instance, seed=0)
+        tracked = run_tracker(shaped, settings=TrackerSettings(method="oracle"))
+        after = share_tracks(shaped, tracked, seed=0, mechanism=mechanism.instance)
+        release = mechanism.instance.share(shaped.sensed, stream(0, "test"))
+        expected = np.trace(release.cov, axis1=1, axis2=2) / 2.0
+        ours = np.trace(noisy.detections.cov, axis1=1, axis2=2) / 2.0
+        least = 1e-6 * np.trace(shaped.detections.cov, axis1=1, axis2=2).max()
+        np.testing.assert_allclose(np.sort(ours), np.sort(expected), atol=least)
+        assert after.variance.size == after.scan.size
+        assert (np.linalg.eigvalsh(noisy.detections.cov) > 0.0).all()

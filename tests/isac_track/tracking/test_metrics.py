@@ -1,5 +1,7 @@
 """GOSPA against Stone Soup and closed forms; purity, switches and fragments by hand."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 from helpers.detections import make_detected
@@ -17,6 +19,7 @@ from isac_track.tracking.metrics import (
     gospa,
     gospa_scans,
     identity_switches,
+    ospa,
     pure_samples,
     track_owners,
 )
@@ -101,6 +104,38 @@ class TestGospa:
     def test_refuses_bad_parameters(self, wrong):
         with pytest.raises(ValueError, match="must be"):
             gospa(places([(0, 0)]), places([(0, 0)]), **wrong)
+
+
+def ospa_by_definition(truth, tracks, *, cutoff_m, p):
+    """Schuhmacher et al. (2008), eq. 3, over all permutations, as Stone Soup has it."""
+    few, many = sorted((truth, tracks), key=len)
+    if not len(many):
+        return 0.0
+    gaps = np.minimum(np.linalg.norm(few[:, None] - many[None], axis=2), cutoff_m)
+    rows = np.arange(len(few))
+    best = min(
+        (gaps[rows, list(columns)] ** p).sum()
+        for columns in permutations(range(len(many)), len(few))
+    )
+    alone = cutoff_m**p * (len(many) - len(few))
+    return ((best + alone) / len(many)) ** (1.0 / p)
+
+
+class TestOspa:
+    @pytest.mark.parametrize(
+        ("truth", "tracks", "cutoff_m", "_parts"), STONE_SOUP_1_9_1
+    )
+    @pytest.mark.parametrize("p", [1.0, 2.0])
+    def test_is_its_definition_over_all_assignments(
+        self, truth, tracks, cutoff_m, _parts, p
+    ):
+        truth, tracks = places(truth[:6]), places(tracks[:6])
+        expected = ospa_by_definition(truth, tracks, cutoff_m=cutoff_m, p=p)
+        assert ospa(truth, tracks, cutoff_m=cutoff_m, p=p) == pytest.approx(expected)
+
+    def test_of_nothing_is_0_and_of_one_set_the_cut_off(self):
+        assert ospa(places([]), places([]), cutoff_m=1.0) == 0.0
+        assert ospa(places([]), places([(0, 0)]), cutoff_m=1.5) == 1.5
 
 
 def test_gospa_of_scans_counts_people_before_confirmation_as_missed():

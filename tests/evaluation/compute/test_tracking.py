@@ -1,0 +1,246 @@
+"""Tracks of a run: as without tracking if nothing is lost, whatever else is in the run."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from helpers.commands import assert_refused
+from helpers.small_runs import smoke, write_walks
+
+import evaluation
+from evaluation import matrix
+from evaluation.compute.tracking import share_tracked, track_rows, tracking_setup
+from evaluation.plan.axes import axes
+from evaluation.pool.execute import FailedCellsWarning
+from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
+from isac_track import datasets
+from isac_track.config import StageSettings
+from isac_track.errors import SettingsError
+from isac_track.plugins import parse
+
+FEW = {
+    "patrol.fleets": 2,
+    "patrol.segment_s": 12.0,
+    "conflict.horizons_s": (2.0,),
+    "tracking.method": "gnn",
+    "tracking.seeds": 2,
+    "tracking.block_s": 0.6,
+}
+CERTAIN = {"tracking.detection_probability": 1.0, "tracking.clutter_per_scan": 0.0}
+KEY = ["dataset", "mechanism", "level", "consumer", "knowledge", "metric", "policy"]
+
+
+def run(recording, out, *, stages=FEW, **changes):
+    usual = {"mechanisms": ("raw", "fixed:0.5"), "policies": ()}
+    settings = smoke(recording, out, **(usual | changes), stages=stages)
+    return evaluation.run(settings, progress=False, pictures=False)
+
+
+def indexed(rows):
+    return rows.fillna({"level": -1.0}).set_index(KEY).sort_index()
+
+
+def values(rows, policy, metric, consumer=None):
+    rows = rows[(rows["policy"] == policy) & (rows["metric"] == metric)]
+    rows = rows if consumer is None else rows[rows["consumer"] == consumer]
+    return rows.fillna({"level": -1.0}).set_index(["dataset", "mechanism"])["value"]
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    return write_walks(tmp_path_factory.mktemp("tracks") / "walks.csv", n_people=12)
+
+
+@pytest.fixture(scope="module")
+def made(recording):
+    return run(recording, recording.parent / "run")
+
+
+def test_rows_are_unique_and_all_others_are_those_of_a_run_without(made, recording):
+    assert not made.summary.duplicated(KEY).any()
+    assert set(made.tracks["policy"]) == {"tracks:oracle", "tracks:gnn"}
+    usual = FEW | {"tracking.method": "oracle"}
+    alone = run(recording, recording.parent / "alone", stages=usual)
+    assert alone.tracks.empty
+    others = made.without_policy.reset_index(drop=True)
+    pd.testing.assert_frame_equal(others, alone.summary, check_exact=True)
+
+
+@pytest.mark.slow
+def test_two_workers_and_other_mechanisms_give_the_same_rows(made, recording):
+    other = run(
+        recording,
+        recording.parent / "other",
+        mechanisms=("fid:3", "fixed:0.5", "raw"),
+        jobs=2,
+    )
+    ours, theirs = indexed(made.tracks), indexed(other.tracks)
+    assert set(ours.index) < set(theirs.index)
+    pd.testing.assert_frame_equal(theirs.loc[ours.index], ours, check_exact=True)
+
+
+def test_with_certain_detection_the_oracle_is_the_policy_everything(recording):
+    certain = run(
+        recording,
+        recording.parent / "certain",
+        mechanisms=("raw",),
+        policies=("everything",),
+        predictors=("kalman_cv",),
+        stages=FEW | CERTAIN | {"tracking.seeds": 1},
+    )
+    rows = certain.summary
+    for metric, consumer in (
+        ("missed_conflict_rate", "kalman_cv"),
+        ("missed_future_rate", "kalman_cv"),
+        ("missed_future_at_equal_false_alarms", "kalman_cv"),
+        ("false_alarms_per_min", "kalman_cv"),
+    ):
+        ours = values(rows, "tracks:oracle", metric, consumer)
+        usual = rows[(rows["policy"] == "everything") & (rows["metric"] == metric)]
+        usual = usual[usual["consumer"] == consumer]
+        expected = usual.set_index(["dataset", "mechanism"])["value"]
+        np.testing.assert_allclose(ours, expected.loc[ours.index], rtol=1e-12)
+    # Tracks have the samples after the last query, too.
+    log = rows[(rows["policy"] == "everything") & (rows["metric"] == "known_share")]
+    usual = log.loc[log["knowledge"] == "oracle", "value"].item()
+    assert usual <= values(rows, "tracks:oracle", "known_share").item() < usual + 0.06
+    assert (values(rows, "tracks:oracle", "purity") == 1.0).all()
+    assert (values(rows, "tracks:oracle", "fragments") == 0.0).all()
+
+
+def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
+    out = recording.parent / "before"
+    before = {"tracking.noise": "before"}
+    noisy = run(recording, out, stages=FEW | before)
+    detections = run(
+        recording, out, stages=FEW | before | {"tracking.release": "detections"}
+    )
+    after = values(made.tracks, "tracks:gnn", "purity")
+    assert after.loc[:, "raw"].item() == after.loc[:, "fixed"].item()
+    purity = values(noisy.tracks, "tracks:gnn,noise=before", "purity")
+    assert purity.loc[:, "fixed"].item() < purity.loc[:, "raw"].item()
+    assert purity.loc[:, "raw"].item() == after.loc[:, "raw"].item()
+    # Both releases stay in the folder: the recipient tracks as the network does.
+    shared = detections.tracks
+    assert set(shared["policy"]) == {
+        f"{form}:{tracker}{end}"
+        for tracker in ("oracle", "gnn")
+        for form, end in (("tracks", ",noise=before"), ("detections", ""))
+    }
+    pd.testing.assert_series_equal(
+        values(shared, "detections:gnn", "known_share"),
+        values(shared, "tracks:gnn,noise=before", "known_share"),
+    )
+
+
+def test_the_table_and_the_first_screen_compare_with_perfect_association(made):
+    table = tracking_table(made)
+    heads = [column.name for column in table.columns]
+    assert heads[:4] == ["release", "mechanism", "known", "purity"]
+    rows = {(row[0].text, row[1].text): row for row in table.rows}
+    assert len(rows) == 4
+    known = values(made.tracks, "tracks:gnn", "known_share").loc[:, "raw"].item()
+    assert rows["tracks:gnn", "raw positions"][2].value == pytest.approx(100 * known)
+    assert any("conditional on this recording" in note for note in table.notes)
+    sentence = tracking_sentence(made)
+    assert sentence.startswith(f"Raw tracks of gnn reveal {100 * known:.0f} % of")
+    lines = first_screen(made)
+    assert any(line.startswith("Tracking: Raw tracks of gnn") for line in lines)
+    assert not any(line.startswith("On patrol:") for line in lines)
+    assert len(lines) <= 24
+
+
+def test_other_detections_replace_rows_of_a_folder_and_a_tracker_is_added(recording):
+    out = recording.parent / "again"
+    single = FEW | {"tracking.seeds": 1}
+    first = run(recording, out, mechanisms=("raw",), stages=single)
+    more = run(
+        recording, out, mechanisms=("raw",), stages=single | {"tracking.method": "jpda"}
+    )
+    assert set(more.tracks["policy"]) == {
+        "tracks:oracle",
+        "tracks:gnn",
+        "tracks:jpda",
+    }
+    kept = indexed(more.tracks).loc[indexed(first.tracks).index]
+    pd.testing.assert_frame_equal(kept, indexed(first.tracks), check_exact=True)
+    linked = single | {"tracking.detection_probability": "link"}
+    again = run(recording, out, mechanisms=("raw",), stages=linked)
+    assert set(again.tracks["policy"]) == {"tracks:oracle", "tracks:gnn"}
+    purity = [values(each.tracks, "tracks:gnn", "purity") for each in (first, again)]
+    assert purity[0].item() != purity[1].item()
+
+
+@pytest.mark.usefixtures("single_process")
+def test_a_tracker_that_fails_is_named_and_fails_alone(recording):
+    out, spec = recording.parent / "failing", "helpers.bad_plugins:Shifted"
+    longer = {"tracking.seeds": 1, "patrol.segment_s": 30.0}
+    changed = FEW | {"tracking.method": spec} | longer
+    with pytest.warns(FailedCellsWarning, match="do not fit"):
+        results = run(recording, out, mechanisms=("raw",), stages=changed)
+    assert set(results.tracks["policy"]) == {"tracks:oracle"}
+    failed = pd.read_csv(out / "failed.csv", keep_default_na=False)
+    assert set(failed["policy"]) == {f"tracks:{spec}"}
+    assert failed["why"].str.contains(f"tracker '{spec}'", regex=False).all()
+
+
+@pytest.mark.parametrize(
+    ("setting", "says"),
+    [
+        (
+            "tracking.method=gmm",
+            "unknown tracker 'gmm'; known: genie, gnn, jpda, oracle",
+        ),
+        ("tracking.method=gnn:confirm_hits=9", "confirmed at 1 to 5 detections"),
+        ("tracking.detection_probability=most", "must be a number, or be link"),
+        ("tracking.detection_probability=2", "must lie within 0 to 1, or be link"),
+        ("tracking.noise=never", "tracking.noise must be one of after, before"),
+        ("tracking.release=detections", "add --set tracking.noise=before"),
+        ("tracking.seeds=0", "tracking.seeds must lie within 1 to 100"),
+    ],
+)
+def test_a_wrong_value_is_one_line(ran, recording, setting, says):
+    words = ["--preset", "smoke", "--dataset", recording, "--out", "never"]
+    assert_refused(ran(matrix, *words, "--set", setting), says)
+
+
+@pytest.fixture(scope="module")
+def counted(recording):
+    """A function from settings to the rows of raw tracks of gnn."""
+    recorded = datasets.load(str(recording)).tracks
+
+    def count(changes):
+        brief = FEW | {"patrol.segment_s": 6.0, "tracking.seeds": 1}
+        stages = StageSettings().changed(brief | changes)
+        setup = tracking_setup(recorded, stages=stages, seed=0)
+        raw, gnn = parse("mechanisms", "raw")[0], parse("trackers", "gnn")[0]
+        return track_rows(share_tracked(raw, gnn, setup), setup)
+
+    return count
+
+
+@pytest.mark.parametrize(
+    ("changes", "least"),
+    [
+        ({"tracking.detection_probability": 0.6}, {}),
+        ({"tracking.clutter_per_scan": 9.0}, {}),
+        ({"tracking.seeds": 2}, {}),
+        ({"tracking.block_s": 0.9}, {}),
+        (
+            {"tracking.p_false_alarm": 1e-9},
+            {"tracking.detection_probability": "link"},
+        ),
+    ],
+)
+def test_every_setting_changes_the_rows(counted, changes, least):
+    usual, other = counted(least), counted(least | changes)
+    assert any(
+        not np.array_equal(values, other[name]) for name, values in usual.items()
+    )
+
+
+def test_a_mechanism_that_leaves_samples_out_has_no_tracks():
+    settings = smoke("plaza", mechanisms=("raw", "window:2"), stages=FEW)
+    assert [plugin.spec for plugin in axes(settings).tracked] == ["raw"]
+    with pytest.raises(SettingsError, match="unknown tracker"):
+        axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))
