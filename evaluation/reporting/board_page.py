@@ -147,6 +147,7 @@ def _table(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> T
     columns = [
         Column("mechanism", lambda record: _link(record[0]), align="left"),
         Column("policy", lambda record: text_cell(record[0].policy.spec), align="left"),
+        Column("answer", lambda record: text_cell(record[0].form), align="left"),
         Column("place", lambda record: _place(*record), align="left"),
         *(_axis_column(axis) for axis in AXES),
         Column(
@@ -274,7 +275,7 @@ def _figure(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> 
         columns=2,
         key={name: looks[name] for name in series},
         caption="",
-        note="Filled: on the front of all three axes. Hollow: beaten, or a control.",
+        note="Filled: on the front of its form of answer. Hollow: beaten, or a control.",
     )
 
 

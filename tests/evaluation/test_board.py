@@ -61,7 +61,7 @@ class TestPage:
     def test_each_entry_has_its_place(self):
         worlds = make_board(self.CARDS).worlds
         assert [len(world.entries) for world in worlds] == [4, 1]
-        rows = {row[0].text: row[2].text for row in worlds[0].table.rows}
+        rows = {row[0].text: row[3].text for row in worlds[0].table.rows}
         assert rows == {
             "raw": "front",
             "ou:0.4": "front",
