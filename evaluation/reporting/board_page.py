@@ -22,7 +22,7 @@ from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.markup import HTML
+from evaluation.reporting.markup import HTML, markdown
 from evaluation.reporting.names import dataset_title
 from evaluation.reporting.table import (
     Cell,
@@ -103,6 +103,15 @@ def render(board: Board) -> str:
     )
     # A line's end between two elements would be a node of its own.
     return re.sub(r">\n+<", "><", text)
+
+
+def as_markdown(board: Board) -> str:
+    """Return the table of each world in Markdown."""
+    parts = [
+        f"## {world.title}\n\n{world.finding}\n\n{markdown(world.table)}"
+        for world in board.worlds
+    ]
+    return "\n".join(parts)
 
 
 def _world(key: tuple[str, str, str], cards: Sequence[Card]) -> World:

@@ -89,6 +89,8 @@ class TestPage:
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', text)
         figures = sorted(item.name for item in page.parent.glob("*.svg"))
         assert len(figures) == 2
+        tables = (page.parent / "board.md").read_text(encoding="utf-8")
+        assert tables.count("| everything |") == len(self.CARDS)
 
     def test_the_strongest_reader_of_an_entry_comes_first(self):
         entry = make_board(self.CARDS[:1]).worlds[0].entries[0]
