@@ -47,7 +47,7 @@ class Attacked:
 
 
 def write_board(cards: Sequence[Card], out: Path) -> Path:
-    """Write the page, its figures and the cards into a folder; return the page's path.
+    """Write page, figures, tables in Markdown and cards; return the path of the page.
 
     DataError if they cannot be written, or if there is no card.
     """
@@ -59,6 +59,7 @@ def write_board(cards: Sequence[Card], out: Path) -> Path:
     write_figures(
         [world.figure for world in board.worlds], folder=out, dataset="board", pdf=False
     )
+    write_whole(out / "board.md", board_page.as_markdown(board).encode())
     path = out / "index.html"
     write_whole(path, board_page.render(board).encode())
     return path

@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+import isac_track
 from evaluation.api.rebuilding import limit_threads
 from evaluation.compute.board import (
     attack_scores,
@@ -211,6 +212,7 @@ class Maker:
                 entry.policy,
                 protects=bool(getattr(entry.policy.instance, "protects", True)),
             ),
+            form=entry.policy.instance.form,
             seed=None if self.seed.is_secret else self.seed.value,
             seed_commitment=self.seed.commitment(self.protocol),
             scores=tuple(plain),
@@ -296,6 +298,7 @@ def code_digest(robots: tuple[str, ...]) -> str:
 def environment() -> dict[str, str]:
     """Return what bits may depend on beside code, data and seed."""
     return {
+        "isac_track": isac_track.__version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
         "machine": f"{platform.system()} {platform.machine()}",

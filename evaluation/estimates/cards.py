@@ -183,8 +183,9 @@ def _number(value: float | None) -> str:
 def on_front(cards: Sequence[Card]) -> Bools:
     """Return which cards no other card beats, (N,), over missed, known and followed.
 
-    A card beats another that is no better on any axis and worse on some axis. Controls
-    beat nobody, and are on no front.
+    A card beats another that is no better on any axis and worse on some axis. Only
+    answers of one form are compared: a flag warns a robot, but gives it no positions to
+    plan by. Controls beat nobody, and are on no front.
     """
     values = np.array(
         [[card.primary[axis].value for axis in AXES] for card in cards], dtype=float
@@ -192,7 +193,9 @@ def on_front(cards: Sequence[Card]) -> Bools:
     enters = np.array([not is_control(card) for card in cards], dtype=bool)
     no_worse = (values[:, None] <= values[None]).all(axis=2)
     better = (values[:, None] < values[None]).any(axis=2)
-    is_beaten = (no_worse & better & enters[:, None]).any(axis=0)
+    forms = np.array([card.form for card in cards])
+    is_rival = enters[:, None] & (forms[:, None] == forms)
+    is_beaten = (no_worse & better & is_rival).any(axis=0)
     return np.asarray(enters & ~is_beaten)
 
 

@@ -22,7 +22,7 @@ from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
 from evaluation.reporting.figures.figure import Figure
-from evaluation.reporting.markup import HTML
+from evaluation.reporting.markup import HTML, markdown
 from evaluation.reporting.names import dataset_title
 from evaluation.reporting.table import (
     Cell,
@@ -105,6 +105,15 @@ def render(board: Board) -> str:
     return re.sub(r">\n+<", "><", text)
 
 
+def as_markdown(board: Board) -> str:
+    """Return the table of each world in Markdown."""
+    parts = [
+        f"## {world.title}\n\n{world.finding}\n\n{markdown(world.table)}"
+        for world in board.worlds
+    ]
+    return "\n".join(parts)
+
+
 def _world(key: tuple[str, str, str], cards: Sequence[Card]) -> World:
     recording, law, seed = key
     is_front = on_front(cards)
@@ -147,6 +156,7 @@ def _table(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> T
     columns = [
         Column("mechanism", lambda record: _link(record[0]), align="left"),
         Column("policy", lambda record: text_cell(record[0].policy.spec), align="left"),
+        Column("answer", lambda record: text_cell(record[0].form), align="left"),
         Column("place", lambda record: _place(*record), align="left"),
         *(_axis_column(axis) for axis in AXES),
         Column(
@@ -274,7 +284,7 @@ def _figure(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> 
         columns=2,
         key={name: looks[name] for name in series},
         caption="",
-        note="Filled: on the front of all three axes. Hollow: beaten, or a control.",
+        note="Filled: on the front of its form of answer. Hollow: beaten, or a control.",
     )
 
 

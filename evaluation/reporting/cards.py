@@ -28,7 +28,10 @@ def card_line(card: Card) -> str:
         f"{HEADS[axis]} {score_text(card.primary[axis])} % by {card.primary[axis].by}"
         for axis in AXES
     ]
-    return f"{card.label}: {', '.join(shown)}"
+    text = f"{card.label}: {', '.join(shown)}"
+    if card.digits is not None and card.digits.is_message:
+        text += "; its low-order digits hide a message"
+    return text
 
 
 def fall_line(before: Card, after: Card) -> str:

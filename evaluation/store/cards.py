@@ -76,6 +76,7 @@ class Card:
     mechanism_name: str  # As in results, without the level.
     level: float | None
     policy: CardPlugin
+    form: str  # Of the policy's answers: samples, state or flag.
     seed: int | None  # None: secret; `seed_commitment` binds it.
     seed_commitment: str
     scores: tuple[CardScore, ...]

@@ -61,7 +61,7 @@ class TestPage:
     def test_each_entry_has_its_place(self):
         worlds = make_board(self.CARDS).worlds
         assert [len(world.entries) for world in worlds] == [4, 1]
-        rows = {row[0].text: row[2].text for row in worlds[0].table.rows}
+        rows = {row[0].text: row[3].text for row in worlds[0].table.rows}
         assert rows == {
             "raw": "front",
             "ou:0.4": "front",
@@ -89,6 +89,8 @@ class TestPage:
         assert not re.findall(r'(?:src|href)="(?:https?:)?//', text)
         figures = sorted(item.name for item in page.parent.glob("*.svg"))
         assert len(figures) == 2
+        tables = (page.parent / "board.md").read_text(encoding="utf-8")
+        assert tables.count("| everything |") == len(self.CARDS)
 
     def test_the_strongest_reader_of_an_entry_comes_first(self):
         entry = make_board(self.CARDS[:1]).worlds[0].entries[0]

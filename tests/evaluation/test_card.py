@@ -52,7 +52,7 @@ class TestMaking:
         assert card.recording_digest == SMALL.recordings["plaza"]
         assert card.level == 0.4
         assert [item.adversary for item in card.attacks] == ["informed"]
-        assert card.environment.keys() == {"python", "numpy", "machine"}
+        assert card.environment.keys() == {"isac_track", "python", "numpy", "machine"}
         readers = {score.by for score in card.scores}
         assert {f"log:{name}" for name in SMALL.log} < readers
         assert all(score.n > 0 for score in card.scores)

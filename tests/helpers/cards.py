@@ -53,6 +53,7 @@ def made_up_card(
         mechanism_name=mechanism.partition(":")[0],
         level=None,
         policy=CardPlugin(policy, "1" * 64),
+        form="samples",
         seed=seed,
         seed_commitment=Seed(seed).commitment(protocol),
         scores=scores,

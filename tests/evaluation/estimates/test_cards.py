@@ -136,6 +136,12 @@ class TestFront:
         assert on_front(cards).tolist() == [True, False, False, False]
         assert on_front(cards[1:3]).tolist() == [True, True]
 
+    def test_a_flag_is_held_only_against_flags(self):
+        """It gives a robot no positions, so that it would beat all that do."""
+        flag = made_up_card(known=0.0, followed=0.0, weaker=0.0, form="flag")
+        louder = made_up_card(known=0.1, followed=0.0, weaker=0.0, form="flag")
+        assert on_front([flag, louder, made_up_card()]).tolist() == [True, False, True]
+
     def test_a_control_beats_nobody(self):
         control = made_up_card(
             missed=0.0, known=0.0, followed=0.0, weaker=0.0, mechanism="clean",
