@@ -50,7 +50,7 @@ from evaluation.reporting.paper_hint import paper_hint
 from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import named_levels
 from evaluation.reporting.result_tables import control_tests
-from evaluation.reporting.return_tables import screen_table
+from evaluation.reporting.return_tables import return_tables, screen_table
 from evaluation.reporting.return_words import (
     TOPIC,
     no_scenes_line,
@@ -91,18 +91,22 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
         return _returning_screen(run, before=before)
     table = run.headline
     top = [*wrap_lines(data_line(run.manifest)), *unusual_geometry(run.manifest)]
-    last = [*_doubt_lines(doubts(run, table)), *_page_lines(run), *_next_lines(run)]
+    end = [*_doubt_lines(doubts(run, table)), *_page_lines(run)]
     texts = [_level_line(table)]
     shown = answers(run, table, names_level=False)
     texts += [f"{answer.topic}: {answer.sentence}" for answer in shown]
     patrols = _patrol_lines(run)
     own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
-    smallest_grid = _table_lines(run, table, room=0)
-    most = LINES - len([*top, *smallest_grid, *last])
-    sentences = fitting_lines([*texts, *patrols], most=most - len(own))
-    if len(sentences) > most - len(own) and shown[-1].topic == TOPIC:
-        # People who come back take the place of patrols, which the page answers.
-        sentences = fitting_lines(texts, most=most - len(own))
+    fixed = [*top, *_table_lines(run, table, room=0), *own, *end]
+    # People who come back take the place of patrols, then of the sweep's command; the
+    # page has both.
+    for further, names_sweep in ((patrols, True), ([], True), ([], False)):
+        following = _next_lines(run, names_sweep=names_sweep)
+        most = LINES - len([*fixed, *following])
+        sentences = fitting_lines([*texts, *further], most=most)
+        if len(sentences) <= most or shown[-1].topic != TOPIC:
+            break
+    last = [*end, *following]
     sentences += own
     room = LINES - before - len([*top, *sentences, *last])
     grid = _table_lines(run, table, room=room)
@@ -153,14 +157,14 @@ def data_line(manifest: Mapping[str, Any]) -> str:
     dataset, identity = manifest["dataset"], manifest["identity"]
     is_cut = any(repair["kind"] in _CUTS for repair in dataset["repairs"])
     noun, plural = ("track", "tracks") if is_cut else ("person", "people")
+    if dataset.get("returning"):  # Several of each person.
+        noun, plural = "passage", "passages"
     tracks = counted(dataset["tracks"], noun, plural)
     title = f"{dataset_title(dataset['name'])}: {tracks} recorded"
     if dataset.get("simulated"):
         title = f"Simulated crowd {dataset['name']}: {tracks}"
     if manifest.get("no_scenes"):
-        passages = counted(dataset["tracks"], "passage")
-        name = dataset_title(dataset["name"])
-        return f"{name}: {passages} recorded; {returning_line(manifest)}"
+        return f"{title}; {returning_line(manifest)}"
     scenes = identity.get("scenes_utility", identity["scenes"])
     return (
         f"{title}, {dataset['tracks_used']:,} long enough to use;"
@@ -234,6 +238,8 @@ def _known_levels(table: Headline, columns: Sequence[HeadlineColumn]) -> list[Wh
 
 def first_table(run: Results) -> Table:
     """Return the table of the first screen with all its columns, for a notebook."""
+    if not run.has_scenes:
+        return next(iter(return_tables(run)), make.build_table("first", "", [], []))
     table = run.headline
     robot = lead_robot(table, best=best_robot(run))
     columns = _flat_columns(screen_columns(table, robot))
@@ -510,7 +516,7 @@ def _page_lines(run: Results) -> list[str]:
     return [line] if len(line) <= WIDTH else [printable(f"Page: {short_path(page)}")]
 
 
-def _next_lines(run: Results) -> list[str]:
+def _next_lines(run: Results, *, names_sweep: bool = True) -> list[str]:
     """Return the next commands: `design`, and after `quick` the sweep of the paper."""
     out, answer = shlex.quote(str(short_path(run.out))), run.recommendation()
     if not (answer.raw and math.isfinite(answer.raw.cost.ci_high)):
@@ -520,7 +526,8 @@ def _next_lines(run: Results) -> list[str]:
     # Both adding rules must hold by default: a run of one rule must name it.
     rest = f"--adding {rules[0]} {out}" if len(rules) == 1 else out
     design = f"python -m evaluation.design --max-missed {missed:.2f}"
-    return [*command_lines("Next", design, rest), *_paper_lines(run.manifest)]
+    sweep = _paper_lines(run.manifest) if names_sweep else []
+    return [*command_lines("Next", design, rest), *sweep]
 
 
 def command_lines(label: str, command: str, rest: str) -> list[str]:

@@ -79,7 +79,8 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
     counts: Counter[str] = Counter()
     for repair in dataset["repairs"]:
         counts[repair["kind"]] += repair["count"]
-    counts["too-short"] = dataset["too_short"] + dataset["no_future"]
+    if dataset["tracks_used"]:  # A run without scenes says so itself.
+        counts["too-short"] = dataset["too_short"] + dataset["no_future"]
     details = [
         repair["detail"]
         for repair in dataset["repairs"]

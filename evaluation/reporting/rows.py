@@ -242,7 +242,11 @@ class Results:
         shared = self.ours[self.ours["consumer"] == SHARED]
         n_levels = len(shared[["mechanism", "level"]].drop_duplicates())
         failed = f", {len(self.failed)} cells failed" if len(self.failed) else ""
-        size = f"{scenes_text(identity)}, seed {identity['seed']}, {n_levels} levels"
+        n_scenes = scenes_text(identity)
+        if not self.has_scenes:
+            n_scenes = "no scenes"
+            n_levels = len(self.returns[["mechanism", "level"]].drop_duplicates())
+        size = f"{n_scenes}, seed {identity['seed']}, {n_levels} levels"
         return f"Results {self.out}: {people}, {size}{failed}"
 
     def recommendation(self, question: Question | None = None) -> Recommendation:

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,7 +14,10 @@ from attacks.tasks.return_study import FUSION, study_returns
 from attacks.tasks.returns import hide, passages
 from evaluation import matrix
 from evaluation.plan.settings import Settings
+from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.page import render
+from evaluation.reporting.return_words import return_sentence
 from isac_track import datasets
 from isac_track.place import placed
 
@@ -109,6 +113,48 @@ def test_a_run_without_scenes_has_a_first_screen_that_says_so(made):
     assert f"Return: With {n} people we cannot tell whether a walk identifies" in text
     assert re.search(r"are named first, guessing \d+ %, [\w ]+ \d+ %\.", text)
     assert "resample.min_duration_s=" in (made.out / "tables.txt").read_text()
+
+
+def test_the_page_has_sentence_figure_and_tables(made):
+    figures = make_figures(made)
+    (figure,) = [drawn for drawn in figures if drawn.name == "returns"]
+    assert figure.caption == return_sentence(made)
+    (_, chart), *_ = figure.panels
+    assert [text for _, text in chart.y_ticks][:2] == [
+        "no error at all",
+        "raw positions",
+    ]
+    text = render(made, figures=figures).replace("\u00a0", " ")
+    section = text[text.index('<section id="returns">') :]
+    for part in (return_sentence(made), 'id="fig-returns"', "strongest control"):
+        assert part in section
+    assert '<section id="record">' not in text
+    assert '<a href="#level">' not in text
+    assert "8 people who come back, at 3 levels" in text
+
+
+@pytest.mark.parametrize(
+    ("decision", "says"),
+    [
+        ("yes", "A walk identifies a person in another run: of 30 people, 41 % ["),
+        ("no", "A walk does not identify a person in another run: of 30 people,"),
+        ("not decided", "With 30 people we cannot tell whether a walk identifies"),
+    ],
+)
+def test_each_decision_has_its_sentence_with_guessing_and_control(made, decision, says):
+    answer = made.verdict["returns"] | {
+        "decision": decision,
+        "n": 30,
+        "rank1": 0.41,
+        "control": 0.09,
+        "rank1_low": 0.3,
+        "rank1_high": 0.5,
+        "chance": 0.033,
+        "controls": {"neighbours": 30},
+    }
+    sentence = return_sentence(replace(made, verdict={"returns": answer}))
+    assert sentence.startswith(says)
+    assert sentence.endswith("are named first, guessing 3 %, neighbours 9 %.")
 
 
 def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
