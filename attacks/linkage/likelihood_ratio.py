@@ -9,11 +9,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from attacks.linkage.learning import MOST_PAIRS, make_linker
+from attacks.linkage.shaped_information import ShapedSide, shaped_side
 from attacks.parameters import require_positive
 from attacks.reconstruction.kalman_rts import RadialRTS, information
 from attacks.remembered import find_origin, memoised
 from isac_track.kalman.slow_errors import added_error
 from isac_track.linkability.ranks import soft_matches
+from isac_track.measurement import error_ellipses
 from isac_track.protocols import AttackContext, Linker
 from isac_track.types import Floats, Knowledge, Release, read_only
 
@@ -65,10 +67,22 @@ class LikelihoodRatio:
     A pair's score is then its probability given all other pairs (`soft_matches`).
     """
 
+    shape: bool = False
+    """Whether declared ellipses count, for an adversary who is granted SIGMA.
+
+    Both axes then hang together, and the mean over rotations is a numerical one: 1 ms a
+    pair. With round errors the score is the same.
+    """
+
     kind: ClassVar[str] = "linkage"
     one_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
-    uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
+
+    @property
+    def uses(self) -> frozenset[Knowledge]:
+        """The mechanism, and SIGMA if the `shape` of errors counts."""
+        sigma = {Knowledge.SIGMA} if self.shape else set()
+        return frozenset({Knowledge.MECHANISM} | sigma)
 
     def __post_init__(self) -> None:
         require_positive(floor_m2=self.floor_m2, lag_s=self.lag_s, q=self.q)
@@ -120,6 +134,8 @@ def _compute_ratios(
     lags_s, spread_m2 = _lags_s(attack), _spread_m2(attack)
     log_lag = -np.abs(lags_s) / attack.lag_s
     log_lag += np.log(spread_m2).sum(axis=1) - logsumexp(log_lag)
+    if attack.shape and probe.cov is not None and gallery.cov is not None:
+        return _shaped_ratios(probe, gallery, attack, slow, passes, log_lag)
     sides = []
     for release, sign in ((probe, 1), (gallery, -1)):
         origin, rows = find_origin(release)
@@ -127,6 +143,27 @@ def _compute_ratios(
         sides.append(tuple(array.take(rows, axis=2) for array in side))
     score = np.empty((len(probe), len(gallery)))
     _loops().ratios(*sides, 1.0 / spread_m2, log_lag, score)
+    return read_only(score)
+
+
+def _shaped_ratios(
+    probe: Release,
+    gallery: Release,
+    attack: LikelihoodRatio,
+    slow: _Slow,
+    passes: int,
+    log_lag: Floats,
+) -> Floats:
+    """Return the log ratio of every pair behind errors with a shape, (P, G)."""
+    sides = []
+    for release, sign in ((probe, 1), (gallery, -1)):
+        origin, rows = find_origin(release)
+        side = _shaped_side(origin, attack, slow, sign, passes)
+        sides.append(tuple(array.take(rows, axis=1) for array in side))
+    score = np.empty((len(probe), len(gallery)))
+    import_module("attacks.linkage._shaped_ratio_loop").shaped_ratios(
+        *sides, 1.0 / _spread_m2(attack), log_lag, score
+    )
     return read_only(score)
 
 
@@ -145,6 +182,13 @@ def _spread_m2(attack: LikelihoodRatio) -> Floats:
     return prior_m2(duration_s=lasts_s, q=attack.q, rank=attack.rank)
 
 
+def _segments_s(attack: LikelihoodRatio, sign: int) -> Floats:
+    """Return the stretch of a probe (sign 1) or gallery (-1) at each lag, (L, 2) s."""
+    lags_s = _lags_s(attack)
+    start_s = np.maximum(sign * lags_s, 0.0)
+    return np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
+
+
 def _information(
     release: Release, attack: LikelihoodRatio, sign: int, passes: int
 ) -> Floats:
@@ -152,10 +196,8 @@ def _information(
 
     The array is (L, N, K, K + 2); see `_ratio_loop.accumulate_information`.
     """
-    lags_s, rank = _lags_s(attack), attack.rank
-    start_s = np.maximum(sign * lags_s, 0.0)
-    segments_s = np.column_stack([start_s, start_s + attack.window_s - np.abs(lags_s)])
-    out = np.empty((lags_s.size, len(release), rank, rank + 2))
+    segments_s, rank = _segments_s(attack, sign), attack.rank
+    out = np.empty((len(segments_s), len(release), rank, rank + 2))
     walks = release.t, release.xy, information(release, passes), release.offsets
     _loops().accumulate_information(
         tuple(map(np.ascontiguousarray, walks)), segments_s, out
@@ -163,11 +205,8 @@ def _information(
     return out
 
 
-@memoised
-def _side(
-    release: Release, attack: LikelihoodRatio, slow: _Slow, sign: int, passes: int
-) -> tuple[Floats, ...]:
-    """Return the three arrays that `_ratio_loop.ratios` takes for a side."""
+def _added_m2(attack: LikelihoodRatio, slow: _Slow) -> Floats:
+    """Return the further error variance of the coefficients at each lag, (L, K, K)."""
     lags_s, rank, (std_m, tau_s) = _lags_s(attack), attack.rank, slow
     added_m2 = np.tile(attack.floor_m2 * np.eye(rank), (lags_s.size, 1, 1))
     if std_m > 0.0:
@@ -175,6 +214,32 @@ def _side(
             added_m2[lag] += std_m**2 * _slow_share(
                 attack.window_s - lag_s, tau_s, rank
             )
+    return added_m2
+
+
+@memoised
+def _shaped_side(
+    release: Release, attack: LikelihoodRatio, slow: _Slow, sign: int, passes: int
+) -> ShapedSide:
+    """Return the three arrays that `_shaped_ratio_loop.shaped_ratios` takes."""
+    assert release.cov is not None
+    inverse = np.linalg.inv(error_ellipses(release.cov))
+    weight = information(release, passes)
+    return shaped_side(
+        release,
+        precision=weight[:, None, None] * inverse,
+        segments_s=_segments_s(attack, sign),
+        added_m2=_added_m2(attack, slow),
+        prior=1.0 / _spread_m2(attack),
+    )
+
+
+@memoised
+def _side(
+    release: Release, attack: LikelihoodRatio, slow: _Slow, sign: int, passes: int
+) -> tuple[Floats, ...]:
+    """Return the three arrays that `_ratio_loop.ratios` takes for a side."""
+    lags_s, rank, added_m2 = _lags_s(attack), attack.rank, _added_m2(attack, slow)
     sizes = (rank * (rank + 1) // 2, 2 * rank, 1)
     side = tuple(np.empty((lags_s.size, size, len(release))) for size in sizes)
     walk_information = _information(release, attack, sign, passes)

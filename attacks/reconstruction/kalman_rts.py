@@ -20,7 +20,8 @@ from attacks.reconstruction.own_motion import (
 from attacks.remembered import memoised, noise_m2
 from isac_track.kalman import Batch, smooth_positions
 from isac_track.kalman.slow_errors import SlowError
-from isac_track.measurement import error_ellipses, round_errors
+from isac_track.measurement import error_ellipses, mean_variance, round_errors
+from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.protocols import AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release
 
@@ -149,17 +150,27 @@ def information(release: Release, passes: int) -> Floats:
 
     It is the inverse of the error variance. Under radial errors it is the weight in the
     last of a smoother's `passes`: a sample close to the walk is very likely almost
-    exact.
+    exact. Of errors with a declared shape it is that of a sample's mean variance.
     """
     variance = np.repeat(noise_m2(release), np.diff(release.offsets))
+    if release.cov is not None:
+        variance = np.maximum(mean_variance(release.cov), MIN_VARIANCE_M2)
     if not looks_radial(release):
         return 1.0 / variance
     smoothed = smooth_memoised(
         release, _smooth, _Choice(RadialRTS.DEFAULT_Q, passes, RadialRTS().anneal)
     )
     assert smoothed.std is not None
-    square_m2 = ((release.xy - smoothed.xy) ** 2).sum(axis=1)
+    square_m2 = (_gaps(release, smoothed) ** 2).sum(axis=1)
     return np.asarray(1.0 / (square_m2 + 2.0 * smoothed.std**2) + 0.5 / variance)
+
+
+def _gaps(release: Release, smoothed: Reconstruction) -> Floats:
+    """Return samples less smoothed positions, (M, 2) m, in units of declared shapes."""
+    gap_m = release.xy - smoothed.xy
+    if release.cov is None:
+        return gap_m
+    return round_errors(cov=error_ellipses(release.cov), error=gap_m)
 
 
 @memoised
@@ -173,9 +184,7 @@ def looks_radial(release: Release) -> bool:
     blurs that. Tracks of fewer than three samples do not count.
     """
     single_pass = _Choice(KalmanRTS.DEFAULT_Q, 1, 0.0)
-    gap_m = release.xy - smooth_memoised(release, _smooth, single_pass).xy
-    if release.cov is not None:
-        gap_m = round_errors(cov=error_ellipses(release.cov), error=gap_m)
+    gap_m = _gaps(release, smooth_memoised(release, _smooth, single_pass))
     square_m2 = gap_m[:, 0] * gap_m[:, 0] + gap_m[:, 1] * gap_m[:, 1]
     log_m = 0.5 * np.log(
         np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2
