@@ -304,14 +304,18 @@ def _run_planned(plan: "Plan", update: _Progress, *, pictures: bool) -> "Results
     from evaluation.api import run  # noqa: PLC0415 - as said
     from evaluation.pool.execute import FailedCellsWarning  # noqa: PLC0415 - as said
 
-    # Imported objects stay: without this the garbage collector takes a second.
-    gc.freeze()
+    # Imported objects stay: without this the garbage collector takes a second. A
+    # caller in the same process may have frozen its own.
+    is_first = gc.get_freeze_count() == 0
+    if is_first:
+        gc.freeze()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", FailedCellsWarning)  # a notice has it
             return run(plan=plan, progress=update, pictures=pictures, walks=pictures)
     finally:
-        gc.unfreeze()  # as a caller in the same process had it
+        if is_first:
+            gc.unfreeze()
 
 
 def _notice_lines(manifest: Mapping[str, Any], *, shows_all: bool) -> list[str]:

@@ -89,7 +89,8 @@ def same(a, b):
 
 
 # min_duration_s chooses tracks, a decision by probability needs a covariance, and no
-# spline of these tracks overshoots: all three have tests of their own. What is linked
+# spline of these tracks overshoots: all three have tests of their own. So have antennas,
+# which measure bearings alone (tests/isac_track/test_measurement.py). What is linked
 # passes through no scene: tests/attacks/tasks/test_build.py; nor do patrols and tracks:
 # tests/isac_track/patrols/test_patrol.py, tests/evaluation/compute/test_tracking.py.
 ELSEWHERE = (
@@ -98,6 +99,7 @@ ELSEWHERE = (
     "conflict.decision",
     "conflict.probability_threshold",
     "attacks.repeats",
+    "sensing.n_antennas",
 )
 CHANGES = {
     name: 0.8 * value if isinstance(value, float) else value - 1
