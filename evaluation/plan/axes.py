@@ -1,12 +1,12 @@
 """What a run crosses: the levels and consumers that its settings expand to."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.task_list import RETURNS, Task, task_named
+from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
 from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
 from evaluation.plan.presets import (
@@ -383,7 +383,8 @@ def axes(settings: Settings) -> Axes:
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
     windowed = tuple(task for task in tasks if task is not RETURNS)
-    pairs = _assign_links(settings, links=links, tasks=windowed)
+    fused = FUSED if RETURNS in tasks else ()
+    pairs = _assign_links(settings, links=links, tasks=windowed, fused=fused)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
@@ -668,13 +669,18 @@ def _parse_attacks(
 
 
 def _assign_links(
-    settings: Settings, *, links: tuple[Consumer, ...], tasks: tuple[Task, ...]
+    settings: Settings,
+    *,
+    links: tuple[Consumer, ...],
+    tasks: tuple[Task, ...],
+    fused: Collection[str],
 ) -> tuple[tuple[Task, Consumer], ...]:
     """Return the linkers of each task; a linker that suits no task runs where it can.
 
-    A linker that needs the true frame suits tasks that show it, and the others suit the
-    other tasks. A linker that needs ``one_stretch`` of a walk, or a gap to bridge
-    (``across_gap``), suits the tasks that have it.
+    Those of `fused` run in the task of people who come back at least. A linker that
+    needs the true frame suits tasks that show it, and the others suit the other tasks.
+    A linker that needs ``one_stretch`` of a walk, or a gap to bridge (``across_gap``),
+    suits the tasks that have it.
     """
     chosen: dict[str, list[Task]] = {}
     _, named_links = _parse_attacks(settings.choice("attacks").named)
@@ -694,15 +700,16 @@ def _assign_links(
         if getattr(linker, "across_gap", False):
             suited = [task for task in suited if task.is_open]
         chosen[link.spec] = suited or possible
-        if link.spec in must_run and not possible:
+        if link.spec in must_run and not possible and link.spec not in fused:
             required = (
                 ", ".join(sorted(knowledge.name for knowledge in link.requires))
                 or "a task"
             )
             task_names = ", ".join(task.name for task in tasks) or "none"
+            own = f"; task {RETURNS.name} has {', '.join(fused)} alone" if fused else ""
             raise SettingsError(
                 f"attack {link.spec!r} has no task to run in (tasks: {task_names}); it"
-                f" requires {required}"
+                f" requires {required}{own}"
             )
     must_link = settings.choice("tasks").named
     for task in tasks:

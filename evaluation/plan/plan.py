@@ -12,7 +12,7 @@ import numpy as np
 from attacks.tasks.build import make_sessions
 from attacks.tasks.returns import MOST_SCORES, Passages, draw_people, passages
 from attacks.tasks.sessions import Sessions
-from attacks.tasks.task_list import RETURNS, Task
+from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
@@ -212,7 +212,9 @@ def _cut_or_none(
         tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     except DataError:
         named = {axis: settings.choice(axis).named for axis in _SCENE_AXES}
-        named["tasks"] = tuple({*named["tasks"]} - {RETURNS.name})
+        # These run in the task of people who come back.
+        for axis, run_there in (("tasks", (RETURNS.name,)), ("attacks", FUSED)):
+            named[axis] = tuple(x for x in named[axis] if x not in run_there)
         sized = (settings.scenes, settings.utility_scenes)
         if any(named.values()) or sized != (None, None) or not crossed.links_returns:
             raise

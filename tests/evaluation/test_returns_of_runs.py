@@ -10,8 +10,9 @@ import pytest
 from helpers.returners import write_sessions
 
 import evaluation
-from attacks.tasks.return_study import FUSION, study_returns
+from attacks.tasks.return_study import FUSION, LINKERS, study_returns
 from attacks.tasks.returns import hide, passages
+from attacks.tasks.task_list import FUSED
 from evaluation import matrix
 from evaluation.plan.settings import Settings
 from evaluation.reporting.figures.figure import make_figures
@@ -189,6 +190,7 @@ def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
         (("--predictor", "kalman_cv"), "no track lasts 21.6 s"),
         (("--task", "+rerelease"), "no track lasts 21.6 s"),
         (("--scenes", "8"), "no track lasts 21.6 s"),
+        (("--task", "returns", "--attack", "shape"), "task returns has gait, behav"),
         (("--confirming", "run4"), "no session is called 'run4'"),
         (("--confirming", "run1", "--task", "rerelease"), "--task +returns"),
     ],
@@ -199,6 +201,16 @@ def test_what_was_named_is_never_left_out_silently(sessions, capsys, words, says
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert says in line
+
+
+def test_a_linker_of_the_fusion_may_be_named(sessions, capsys):
+    named = [word for path in sessions for word in ("--session", path)]
+    words = [*named, "--task", "returns", "--attack", "gait", "--dry-run"]
+    assert matrix.main(words) == 0
+    said = capsys.readouterr().err
+    assert "37 of 37 passages used; 10 cells" in said
+    assert "left out: scenes, patrols and other linkage; 0 of 37 tracks" in said
+    assert tuple(LINKERS) == FUSED
 
 
 def test_a_recording_of_nobody_who_comes_back_is_refused_by_name(sessions, capsys):
