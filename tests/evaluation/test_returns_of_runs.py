@@ -203,6 +203,19 @@ def test_what_was_named_is_never_left_out_silently(sessions, capsys, words, says
     assert says in line
 
 
+def test_scenes_of_fewer_people_than_decide_are_made_only_if_named(sessions, capsys):
+    named = [word for path in sessions for word in ("--session", path)]
+    few = [*named, "--set", "resample.min_duration_s=5.5", "--dry-run"]
+    assert matrix.main(few) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    n_long = int(re.search(r"linkage; (\d+) of 37 tracks last 5.5 s", said)[1])
+    assert 4 <= n_long < 20
+    assert matrix.main([*few, "--scenes", "8"]) == 0
+    said = capsys.readouterr().err
+    assert f"{n_long} of 37 tracks used, 8 scenes" in said
+    assert "other linkage" not in said
+
+
 def test_a_linker_of_the_fusion_may_be_named(sessions, capsys):
     named = [word for path in sessions for word in ("--session", path)]
     words = [*named, "--task", "returns", "--attack", "gait", "--dry-run"]
