@@ -108,7 +108,7 @@ def passages(
 
     Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`.
     Circumstances come from whole tracks, those of short ones included. DataError
-    without people or sessions, or if nobody comes back.
+    without people or sessions, if nobody comes back, or for a single person.
     """
     if tracks.person is None or tracks.session is None:
         raise DataError(
@@ -141,6 +141,11 @@ def passages(
         raise DataError(
             f"nobody walks in two sessions for {least_s:g} s: returning people need a"
             " person with passages in several sessions"
+        )
+    if np.unique(cut.person).size == 1:
+        raise DataError(
+            f"all passages of {least_s:g} s are of a single person: there is no other"
+            " for whom a passage could be taken; give sessions of more people"
         )
     return cut
 

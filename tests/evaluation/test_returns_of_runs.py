@@ -182,6 +182,20 @@ def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
     assert len(lines) <= 24
     assert any(line.startswith("Return: With") for line in lines)
     assert not any(line.startswith("Left out") for line in lines)
+    page = render(more, figures=make_figures(more))
+    assert "<h2>6 Does a walk identify a person in another run</h2>" in page
+    assert page.index('<section id="returns">') < page.index('<section id="level">')
+
+
+def test_two_people_and_mechanisms_that_withhold_samples_are_no_fault(tmp_path):
+    few = write_sessions(tmp_path, sessions=((2, 1, 3.6), (2, 1, 4.5)), n_people=2)
+    made = run(few, tmp_path / "run", mechanisms=("thin:20", "window:1"))
+    assert not len(made.failed)
+    assert set(made.returns["mechanism"]) == {"clean", "thin", "window"}
+    ranks = made.returns.loc[made.returns["metric"] == "rank1", "value"]
+    assert ranks.between(0.0, 1.0).all()
+    assert made.verdict["returns"]["decision"] == "not decided"
+    assert "2 people are too few" in made.verdict["returns"]["why"]
 
 
 @pytest.mark.parametrize(

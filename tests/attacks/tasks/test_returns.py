@@ -47,6 +47,8 @@ def test_people_without_sessions_or_returns_are_refused():
         passages(replace(crowd(), person=None))
     with pytest.raises(DataError, match="nobody walks in two"):
         passages(crowd(sessions=SMALL[:1]))
+    with pytest.raises(DataError, match="of a single person"):
+        passages(crowd(sessions=((1, 1, 3.6), (1, 1, 4.5)), n_people=1))
 
 
 def test_circumstances_tell_the_queue(walks):
