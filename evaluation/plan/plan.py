@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from attacks.tasks.build import make_sessions
-from attacks.tasks.returns import MOST_SCORES, Passages, draw_people, passages
+from attacks.tasks.returns import MOST_SCORES, Passages, passages
 from attacks.tasks.sessions import Sessions
 from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
@@ -163,7 +163,7 @@ def _returning(
             )
         return crossed, None
     try:
-        walks = passages(recorded)
+        walks = passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
     except DataError as error:
         if is_named or settings.confirming is not None:
             raise DataError(f"task {RETURNS.name}: {error}") from None
@@ -172,13 +172,11 @@ def _returning(
             skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
         return replace(crossed, links_returns=False, skipped=skipped), None
     _check_confirming(settings.confirming, walks)
-    drawn = draw_people(walks, seed=settings.seed)
-    n_left_out = np.unique(walks.person).size - np.unique(drawn.person).size
-    if not n_left_out:
+    if not walks.not_drawn:
         return crossed, walks
-    name = f"{n_left_out:,} people of task {RETURNS.name}"
+    name = f"{walks.not_drawn:,} people of task {RETURNS.name}"
     why = f"linking all takes over {MOST_SCORES:,} scores at a level"
-    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), drawn
+    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), walks
 
 
 def _check_confirming(name: str | None, walks: Passages) -> None:
