@@ -1,7 +1,7 @@
 """What a run crosses: the levels and consumers that its settings expand to."""
 
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
@@ -382,9 +382,7 @@ def axes(settings: Settings) -> Axes:
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
-    windowed = tuple(task for task in tasks if task is not RETURNS)
-    fused = FUSED if RETURNS in tasks else ()
-    pairs = _assign_links(settings, links=links, tasks=windowed, fused=fused)
+    pairs = _assign_links(settings, links=links, asked=tasks)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
@@ -672,16 +670,18 @@ def _assign_links(
     settings: Settings,
     *,
     links: tuple[Consumer, ...],
-    tasks: tuple[Task, ...],
-    fused: Collection[str],
+    asked: tuple[Task, ...],
 ) -> tuple[tuple[Task, Consumer], ...]:
     """Return the linkers of each task; a linker that suits no task runs where it can.
 
-    Those of `fused` run in the task of people who come back at least. A linker that
-    needs the true frame suits tasks that show it, and the others suit the other tasks.
-    A linker that needs ``one_stretch`` of a walk, or a gap to bridge (``across_gap``),
-    suits the tasks that have it.
+    `asked` are the tasks of a run. That of people who come back has linkers of its own,
+    so that these may be named without another task. A linker that needs the true frame
+    suits tasks that show it, and the others suit the other tasks. A linker that needs
+    ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), suits the tasks that
+    have it.
     """
+    tasks = tuple(task for task in asked if task is not RETURNS)
+    fused = FUSED if RETURNS in asked else ()
     chosen: dict[str, list[Task]] = {}
     _, named_links = _parse_attacks(settings.choice("attacks").named)
     must_run = {link.spec for link in named_links}
