@@ -11,6 +11,7 @@ from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.gait import Gait
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
 from attacks.tasks.returns import Passages, hide, score_passages
+from attacks.tasks.task_list import FUSED
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
@@ -45,11 +46,9 @@ from isac_track.sensing import (
 )
 from isac_track.types import Bools, Floats, Ints, Release, Sensed
 
-LINKERS: Final[Mapping[str, LinkageAttack]] = {
-    "gait": Gait(),
-    "behaviour": Behaviour(),
-    "likelihood_ratio": LikelihoodRatio(),
-}
+LINKERS: Final[Mapping[str, LinkageAttack]] = dict(
+    zip(FUSED, (Gait(), Behaviour(), LikelihoodRatio()), strict=True)
+)
 """The linkers that are fused."""
 STAGES: Final = StageSettings()
 FUSION: Final = "fusion"

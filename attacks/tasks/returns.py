@@ -6,7 +6,7 @@ run, not of the person; controls compare them.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -33,8 +33,8 @@ LEAST_S: Final = 3.0
 LONGEST_S: Final = 60.0
 """A longer passage is cut to its first minute."""
 MOST_SCORES: Final = 10_000_000
-"""Scores of a linker that `draw_people` allows: passages squared, times the people who
-come back and are left out in turn. It bounds memory and time."""
+"""Scores of a linker in a run: passages squared, times the people who come back and are
+left out in turn. It bounds memory and time."""
 CIRCUMSTANCES: Final = (
     "queue place",
     "density",
@@ -73,6 +73,8 @@ class Passages:
     closeness : Mapping
         Likeness of each pair of passages by each of `CIRCUMSTANCES`, (N, N); higher for
         passages of more similar circumstances.
+    not_drawn : int
+        People with passages who were left out at random, to limit the scores.
     """
 
     t: Floats
@@ -84,6 +86,7 @@ class Passages:
     people: tuple[str, ...]
     sessions: tuple[str, ...]
     closeness: Mapping[str, Floats]
+    not_drawn: int = 0
 
     def __post_init__(self) -> None:
         for name in ("t", "xy", "offsets", "person", "session"):
@@ -102,13 +105,19 @@ class Passages:
 
 
 def passages(
-    tracks: Tracks, *, least_s: float = LEAST_S, longest_s: float = LONGEST_S
+    tracks: Tracks,
+    *,
+    least_s: float = LEAST_S,
+    longest_s: float = LONGEST_S,
+    most_scores: int | None = None,
+    seed: int = 0,
 ) -> Passages:
     """Return the passages of a recording with people and sessions.
 
-    Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`.
+    Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`. If
+    a linker would have more than `most_scores` scores, people are drawn by `seed`.
     Circumstances come from whole tracks, those of short ones included. DataError
-    without people or sessions, or if nobody comes back.
+    without people or sessions, if nobody comes back, or for a single person.
     """
     if tracks.person is None or tracks.session is None:
         raise DataError(
@@ -120,6 +129,11 @@ def passages(
     rows = np.flatnonzero(end_s - begin_s >= least_s)
     people, person = np.unique(tracks.person, return_inverse=True)
     sessions, session = np.unique(tracks.session, return_inverse=True)
+    n_all = np.unique(person[rows]).size
+    if most_scores is not None:
+        rows = rows[
+            _drawn(person[rows], session[rows], most_scores=most_scores, seed=seed)
+        ]
     runs, _ = sample_runs(tracks.offsets, rows)
     owner = np.repeat(np.arange(rows.size), np.diff(tracks.offsets)[rows])
     t, xy = end_to_end(tracks.t, runs), end_to_end(tracks.xy, runs)
@@ -136,43 +150,39 @@ def passages(
         people=tuple(people.tolist()),
         sessions=tuple(sessions.tolist()),
         closeness=_closeness(tracks, person, session, rows),
+        not_drawn=n_all - np.unique(person[rows]).size,
     )
-    if not cut.returning.size:
+    _check_returning(cut, least_s)
+    return cut
+
+
+def _check_returning(walks: Passages, least_s: float) -> None:
+    """Raise DataError if nobody comes back, or there is nobody else."""
+    if not walks.returning.size:
         raise DataError(
             f"nobody walks in two sessions for {least_s:g} s: returning people need a"
             " person with passages in several sessions"
         )
-    return cut
+    if np.unique(walks.person).size == 1:
+        raise DataError(
+            f"all passages of {least_s:g} s are of a single person: there is no other"
+            " for whom a passage could be taken; give sessions of more people"
+        )
 
 
-def draw_people(
-    walks: Passages, *, seed: int, most_scores: int = MOST_SCORES
-) -> Passages:
-    """Return the passages of as many people as a linker may score; usually of all.
+def _drawn(person: Ints, session: Ints, *, most_scores: int, seed: int) -> Bools:
+    """Return which passages, (N,), are of people who are drawn; usually all.
 
-    People are drawn at random, each with all passages.
+    People are drawn at random, each with all passages, as long as a linker has at most
+    so many scores. `person` and `session`, (N,), begin at 0.
     """
-    order = stream(seed, "returns", "people").permutation(len(walks.people))
-    n_passages = np.bincount(walks.person, minlength=order.size)[order].cumsum()
-    n_returning = np.isin(order, walks.returning).cumsum()
-    fits = (n_returning + 1.0) * n_passages**2.0 <= most_scores
-    rows = np.flatnonzero(np.isin(walks.person, order[fits]))
-    if rows.size == len(walks):
-        return walks
-    runs, offsets = sample_runs(walks.offsets, rows)
-    return replace(
-        walks,
-        t=end_to_end(walks.t, runs),
-        xy=end_to_end(walks.xy, runs),
-        offsets=offsets,
-        source=tuple(walks.source[row] for row in rows.tolist()),
-        person=walks.person[rows],
-        session=walks.session[rows],
-        closeness={
-            name: read_only(values[np.ix_(rows, rows)])
-            for name, values in walks.closeness.items()
-        },
-    )
+    n_people = int(person.max(initial=-1)) + 1
+    pairs = np.unique(np.stack([person, session]), axis=1)
+    comes_back = np.bincount(pairs[0], minlength=n_people) > 1
+    order = stream(seed, "returns", "people").permutation(n_people)
+    n_passages = np.bincount(person, minlength=n_people)[order].cumsum()
+    fits = (comes_back[order].cumsum() + 1.0) * n_passages**2.0 <= most_scores
+    return np.isin(person, order[fits])
 
 
 def _slices(offsets: Ints, rows: Ints) -> list[slice]:

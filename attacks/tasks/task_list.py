@@ -117,6 +117,8 @@ RETURNS: Final = Task(
     "returns", "whole passages of the same real person in another run", comes_back=True
 )
 """The task that links whole passages: `attacks.tasks.returns`."""
+FUSED: Final = ("gait", "behaviour", "likelihood_ratio")
+"""Names of the linkers of `returns`; a run cannot choose others there."""
 ALL_TASKS: Final[Mapping[str, Task]] = {**TASKS, RETURNS.name: RETURNS}
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.task_list import RETURNS, Task, task_named
+from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
 from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
 from evaluation.plan.presets import (
@@ -382,8 +382,7 @@ def axes(settings: Settings) -> Axes:
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
-    windowed = tuple(task for task in tasks if task is not RETURNS)
-    pairs = _assign_links(settings, links=links, tasks=windowed)
+    pairs = _assign_links(settings, links=links, asked=tasks)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
@@ -668,14 +667,21 @@ def _parse_attacks(
 
 
 def _assign_links(
-    settings: Settings, *, links: tuple[Consumer, ...], tasks: tuple[Task, ...]
+    settings: Settings,
+    *,
+    links: tuple[Consumer, ...],
+    asked: tuple[Task, ...],
 ) -> tuple[tuple[Task, Consumer], ...]:
     """Return the linkers of each task; a linker that suits no task runs where it can.
 
-    A linker that needs the true frame suits tasks that show it, and the others suit the
-    other tasks. A linker that needs ``one_stretch`` of a walk, or a gap to bridge
-    (``across_gap``), suits the tasks that have it.
+    `asked` are the tasks of a run. That of people who come back has linkers of its own,
+    so that these may be named without another task. A linker that needs the true frame
+    suits tasks that show it, and the others suit the other tasks. A linker that needs
+    ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), suits the tasks that
+    have it.
     """
+    tasks = tuple(task for task in asked if task is not RETURNS)
+    fused = FUSED if RETURNS in asked else ()
     chosen: dict[str, list[Task]] = {}
     _, named_links = _parse_attacks(settings.choice("attacks").named)
     must_run = {link.spec for link in named_links}
@@ -694,15 +700,16 @@ def _assign_links(
         if getattr(linker, "across_gap", False):
             suited = [task for task in suited if task.is_open]
         chosen[link.spec] = suited or possible
-        if link.spec in must_run and not possible:
+        if link.spec in must_run and not possible and link.spec not in fused:
             required = (
                 ", ".join(sorted(knowledge.name for knowledge in link.requires))
                 or "a task"
             )
             task_names = ", ".join(task.name for task in tasks) or "none"
+            own = f"; task {RETURNS.name} has {', '.join(fused)} alone" if fused else ""
             raise SettingsError(
                 f"attack {link.spec!r} has no task to run in (tasks: {task_names}); it"
-                f" requires {required}"
+                f" requires {required}{own}"
             )
     must_link = settings.choice("tasks").named
     for task in tasks:

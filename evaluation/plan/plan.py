@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from attacks.tasks.build import make_sessions
-from attacks.tasks.returns import MOST_SCORES, Passages, draw_people, passages
+from attacks.tasks.returns import MOST_SCORES, Passages, passages
 from attacks.tasks.sessions import Sessions
-from attacks.tasks.task_list import RETURNS, Task
+from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
@@ -36,7 +36,7 @@ from isac_track.errors import (
 )
 from isac_track.place import placed
 from isac_track.plugins import Plugin
-from isac_track.scenes import Cut, cut, no_tracks, with_horizons
+from isac_track.scenes import FEW_PEOPLE, Cut, cut, no_tracks, with_horizons
 from isac_track.types import Tracks
 
 # Options that change how a file is read: part of the identity where they are given.
@@ -163,7 +163,7 @@ def _returning(
             )
         return crossed, None
     try:
-        walks = passages(recorded)
+        walks = passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
     except DataError as error:
         if is_named or settings.confirming is not None:
             raise DataError(f"task {RETURNS.name}: {error}") from None
@@ -172,13 +172,11 @@ def _returning(
             skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
         return replace(crossed, links_returns=False, skipped=skipped), None
     _check_confirming(settings.confirming, walks)
-    drawn = draw_people(walks, seed=settings.seed)
-    n_left_out = np.unique(walks.person).size - np.unique(drawn.person).size
-    if not n_left_out:
+    if not walks.not_drawn:
         return crossed, walks
-    name = f"{n_left_out:,} people of task {RETURNS.name}"
+    name = f"{walks.not_drawn:,} people of task {RETURNS.name}"
     why = f"linking all takes over {MOST_SCORES:,} scores at a level"
-    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), drawn
+    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), walks
 
 
 def _check_confirming(name: str | None, walks: Passages) -> None:
@@ -205,28 +203,38 @@ def _cut_or_none(
 ) -> tuple[Axes, Cut]:
     """Return the axes and the tracks of scenes.
 
-    Without enough of them a run links people who come back alone. DataError if nobody
-    does, or the user has named anything that needs scenes.
+    With fewer than `FEW_PEOPLE` tracks, which decide nothing, a run links people who
+    come back alone. If nobody does, or the user has named anything that needs scenes,
+    it has scenes all the same; DataError if there are fewer tracks than a scene needs.
     """
+    needs_scenes = not crossed.links_returns or _names_scenes(settings)
     try:
         tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     except DataError:
-        named = {axis: settings.choice(axis).named for axis in _SCENE_AXES}
-        named["tasks"] = tuple({*named["tasks"]} - {RETURNS.name})
-        sized = (settings.scenes, settings.utility_scenes)
-        if any(named.values()) or sized != (None, None) or not crossed.links_returns:
+        if needs_scenes:
             raise
-        no_track = no_tracks(recorded, settings=settings.stages)
-        why = _why_no_scenes(no_track, settings)
-        return crossed.without_scenes(why), no_track
-    return crossed, tracks
+    else:
+        if needs_scenes or len(tracks) >= FEW_PEOPLE:
+            return crossed, tracks
+    no_track = no_tracks(recorded, settings=settings.stages)
+    return crossed.without_scenes(_why_no_scenes(no_track, settings)), no_track
+
+
+def _names_scenes(settings: Settings) -> bool:
+    """Whether the user has named anything that needs scenes, or their number."""
+    named = {axis: settings.choice(axis).named for axis in _SCENE_AXES}
+    # These run in the task of people who come back.
+    for axis, run_there in (("tasks", (RETURNS.name,)), ("attacks", FUSED)):
+        named[axis] = tuple(name for name in named[axis] if name not in run_there)
+    sizes = (settings.scenes, settings.utility_scenes)
+    return any(named.values()) or sizes != (None, None)
 
 
 def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
     """Return how many tracks are long enough, in short; `tracks` is empty."""
     n_long, n_recorded = tracks.no_future, tracks.no_future + tracks.too_short
     least_s = settings.stages.resample.min_duration_s
-    if n_long >= settings.stages.scenes.agents:
+    if n_long >= FEW_PEOPLE:
         return f"too few of {n_long:,} tracks of {least_s:g} s cover the horizon"
     return f"{n_long:,} of {n_recorded:,} tracks last {least_s:g} s"
 

@@ -8,7 +8,7 @@ from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import SUCCESS
 from evaluation.plan.address import Address
 from evaluation.plan.axes import FUSION
-from evaluation.reporting.amounts import PERCENT, counted, listed
+from evaluation.reporting.amounts import PERCENT, counted
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
@@ -172,9 +172,3 @@ def _rank1(run: Results, mechanism: str) -> Estimate | None:
         task="returns", plugin=FUSION, adversary="informed", metric=SUCCESS
     )
     return known.get(fusion.at(mechanism, None))
-
-
-def chosen_text(answer: Mapping[str, Any]) -> str:
-    """Return for how many people each control was chosen."""
-    parts = [f"{control_text(name)} for {n}" for name, n in answer["controls"].items()]
-    return listed(parts)

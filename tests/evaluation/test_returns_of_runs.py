@@ -10,8 +10,9 @@ import pytest
 from helpers.returners import write_sessions
 
 import evaluation
-from attacks.tasks.return_study import FUSION, study_returns
+from attacks.tasks.return_study import FUSION, LINKERS, study_returns
 from attacks.tasks.returns import hide, passages
+from attacks.tasks.task_list import FUSED
 from evaluation import matrix
 from evaluation.plan.settings import Settings
 from evaluation.reporting.figures.figure import make_figures
@@ -181,6 +182,20 @@ def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
     assert len(lines) <= 24
     assert any(line.startswith("Return: With") for line in lines)
     assert not any(line.startswith("Left out") for line in lines)
+    page = render(more, figures=make_figures(more))
+    assert "<h2>6 Does a walk identify a person in another run</h2>" in page
+    assert page.index('<section id="returns">') < page.index('<section id="level">')
+
+
+def test_two_people_and_mechanisms_that_withhold_samples_are_no_fault(tmp_path):
+    few = write_sessions(tmp_path, sessions=((2, 1, 3.6), (2, 1, 4.5)), n_people=2)
+    made = run(few, tmp_path / "run", mechanisms=("thin:20", "window:1"))
+    assert not len(made.failed)
+    assert set(made.returns["mechanism"]) == {"clean", "thin", "window"}
+    ranks = made.returns.loc[made.returns["metric"] == "rank1", "value"]
+    assert ranks.between(0.0, 1.0).all()
+    assert made.verdict["returns"]["decision"] == "not decided"
+    assert "2 people are too few" in made.verdict["returns"]["why"]
 
 
 @pytest.mark.parametrize(
@@ -189,6 +204,7 @@ def test_rows_depend_neither_on_workers_nor_on_what_else_is_in_a_run(
         (("--predictor", "kalman_cv"), "no track lasts 21.6 s"),
         (("--task", "+rerelease"), "no track lasts 21.6 s"),
         (("--scenes", "8"), "no track lasts 21.6 s"),
+        (("--task", "returns", "--attack", "shape"), "task returns has gait, behav"),
         (("--confirming", "run4"), "no session is called 'run4'"),
         (("--confirming", "run1", "--task", "rerelease"), "--task +returns"),
     ],
@@ -199,6 +215,29 @@ def test_what_was_named_is_never_left_out_silently(sessions, capsys, words, says
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("error: ")
     assert says in line
+
+
+def test_scenes_of_fewer_people_than_decide_are_made_only_if_named(sessions, capsys):
+    named = [word for path in sessions for word in ("--session", path)]
+    few = [*named, "--set", "resample.min_duration_s=5.5", "--dry-run"]
+    assert matrix.main(few) == 0
+    said = " ".join(capsys.readouterr().err.split())
+    n_long = int(re.search(r"linkage; (\d+) of 37 tracks last 5.5 s", said)[1])
+    assert 4 <= n_long < 20
+    assert matrix.main([*few, "--scenes", "8"]) == 0
+    said = capsys.readouterr().err
+    assert f"{n_long} of 37 tracks used, 8 scenes" in said
+    assert "other linkage" not in said
+
+
+def test_a_linker_of_the_fusion_may_be_named(sessions, capsys):
+    named = [word for path in sessions for word in ("--session", path)]
+    words = [*named, "--task", "returns", "--attack", "gait", "--dry-run"]
+    assert matrix.main(words) == 0
+    said = capsys.readouterr().err
+    assert "37 of 37 passages used; 10 cells" in said
+    assert "left out: scenes, patrols and other linkage; 0 of 37 tracks" in said
+    assert tuple(LINKERS) == FUSED
 
 
 def test_a_recording_of_nobody_who_comes_back_is_refused_by_name(sessions, capsys):

@@ -10,7 +10,6 @@ from attacks.linkage.gait import Gait
 from attacks.tasks.return_study import crossing, share_passages, study_returns
 from attacks.tasks.returns import (
     CIRCUMSTANCES,
-    draw_people,
     mated_passages,
     passages,
     score_passages,
@@ -47,6 +46,8 @@ def test_people_without_sessions_or_returns_are_refused():
         passages(replace(crowd(), person=None))
     with pytest.raises(DataError, match="nobody walks in two"):
         passages(crowd(sessions=SMALL[:1]))
+    with pytest.raises(DataError, match="of a single person"):
+        passages(crowd(sessions=((1, 1, 3.6), (1, 1, 4.5)), n_people=1))
 
 
 def test_circumstances_tell_the_queue(walks):
@@ -165,20 +166,23 @@ def test_a_study_is_repeatable_and_no_name_of_a_person_matters(walks):
 
 
 def test_people_are_drawn_whole_where_scores_would_be_too_many(walks):
-    assert draw_people(walks, seed=0) is walks
     most = (walks.returning.size + 1) * len(walks) ** 2 // 3
-    drawn = draw_people(walks, seed=0, most_scores=most)
-    assert 0 < len(drawn) < len(walks)
+    drawn = passages(crowd(), most_scores=most)
+    assert drawn.not_drawn > 0
+    assert len(set(drawn.person)) + drawn.not_drawn == len(set(walks.person))
     assert (drawn.returning.size + 1) * len(drawn) ** 2 <= most
     rows = [walks.source.index(name) for name in drawn.source]
     assert (np.isin(walks.person, drawn.person).nonzero()[0] == rows).all()
     assert np.array_equal(drawn.person, walks.person[rows])
-    for name, values in drawn.closeness.items():
-        assert np.array_equal(values, walks.closeness[name][np.ix_(rows, rows)])
+    for name in ("queue place", "neighbours"):
+        part = walks.closeness[name][np.ix_(rows, rows)]
+        assert np.array_equal(drawn.closeness[name], part)
     last = slice(walks.offsets[rows[-1]], walks.offsets[rows[-1] + 1])
     assert np.array_equal(drawn.xy[drawn.offsets[-2] :], walks.xy[last])
-    other = draw_people(walks, seed=1, most_scores=most)
-    assert set(other.source) != set(drawn.source)
+    assert set(passages(crowd(), most_scores=most, seed=1).source) != set(drawn.source)
+    everybody = passages(crowd(), most_scores=10**9)
+    assert everybody.source == walks.source
+    assert everybody.not_drawn == 0
 
 
 def test_the_error_at_which_linkage_crosses_chance():
