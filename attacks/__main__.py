@@ -54,9 +54,28 @@ KINDS: dict[str, dict[str, str]] = {
         "parameter": "metres",
         "another": "3.0",
     },
+    "tracker": {
+        "noun": "tracker",
+        "one_check": "later_scans_do_not_matter",
+        "idea": "nearest",
+        "parameter": "gate_m",
+        "another": "0.8",
+        "option": "--set tracking.method=",
+    },
 }
-"""The words that the templates fill in for each kind of plug-in."""
-_IMPORTED = {"ClassVar", "Form", "Knowledge", "Literal", "Prediction", "Reconstruction"}
+"""The words that the templates fill in for each kind of plug-in.
+
+`option` names the plug-in in a run, by default `--NOUN +`, which adds to a preset.
+"""
+_IMPORTED = {
+    "ClassVar",
+    "Form",
+    "Track",
+    "Knowledge",
+    "Literal",
+    "Prediction",
+    "Reconstruction",
+}
 """Classes that the generated file imports; its own class needs another name."""
 _STATUS = {"passed": "pass", "failed": "FAIL", "skipped": "skip"}
 _EPILOG = """\
@@ -70,6 +89,7 @@ examples:
   python -m attacks new my_linker --kind linkage
   python -m attacks new my_noise --kind mechanism
   python -m attacks new my_policy --kind policy
+  python -m attacks new my_association --kind tracker
 """
 
 
@@ -93,8 +113,8 @@ def parser() -> Parser:
     command = Parser(
         prog="python -m attacks",
         description=(
-            "List the attacks; check an attack, mechanism, predictor or policy against"
-            " its kit, or begin your own."
+            "List the attacks; check an attack, mechanism, predictor, policy or tracker"
+            " against its kit, or begin your own."
         ),
         epilog=_EPILOG,
     )
@@ -120,7 +140,8 @@ def parser() -> Parser:
         default="reconstruction",
         help=(
             "an attack that asks where people were (default) or whose release it is, or"
-            " how positions are shared or predicted, or what an answer discloses"
+            " how positions are shared or predicted, what an answer discloses, or how"
+            " detections are joined"
         ),
     )
     new.add_argument(
@@ -197,17 +218,20 @@ def _new(name: str, *, kind: str, into: Path) -> int:
 
     class_name, folder = "".join(map(str.capitalize, name.split("_"))), into / name
     noun = KINDS[kind]["noun"]
+    option = KINDS[kind].get("option", f"--{noun} +")
     _reject_taken(name, class_name=class_name, folder=folder, noun=noun)
     shown = f"./{name}" if into == Path() else shlex.quote(str(folder))
     commands = {
         "install": f"pip install -e {shown}",
         "pytest": f"pytest {shown.removeprefix('./')}",
-        "matrix": f"python -m evaluation.matrix --{noun} +{name}",
+        "matrix": f"python -m evaluation.matrix {option}{name}",
     }
     description = f"{kind} attack" if noun == "attack" else noun
     words = KINDS[kind] | commands
     words["group"] = KIND_BY_NOUN[noun]
     words |= {"is": description, "name": name, "class_name": class_name}
+    words["option"] = option
+    words["beside"] = _beside(noun, name)
     sources = {
         f"{name}.py": f"{kind}.py",
         f"test_{name}.py": "test_plugin.py",
@@ -227,6 +251,16 @@ def _new(name: str, *, kind: str, into: Path) -> int:
     works = f"{_with_article(noun)} that works; edit {folder / name}.py, then:"
     print(f"wrote {folder}: {works}", *commands.values(), sep="\n  ")
     return DONE
+
+
+def _beside(noun: str, name: str) -> str:
+    """Return how a plug-in stands beside the built-in ones in a run."""
+    if noun == "tracker":
+        return "stands beside perfect association."
+    return (
+        "stands beside the built-in ones: `+` adds to them, without it"
+        f" `{name}` replaces them."
+    )
 
 
 def _with_article(noun: str) -> str:

@@ -64,6 +64,19 @@ def test_the_linker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
     assert failed == []
 
 
+def test_the_tracker_of_the_guide_passes_the_kit(tmp_path, monkeypatch):
+    guide = (ROOT / "docs" / "how-to" / "trackers.md").read_text(encoding="utf-8")
+    ((name, code),) = re.findall(
+        r"```python\n# (\w+)\.py\n(.*?)```", guide, flags=re.DOTALL
+    )
+    (tmp_path / f"{name}.py").write_text(code, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    tracker = importlib.import_module(name).Simple()
+    del sys.modules[name]  # the name is free again for other tests
+    failed = [result for result in run_checks(tracker) if result.status == "failed"]
+    assert failed == []
+
+
 PAGE_OF_ONE_NUMBER = ROOT / "docs" / "explanation" / "how-a-number-is-made.md"
 FUNCTIONS = re.findall(
     r"`((?:isac_track|attacks|evaluation)\.[\w.]+)`",

@@ -251,14 +251,30 @@ def _end_states(
     t, xy, variance = entries.t, entries.xy, entries.variance
     rows, offsets = stretches(begins, ends - begins)
     end = _last_states(t[rows], xy[rows], variance[rows], offsets)
-    # Back in time: from the last sample of a piece to its start.
+    return _first_states(t, xy, variance, starts=starts, ends=ends), end, None
+
+
+def end_states(
+    t: Floats, xy: Floats, variance: Floats, offsets: Ints
+) -> tuple[States, States]:
+    """Return the states at the first and the last sample of K runs of samples."""
+    if offsets.size == 1:
+        nothing = _no_pieces()
+        return nothing.start, nothing.end
+    start = _first_states(t, xy, variance, starts=offsets[:-1], ends=offsets[1:])
+    return start, _last_states(t, xy, variance, offsets)
+
+
+def _first_states(
+    t: Floats, xy: Floats, variance: Floats, *, starts: Ints, ends: Ints
+) -> States:
+    """Return the states at the first samples, filtered back from the last ones."""
     sizes = ends - starts
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     turned = np.repeat(ends + offsets[:-1] - 1, sizes) - np.arange(offsets[-1])
     back = _last_states(-t[turned], xy[turned], variance[turned], offsets)
     flip = np.array([1.0, -1.0])  # A velocity back in time is the opposite one.
-    start = States(-back.t, back.mean * flip, back.cov * np.outer(flip, flip))
-    return start, end, None
+    return States(-back.t, back.mean * flip, back.cov * np.outer(flip, flip))
 
 
 def _filtered_states(network: Network, row: Ints) -> States:

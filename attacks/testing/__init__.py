@@ -1,4 +1,4 @@
-"""The kits: named checks that every attack, mechanism, predictor or policy passes.
+"""The kits: named checks that every attack, mechanism, or other plug-in passes.
 
 With pytest, every check of every plug-in becomes a test of its own::
 
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 from unittest import SkipTest
 
 from attacks.tasks.task_list import TASKS
-from attacks.testing import _checks, _plugin_checks, _policy_checks
+from attacks.testing import _checks, _plugin_checks, _policy_checks, _tracker_checks
 from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
 from attacks.testing._checks import Row
 from attacks.testing._releases import copied
@@ -31,6 +31,7 @@ from isac_track.renamed import renamed
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
 from isac_track.testing.engine import Outcome as CheckResult
+from isac_track.tracking.methods import REFERENCE_TYPES
 from isac_track.types import Knowledge
 
 __all__ = [
@@ -39,6 +40,7 @@ __all__ = [
     "MECHANISM_CHECKS",
     "POLICY_CHECKS",
     "PREDICTOR_CHECKS",
+    "TRACKER_CHECKS",
     "CheckResult",
     "checks_for",
     "kit_test",
@@ -47,12 +49,17 @@ __all__ = [
     "parametrize_mechanism_checks",
     "parametrize_policy_checks",
     "parametrize_predictor_checks",
+    "parametrize_tracker_checks",
     "run_checks",
 ]
 
 Attack: TypeAlias = protocols.ReconstructionAttack | protocols.LinkageAttack
 Subject: TypeAlias = (
-    Attack | protocols.Mechanism | protocols.Predictor | protocols.Policy
+    Attack
+    | protocols.Mechanism
+    | protocols.Predictor
+    | protocols.Policy
+    | protocols.Tracker
 )
 
 
@@ -100,8 +107,8 @@ def _granted(
 ) -> dict[frozenset[Knowledge], str]:
     """Return the adversary of every row of a plug-in, by the granted knowledge.
 
-    For linkage these are the rows of all tasks, each once. Mechanisms, predictors and
-    policies have no adversary.
+    For linkage these are the rows of all tasks, each once. Others have no
+    adversary.
     """
     nothing = frozenset[Knowledge]()
     if plugin_noun(subject) != "attack":
@@ -138,12 +145,14 @@ LINKAGE_CHECKS = _make_kit(_checks.LINKAGE)
 MECHANISM_CHECKS = _make_kit(_plugin_checks.MECHANISM)
 PREDICTOR_CHECKS = _make_kit(_plugin_checks.PREDICTOR)
 POLICY_CHECKS = _make_kit(_policy_checks.POLICY)
+TRACKER_CHECKS = _make_kit(_tracker_checks.TRACKER)
 _KITS = {
     "reconstruction": CHECKS,
     "linkage": LINKAGE_CHECKS,
     "mechanism": MECHANISM_CHECKS,
     "predictor": PREDICTOR_CHECKS,
     "policy": POLICY_CHECKS,
+    "tracker": TRACKER_CHECKS,
 }
 _CASE_TYPES: dict[str, Any] = {
     "reconstruction": ReconstructionCase,
@@ -151,17 +160,22 @@ _CASE_TYPES: dict[str, Any] = {
     "mechanism": _plugin_checks.MechanismCase,
     "predictor": _plugin_checks.PredictorCase,
     "policy": _policy_checks.PolicyCase,
+    "tracker": _tracker_checks.TrackerCase,
 }
 _NOUNS = {
     "fit": "attack",
     "share": "mechanism",
     "predict": "predictor",
     "select": "policy",
+    "track": "tracker",
 }
 
 
 def plugin_noun(subject: object) -> str:
-    """Return the kind of a plug-in by its method; by default it is an attack."""
+    """Return the kind of a plug-in by its method; by default it is an attack.
+
+    A predictor may have the method of a tracker, too.
+    """
     for method, noun in _NOUNS.items():
         if callable(getattr(subject, method, None)):
             return noun
@@ -186,6 +200,8 @@ def checks_for(subject: Any) -> dict[str, Check]:  # noqa: ANN401 - a stranger's
     kind, name = plugins.KIND_BY_NOUN[noun], f"{noun} {type(subject).__name__}"
     plugins.check_class(kind, type(subject), name)
     plugins.check_declared(kind, subject, name)
+    if isinstance(subject, REFERENCE_TYPES):
+        raise PluginError(f"{name} reads the truth: it is a reference, no plug-in")
     _granted(subject)
     return _KITS[_kind(subject)]
 
@@ -207,9 +223,9 @@ def run_checks(
 
     Parameters
     ----------
-    subject : attack, mechanism, predictor or policy
+    subject : attack, mechanism, predictor, policy or tracker
         An object, not its class. Its method decides which kit checks it: ``fit``,
-        ``share``, ``predict`` or ``select``.
+        ``share``, ``predict``, ``select`` or ``track``.
     names : sequence of str, optional
         Checks to run, by default all of the kit.
 
@@ -247,7 +263,7 @@ def kit_test(*subjects: Subject) -> Any:  # noqa: ANN401 - a pytest mark; pytest
 
     Parameters
     ----------
-    *subjects : attack, mechanism or predictor
+    *subjects : attack, mechanism, predictor, policy or tracker
         Objects, not their classes; of different kinds if you like. A check that does
         not apply to an object is skipped, with the reason.
 
@@ -291,12 +307,13 @@ parametrize_attack_checks = partial(_parametrized, "attack")
 """Return a pytest decorator that runs a test once per attack and check.
 
 The test takes `attack` and `check`, and calls ``check(attack)``: for a test of your own
-body or with marks. Else `kit_test` is shorter. The three below do the same for
-mechanisms, predictors and policies.
+body or with marks. Else `kit_test` is shorter. The four below do the same for
+mechanisms, predictors, policies and trackers.
 """
 parametrize_mechanism_checks = partial(_parametrized, "mechanism")
 parametrize_predictor_checks = partial(_parametrized, "predictor")
 parametrize_policy_checks = partial(_parametrized, "policy")
+parametrize_tracker_checks = partial(_parametrized, "tracker")
 
 
 def _label(subject: Any) -> str:  # noqa: ANN401 - a frozen dataclass

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
+from attacks.following.tracks import TrackFollowing, follow_tracks
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.sharing import copy_for_user_plugin, guarded
 from evaluation.compute.tables import ROWS
@@ -56,6 +57,7 @@ if TYPE_CHECKING:
 CountsByHorizon: TypeAlias = "dict[int, RobotCounts]"
 """What robots miss, by horizon in scans."""
 ALARMS: Final = "alarms"  # Further table of a robot's cell.
+FOLLOWED: Final = "followed"  # Further table of a cell of tracks.
 _LEAST_DENSITY_PER_M2: Final = 0.005  # Of new people, assumed without clutter.
 # A tracker that is certain of a detection ends a track at the first miss.
 _ASSUMED: Final = (0.1, 0.99)
@@ -236,7 +238,7 @@ def release_rows(
         note_cell(mechanism.spec, consumer.label)
         robot = consumer.plugin
         if robot is None:
-            yield consumer, {ROWS: track_rows(releases, setup)}
+            yield consumer, track_tables(releases, setup)
             continue
         if robot.spec not in by_robot:
             by_robot[robot.spec] = [
@@ -320,7 +322,10 @@ TRACK_COLUMNS: Final = (
     *(f"{name}_{part}" for name in TRACK_METRICS for part in ("sum", "over")),
     *(f"known_{estimator}" for estimator in TRACK_ESTIMATORS),
     "instants",
+    "rejoined_share_sum",
+    "rejoined_share_over",
 )
+FOLLOWED_COLUMNS: Final = (*_PLACE, "present_s", "followed_s", "until_s", "ending")
 ROBOT_COLUMNS: Final = (
     *_PLACE,
     *(f"{name}_{part}" for name in ROBOT_SHARES for part in ("sum", "over")),
@@ -331,12 +336,49 @@ ROBOT_COLUMNS: Final = (
 ALARM_COLUMNS: Final = (*_PLACE, "step", "alarms", "warned")
 """Columns of the cells of tracks and of robots with tracks.
 
-The table `ALARMS` has a row for each seed, block and alarm distance.
+The table `ALARMS` has a row for each seed, block and alarm distance, the table
+`FOLLOWED` for each seed and person, who counts in the block of the first sample.
 """
 
 
+def track_tables(releases: list[SharedSeed], setup: TrackingSetup) -> dict[str, Rows]:
+    """Return the tables of tracks: `TRACK_COLUMNS`, `FOLLOWED_COLUMNS`."""
+    followed = [follow_tracks(setup.patrol, release.shared) for release in releases]
+    return {
+        ROWS: track_rows(releases, setup) | _rejoined_columns(followed, setup.blocks),
+        FOLLOWED: _followed_rows(followed, setup),
+    }
+
+
+def _rejoined_columns(followed: list[TrackFollowing], blocks: Blocks) -> Rows:
+    """Return breaks of tracks, and those that the adversary joins, (S B,)."""
+    counts = [
+        BlockCounts(
+            blocks.count(each.break_s[each.is_joined]), blocks.count(each.break_s)
+        )
+        for each in followed
+    ]
+    return _count_columns("rejoined_share", counts)
+
+
+def _followed_rows(followed: list[TrackFollowing], setup: TrackingSetup) -> Rows:
+    """Return the rows of followed people, (S N,)."""
+    people = setup.patrol.people
+    block = setup.blocks.numbers(people.t[people.offsets[:-1]])
+    seeds = np.arange(len(followed), dtype=np.int32)
+    return {
+        "seed": np.repeat(seeds, block.size),
+        "block": np.tile(block.astype(np.int32), seeds.size),
+        **{
+            name: np.concatenate([getattr(each, name) for each in followed])
+            for name in ("present_s", "followed_s", "until_s")
+        },
+        "ending": np.concatenate([each.ending for each in followed]).astype(np.int32),
+    }
+
+
 def track_rows(releases: list[SharedSeed], setup: TrackingSetup) -> Rows:
-    """Return rows of tracks by seed and block, (S B,): `TRACK_COLUMNS`."""
+    """Return the counts of tracks by seed and block, (S B,)."""
     blocks, grid = setup.blocks, setup.patrol.grid
     rows = _place_rows(len(releases), blocks.n)
     counts = [

@@ -184,6 +184,7 @@ _ROWS: Final = (
     Metric("purity", "purity", "tracking"),
     Metric("id_switches", "switches", "tracking", "1/min", digits=1),
     Metric("fragments", "fragments", "tracking", "1/min", digits=2),
+    Metric("rejoined_share", "rejoined", "tracking"),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}

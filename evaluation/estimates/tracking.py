@@ -15,10 +15,14 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 
+from attacks.following.followed import restricted_mean_s
+from attacks.following.logs import Ending
 from evaluation.compute.tables import ROWS
 from evaluation.compute.tracking import (
     ALARM_COLUMNS,
     ALARMS,
+    FOLLOWED,
+    FOLLOWED_COLUMNS,
     ROBOT_COLUMNS,
     ROBOT_SHARES,
     TRACK_COLUMNS,
@@ -31,7 +35,11 @@ from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.axes import LOG, TRACK_KINDS
 from evaluation.plan.constants import ORACLE
 from evaluation.store.cell_files import read_rows
-from isac_track.tracking.blocks import block_missed_at_equal_alarms, block_ratio
+from isac_track.tracking.blocks import (
+    block_missed_at_equal_alarms,
+    block_ratio,
+    block_statistic,
+)
 from isac_track.tracking.knowledge import TRACK_ESTIMATORS
 
 if TYPE_CHECKING:
@@ -39,9 +47,17 @@ if TYPE_CHECKING:
     from evaluation.plan.address import Address
     from evaluation.store.entries import Entry
     from isac_track.intervals import Estimate
+    from isac_track.types import Bools, Floats
 
-_BESIDE: Final = (*TRACK_COLUMNS, *ROBOT_COLUMNS, *ALARM_COLUMNS)
+_BESIDE: Final = (
+    *TRACK_COLUMNS,
+    *FOLLOWED_COLUMNS,
+    *ROBOT_COLUMNS,
+    *ALARM_COLUMNS,
+)
 """Columns of all tables of tracks in a file."""
+REJOINED: Final = "rejoined_share"
+BLIND: Final = "blind"  # The adversary that joins tracks without identities.
 _FALSE_ALARMS: Final = "false_alarms_per_min"
 
 
@@ -77,6 +93,53 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     log = replace(entry.address, plugin=LOG, adversary=ORACLE)
     metrics[log, KNOWN_SHARE] = block_ratio(
         numerator=known[best], denominator=by_seed(rows, "instants"), seed=seed
+    )
+    follower = replace(entry.address, plugin=LOG, adversary=BLIND)
+    metrics[follower, REJOINED] = _ratio(rows, REJOINED, seed=seed)
+    followed = _read(out, entry, FOLLOWED_COLUMNS, table=FOLLOWED)
+    n_blocks = by_seed(rows, "instants").shape[0]
+    for name, estimate in _followed_metrics(followed, n_blocks, seed=seed).items():
+        metrics[follower, name] = estimate
+    return metrics
+
+
+def _followed_metrics(rows: Rows, n_blocks: int, *, seed: int) -> dict[str, Estimate]:
+    """Return how long an adversary without identities follows people.
+
+    A sure wrong link, or a track that swaps its person, ends no time to confusion: the
+    adversary does not notice. It ends the time within one chain.
+    """
+    n_seeds = int(rows["seed"].max()) + 1
+    shape = (n_blocks, n_seeds)
+
+    def sums(values: Floats | Bools) -> Floats:
+        total = np.zeros(shape)
+        np.add.at(total, (rows["block"], rows["seed"]), values)
+        return total
+
+    everybody = np.ones(rows["seed"].size)
+    metrics = {
+        "followed_s": block_ratio(
+            numerator=sums(rows["followed_s"]),
+            denominator=sums(everybody),
+            seed=seed,
+            is_share=False,
+        )
+    }
+    for limit_s in (10, 30):
+        is_present = rows["present_s"] >= limit_s
+        is_followed = is_present & (rows["followed_s"] >= limit_s)
+        metrics[f"followed_{limit_s}s"] = block_ratio(
+            numerator=sums(is_followed), denominator=sums(is_present), seed=seed
+        )
+    seen = rows["ending"] != Ending.UNSEEN
+    is_confused = rows["ending"] == Ending.CONFUSED
+    metrics["time_to_confusion_s"] = block_statistic(
+        lambda weights: restricted_mean_s(rows["until_s"], is_confused, weights * seen),
+        block=rows["block"],
+        seed_number=rows["seed"],
+        counted=sums(seen),
+        seed=seed,
     )
     return metrics
 

@@ -302,6 +302,7 @@ _METRICS: Final = {
     "OSPA": "The same as a mean over the larger of both sets, at most 1 m.",
     "purity": "Share of samples of tracks that are of the track's main person.",
     "switches": "Changes of the track that holds a person, per minute of presence.",
+    "rejoined": "Share of breaks of a track after which the right track is joined.",
     "fragments": "Further tracks of a person who has a track, per minute of presence.",
 }
 

@@ -25,6 +25,7 @@ from evaluation.reporting.table import Cell, Table, plugin_label
 _TRACKS: Final = (
     (LOG, KNOWN_SHARE),
     *((TRACKER, name) for name in ("purity", "id_switches", "fragments", "gospa")),
+    *((LOG, name) for name in ("followed_s", "rejoined_share", "time_to_confusion_s")),
 )
 """Columns about tracks: consumer and metric, the headline first."""
 _ROBOT: Final = (
@@ -89,7 +90,8 @@ def _notes(
     )
     readers = (
         f"Known: stated within {stages['privacy.epsilon_m']:g} m, of all person-time, by"
-        " an adversary who knows to whom each track belongs."
+        " an adversary who knows to whom each track belongs. Followed: by one who joins"
+        " tracks by predicted places; rejoined: breaks of a track that it mends."
     )
     notes = [sensing, readers]
     if robot:

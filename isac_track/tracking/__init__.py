@@ -11,13 +11,21 @@ from isac_track.tracking.detections import (
 from isac_track.tracking.methods import GNN, JPDA, Genie, Oracle, track_patrol
 from isac_track.tracking.trackers import (
     METHODS,
+    Track,
     Tracked,
     TrackerSettings,
+    join_tracks,
     run_tracker,
     track_detections,
 )
 
 __all__ = ["GNN", "JPDA", "METHODS", "DetectedPatrol", "DetectionSettings"]
-__all__ += ["Detections", "Genie", "Likelihood", "Oracle", "Tracked"]
-__all__ += ["TrackerSettings", "clutter_density", "detect_people", "run_tracker"]
+__all__ += ["Detections", "Genie", "Likelihood", "Oracle", "Track", "Tracked"]
+__all__ += [
+    "TrackerSettings",
+    "clutter_density",
+    "detect_people",
+    "join_tracks",
+    "run_tracker",
+]
 __all__ += ["track_detections", "track_patrol"]

@@ -4,6 +4,8 @@ They say how a number varies within the recording and over draws of the network'
 errors. Another recording may differ by more.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 
 from isac_track.intervals import (
@@ -17,6 +19,7 @@ from isac_track.patrols.equal_alarms import AlarmCurve, drawn_misses
 from isac_track.types import Floats, Ints
 
 _REPLICATES = 2000
+_AT_A_TIME = 200  # Replicates of some thousand rows each.
 
 
 def block_numbers(t: Floats, *, start_s: float, block_s: float) -> Ints:
@@ -102,6 +105,37 @@ def block_missed_at_equal_alarms(
     by_block = trials.sum(axis=1)
     effective = effective_clusters(by_block)
     n = int((by_block > 0).sum())
+    if effective < LEAST_CLUSTERS:
+        return Estimate(
+            float(values[0]), n=n, replicates=values[1:], effective=effective
+        )
+    return estimate_from_replicates(values, n=n, effective=effective)
+
+
+def block_statistic(
+    statistic: Callable[[Floats], Floats],
+    *,
+    block: Ints,
+    seed_number: Ints,
+    counted: Floats,
+    seed: int,
+) -> Estimate:
+    """Return a statistic of weights, (R, K) -> (R,), with an interval as `block_ratio`.
+
+    Each of K rows has a `block` and a `seed_number`; `counted`, (B, S), says how many
+    rows with a weight there are in each block.
+    """
+    blocks, seeds = _drawn_weights(*counted.shape, seed=seed)
+    parts = [
+        statistic(blocks[rows][:, block] * seeds[rows][:, seed_number])
+        for rows in (
+            slice(first, first + _AT_A_TIME)
+            for first in range(0, len(blocks), _AT_A_TIME)
+        )
+    ]
+    values = np.concatenate(parts)
+    by_block = counted.sum(axis=1)
+    effective, n = effective_clusters(by_block), int((by_block > 0).sum())
     if effective < LEAST_CLUSTERS:
         return Estimate(
             float(values[0]), n=n, replicates=values[1:], effective=effective

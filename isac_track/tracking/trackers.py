@@ -11,7 +11,9 @@ Bar-Shalom, Willett, Tian, *Tracking and Data Fusion*, 2011: life cycle (M of N)
 joint probabilistic data association (JPDA).
 """
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -106,6 +108,49 @@ class Tracked:
     def is_reported(self) -> Bools:
         """Whether a state's track was confirmed by its scan, (S,)."""
         return np.asarray(self.scan >= self.confirmed[self.track])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Track:
+    """A track of K states at the scans from `first` on, for `join_tracks`."""
+
+    first: int  # Scan of the first state.
+    xy: Sequence[Floats] | Floats  # (K, 2) m
+    detection: Sequence[int] | Ints  # (K,) detection of each scan, or `UNASSIGNED`.
+    confirmed: int  # Scan at which the track was confirmed.
+
+
+def join_tracks(tracks: Iterable[Track]) -> Tracked:
+    """Return tracks as a tracker reports them, in the order in which they begin.
+
+    Examples
+    --------
+    A track of two detections and a miss between them, confirmed at the second:
+
+    >>> from isac_track.tracking import Track, join_tracks
+    >>> track = Track(
+    ...     first=3, xy=[(0.0, 0.0), (0.1, 0.0), (0.2, 0.0)], detection=[7, -1, 9],
+    ...     confirmed=5,
+    ... )
+    >>> join_tracks([track]).scan.tolist()
+    [3, 4, 5]
+    """
+    ordered = sorted(tracks, key=attrgetter("first"))
+    sizes = [len(track.detection) for track in ordered]
+    scans = [
+        np.arange(track.first, track.first + size)
+        for track, size in zip(ordered, sizes, strict=True)
+    ]
+    none = np.zeros(0, dtype=np.int64)
+    places = [np.asarray(track.xy, dtype=np.float64) for track in ordered]
+    points = [np.asarray(track.detection, dtype=np.int64) for track in ordered]
+    return Tracked(
+        scan=np.concatenate([none, *scans]),
+        xy=np.concatenate([np.zeros((0, 2)), *places]),
+        detection=np.concatenate([none, *points]),
+        offsets=np.cumsum([0, *sizes]),
+        confirmed=np.array([track.confirmed for track in ordered], dtype=np.int64),
+    )
 
 
 def run_tracker(detected: DetectedPatrol, *, settings: TrackerSettings) -> Tracked:

@@ -16,6 +16,7 @@ from attacks.testing import (
     MECHANISM_CHECKS,
     POLICY_CHECKS,
     PREDICTOR_CHECKS,
+    TRACKER_CHECKS,
 )
 from isac_track import plugins
 from isac_track.plugins import KIND_BY_NOUN
@@ -114,6 +115,7 @@ class TestCheck:
             ("fid:100,adding=independent", "as a mechanism:", MECHANISM_CHECKS),
             ("predictors.kalman:KalmanCV", "as a predictor:", PREDICTOR_CHECKS),
             ("near:3.5", "as a policy:", POLICY_CHECKS),
+            ("gnn", "as a tracker:", TRACKER_CHECKS),
         ],
     )
     def test_the_kind_follows_from_name_or_method(self, spec, head, checks, capsys):
@@ -132,6 +134,7 @@ class TestCheck:
             (f"{BROKEN}:Nobody", f"cannot be loaded from {BROKEN}:Nobody"),
             ("kalman_rts:-1", "q must be positive"),
             (f"{LINKERS}:NeedsRepeats", "nobody who links is granted"),
+            ("genie", "tracker Genie reads the truth: it is a reference"),
         ],
     )
     def test_wrong_usage(self, spec, message, capsys):
@@ -151,13 +154,15 @@ class TestNew:
             ("my_noise", "mechanism", MECHANISM_CHECKS, "d_sigma"),
             ("my_tracker", "predictor", PREDICTOR_CHECKS, "window_s"),
             ("my_policy", "policy", POLICY_CHECKS, "metres"),
+            ("my_association", "tracker", TRACKER_CHECKS, "gate_m"),
         ],
     )
     def test_it_works_as_it_is(
         self, name, kind, checks, parameter, capsys, installed, monkeypatch, pytester
     ):
         folder, class_name = pytester.path / name, name.title().replace("_", "")
-        noun = kind if kind in ("mechanism", "predictor", "policy") else "attack"
+        noun = KINDS[kind]["noun"]
+        option = KINDS[kind].get("option", f"--{noun} +")
         group = KIND_BY_NOUN[noun]
         folder.mkdir()  # an empty folder is taken
         assert main(["new", name, "--kind", kind]) == 0
@@ -174,7 +179,7 @@ class TestNew:
         lines = (
             f"pip install -e ./{name}",
             f"pytest {name}",
-            f"python -m evaluation.matrix --{noun} +{name}",
+            f"python -m evaluation.matrix {option}{name}",
         )
         shown = capsys.readouterr().out.splitlines()[-3:]
         assert shown == [f"  {line}" for line in lines]
@@ -206,7 +211,7 @@ class TestNew:
 
     def test_ruff_and_its_formatter_have_nothing_to_say(self, here):
         for kind in KINDS:
-            for name in (kind[-1], f"{kind[:3]}_with_quite_a_long_name"):
+            for name in (kind[-1] + kind[0], f"{kind[:3]}_with_quite_a_long_name"):
                 assert main(["new", name, "--kind", kind]) == 0
         for words in (["check"], ["format", "--check"]):
             done = run(here, "-m", "ruff", *words, "--no-cache", ".")

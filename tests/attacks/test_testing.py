@@ -29,12 +29,14 @@ from attacks.testing import (
     parametrize_mechanism_checks,
     parametrize_policy_checks,
     parametrize_predictor_checks,
+    parametrize_tracker_checks,
     run_checks,
 )
 from attacks.testing._attack_cases import LinkageCase, ReconstructionCase
 from attacks.testing._releases import RAW_SIGMA_M, map_releases
 from isac_track import plugins
 from isac_track.errors import PluginError, SettingsError
+from isac_track.tracking import GNN, JPDA
 from isac_track.types import Knowledge
 
 KITS = (CHECKS, LINKAGE_CHECKS, MECHANISM_CHECKS, PREDICTOR_CHECKS, POLICY_CHECKS)
@@ -173,6 +175,54 @@ class Faulty:
 )
 def test_a_faulty_policy_fails_where_it_should(policy, name, message):
     results = {result.name: result for result in run_checks(policy)}
+    assert results[name].status == "failed"
+    assert message in results[name].message
+
+
+TRACKERS = [GNN(), JPDA(), GNN(confirm_hits=2, confirm_scans=4, q=0.1)]
+
+
+@parametrize_tracker_checks(TRACKERS)
+def test_a_fair_tracker_passes(tracker, check):
+    check(tracker)
+
+
+@dataclass(frozen=True)
+class FaultyTracker:
+    """A tracker with a fault of one's choice."""
+
+    fault: str
+
+    def track(self, detections, likelihood):
+        tracked = GNN().track(detections, likelihood)
+        if self.fault == "list":
+            return [tracked]
+        if self.fault == "late":
+            # It joins what goes on elsewhere, as a smoother would.
+            shift = 0.01 * float(detections.scan_s.size)
+            return replace(tracked, xy=tracked.xy + shift)
+        if self.fault == "drops":
+            return GNN(confirm_hits=60, confirm_scans=60).track(detections, likelihood)
+        if self.fault == "draws":
+            drawn = np.random.default_rng().random(tracked.xy.shape)
+            return replace(tracked, xy=tracked.xy + drawn)
+        if self.fault == "empty" and not len(detections):
+            raise ValueError("nobody")
+        return tracked
+
+
+@pytest.mark.parametrize(
+    ("fault", "name", "message"),
+    [
+        ("list", "result_is_tracks", "must return a Tracked, got list"),
+        ("late", "later_scans_do_not_matter", "a robot gets tracks as they grow"),
+        ("drops", "people_far_apart_are_tracked", "has 0% of the person's"),
+        ("draws", "same_detections_same_tracks", "differ in"),
+        ("empty", "odd_scans_are_tracked", "nobody"),
+    ],
+)
+def test_a_faulty_tracker_fails_where_it_should(fault, name, message):
+    results = {result.name: result for result in run_checks(FaultyTracker(fault))}
     assert results[name].status == "failed"
     assert message in results[name].message
 

@@ -88,7 +88,7 @@ def test_with_certain_detection_the_oracle_is_the_policy_everything(recording):
         predictors=("kalman_cv",),
         stages=FEW | CERTAIN | {"tracking.seeds": 1},
     )
-    rows = certain.summary
+    rows, recorded = certain.summary, datasets.load(str(recording)).tracks
     for metric, consumer in (
         ("missed_conflict_rate", "kalman_cv"),
         ("missed_future_rate", "kalman_cv"),
@@ -106,6 +106,12 @@ def test_with_certain_detection_the_oracle_is_the_policy_everything(recording):
     assert usual <= values(rows, "tracks:oracle", "known_share").item() < usual + 0.06
     assert (values(rows, "tracks:oracle", "purity") == 1.0).all()
     assert (values(rows, "tracks:oracle", "fragments") == 0.0).all()
+    present_s = np.diff(
+        [[walk.t[0], min(walk.t[-1], FEW["patrol.segment_s"])] for walk in recorded]
+    )
+    followed_s = values(rows, "tracks:oracle", "followed_s").item()
+    assert followed_s == pytest.approx(present_s.mean(), abs=0.1)
+    assert values(rows, "tracks:oracle", "rejoined_share").isna().all()
 
 
 def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):

@@ -18,7 +18,7 @@ from isac_track.tracking import (
     detect_people,
     run_tracker,
 )
-from isac_track.tracking.blocks import block_numbers, block_ratio
+from isac_track.tracking.blocks import block_numbers, block_ratio, block_statistic
 from isac_track.tracking.knowledge import known_instants
 from isac_track.tracking.sharing import SharedTracks, share_tracks
 from isac_track.tracking.utility import foresee_from_tracks
@@ -227,3 +227,25 @@ class TestBlocks:
         assert estimate.value == share
         assert np.isnan(estimate.ci_low)
         assert estimate.n == n_blocks
+
+    def test_a_statistic_of_rows_is_that_of_their_blocks_and_seeds(self):
+        rng = np.random.default_rng(0)
+        block, number = np.repeat(np.arange(20), 15), np.tile(np.arange(3), 100)
+        values = rng.normal(5.0, 1.0, block.size)
+        counted = np.zeros((20, 3))
+        np.add.at(counted, (block, number), 1.0)
+        sums = np.zeros((20, 3))
+        np.add.at(sums, (block, number), values)
+        expected = block_ratio(
+            numerator=sums, denominator=counted, seed=0, is_share=False
+        )
+        estimate = block_statistic(
+            lambda weights: weights @ values / weights.sum(axis=1),
+            block=block,
+            seed_number=number,
+            counted=counted,
+            seed=0,
+        )
+        assert estimate.value == pytest.approx(expected.value)
+        np.testing.assert_allclose(estimate.replicates, expected.replicates)
+        assert estimate.ci_low == pytest.approx(expected.ci_low)
