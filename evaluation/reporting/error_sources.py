@@ -41,6 +41,11 @@ ERROR_SOURCES: Final = (
         "an adversary that knows a radial law gains from it",
     ),
     ErrorSource(
+        "error shape",
+        "the raw error has the same variance on both axes",
+        "at the same mean square an ellipse raises attacked PLR by up to 5 points",
+    ),
+    ErrorSource(
         "adding rule",
         "linear noise enlarges the true error, which no real network can do",
         "PLR is the same; missed conflicts are not",

@@ -87,7 +87,14 @@ class Shaped:
             walk=walk_numbers(sensed, self.reuse, rng),
             shape=gaussian_filter(self.tau_s),
         )
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 MECHANISMS: Final[Mapping[str, type]] = {"shaped": Shaped}

@@ -1,6 +1,7 @@
 """Errors with a shape: sensing, adding rules and mechanisms against closed forms."""
 
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import get_args
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 from scipy import stats
 from scipy.integrate import quad
 
+from isac_track import plugins
 from isac_track.config import SensingSettings
 from isac_track.kalman import Batch
 from isac_track.measurement import (
@@ -23,7 +25,6 @@ from isac_track.measurement import (
     square_roots,
 )
 from isac_track.mechanisms.controls import Correlated, Offset, Thin
-from isac_track.mechanisms.literature import Fourier, GpPrior, Qclm, Remap
 from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw, fid_d_sigma
 from isac_track.mechanisms.protections import Forecast, Laplace, Ou
 from isac_track.mechanisms.withholding import Window
@@ -168,17 +169,24 @@ def test_an_independent_error_is_round(ellipse, mechanism, std_m):
     np.testing.assert_allclose((added**2).mean(axis=0), std_m**2, rtol=tolerance)
 
 
-@pytest.mark.parametrize(
-    "mechanism",
-    [Ou(0.3), Laplace(0.3), Qclm(0.3), GpPrior(0.3), Fourier(0.3), Remap(0.3)],
-    ids=lambda mechanism: type(mechanism).__name__,
-)
-def test_added_noise_has_a_law_of_its_own(mechanism):
+ISOTROPIC = [
+    name
+    for name, origin in plugins.names("mechanisms").items()
+    if name != "forecast" and getattr(resolve_name(origin), "law", None) == "isotropic"
+]
+
+
+@pytest.mark.parametrize("name", ISOTROPIC)
+def test_added_noise_has_a_law_of_its_own(name):
     """Behind radial errors, too, it is N(0, std) on either axis."""
     raw = sensed(shaped(), n_samples=60)
-    release = mechanism.share(raw, np.random.default_rng(4))
-    added = np.tile(0.09 * np.eye(2), (60, 1, 1))
-    np.testing.assert_allclose(release.cov - raw.cov, added, atol=1e-9)
+    (plugin,) = plugins.parse("mechanisms", f"{name}:0.5")
+    release = plugin.instance.share(raw, np.random.default_rng(4))
+    added = release.sigma**2 - raw.sigma_raw**2
+    np.testing.assert_allclose(
+        release.cov - raw.cov, added[:, None, None] * np.eye(2), atol=1e-9
+    )
+    assert added.max() > 0.01
 
 
 def test_correlated_errors_have_the_declared_shape(ellipse):

@@ -4,9 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from helpers.cells import STAGES, World, parsed
 
 from evaluation.compute.sharing import Frame, adversary_view, share
 from evaluation.compute.track_bounds import benchmark
+from evaluation.plan.axes import Axes
 from isac_track import plugins
 from isac_track.measurement import share_within
 from isac_track.sharing import perturb
@@ -95,3 +97,28 @@ def test_the_benchmark_knows_the_shape(sensed):
     errors = error * np.array([5 / 6, 1 / 3, 5 / 6])[:, None, None]
     known = share_within(errors, epsilon_m=0.03).mean()
     np.testing.assert_allclose(expected["benchmark_plr"], known, rtol=0.01)
+
+
+@pytest.mark.parametrize("mechanism", ["raw", "window:3", "fixed:0.3"])
+def test_cells_of_a_run_know_the_shape(tracks, mechanism):
+    """Who sees the shape is as good as the benchmark, and better than who does not."""
+    stages = STAGES.changed(
+        {
+            "sensing.measurement": "range_bearing",
+            "sensing.n_antennas": 4,
+            "sensing.law": "isotropic",
+        }
+    )
+    world = World(tracks, n_scenes=4, stages=stages)
+    attack = parsed("attacks", "kalman_rts")
+    consumers = Axes(mechanisms=(), predictors=(), attacks=(attack,)).consumers
+    by_knowledge = {
+        consumer.knowledge: rows
+        for _, consumer, rows in world.cells((mechanism,), consumers)
+        if consumer.kind == "attack"
+    }
+    blind, oracle = (by_knowledge[name] for name in ("blind", "oracle"))
+    assert np.isfinite(oracle["benchmark_plr"]).all()
+    assert oracle["mse_m2"].mean() < blind["mse_m2"].mean()
+    ratio = np.sqrt(oracle["mse_m2"].mean() / oracle["benchmark_mse_m2"].mean())
+    assert 0.8 < ratio < 1.3
