@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Final
@@ -18,6 +18,7 @@ from evaluation.estimates.cards import (
     is_control,
     on_front,
 )
+from evaluation.estimates.families import RAW
 from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
@@ -93,7 +94,8 @@ def make_board(cards: Sequence[Card]) -> Board:
             counted(len(attacks), "attack"),
         ]
     )
-    return Board([_world(*group) for group in groups], list(attacks), extent)
+    looks = _looks(cards)
+    return Board([_world(*group, looks) for group in groups], list(attacks), extent)
 
 
 def render(board: Board) -> str:
@@ -114,7 +116,19 @@ def as_markdown(board: Board) -> str:
     return "\n".join(parts)
 
 
-def _world(key: tuple[str, str, str], cards: Sequence[Card]) -> World:
+def _looks(cards: Sequence[Card]) -> dict[str, Look]:
+    """Return the look of each series, the same in all worlds."""
+    names = sorted({_series(card) for card in cards} - {RAW})
+    looks = {
+        name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
+        for n, name in enumerate(names)
+    }
+    return looks | {RAW: Look(LOOKS - 1)}
+
+
+def _world(
+    key: tuple[str, str, str], cards: Sequence[Card], looks: Mapping[str, Look]
+) -> World:
     recording, law, seed = key
     is_front = on_front(cards)
     anchor = _anchor("world", *key)
@@ -128,7 +142,7 @@ def _world(key: tuple[str, str, str], cards: Sequence[Card]) -> World:
         title=title,
         anchor=anchor,
         finding=_finding(ordered, placed),
-        figure=_figure(anchor, title, ordered, placed),
+        figure=_figure(anchor, title, ordered, placed, looks),
         table=_table(anchor, title, ordered, placed),
         entries=[_broken(card) for card in ordered],
     )
@@ -212,9 +226,9 @@ def _broken(card: Card) -> Broken:
         f"All scores of {card.label}",
         [*known, *others],
         [
-            Column("metric", lambda score: text_cell(score.metric), align="left"),
             Column("by", lambda score: text_cell(plugin_label(score.by)), align="left"),
             Column("value", _scored),
+            Column("metric", lambda score: text_cell(score.metric), align="left"),
             Column("people", lambda score: number_cell(score.n, digits=0)),
         ],
     )
@@ -251,14 +265,16 @@ def _percent(score: CardScore) -> str:
     return "-" if score.value is None else f"{100 * score.value:.1f} %"
 
 
-def _figure(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> Figure:
+def _figure(
+    anchor: str,
+    title: str,
+    cards: Sequence[Card],
+    is_front: Bools,
+    looks: Mapping[str, Look],
+) -> Figure:
     """Return both planes of a world: known, and followed, over missed."""
     names = [_series(card) for card in cards]
     series = list(dict.fromkeys(names))
-    looks = {
-        name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
-        for n, name in enumerate(name for name in series if name != "raw")
-    } | {"raw": Look(LOOKS - 1)}
     panels = []
     for axis in (KNOWN, FOLLOWED):
         curves = []
@@ -294,7 +310,7 @@ def _series(card: Card) -> str:
     policy = card.policy.spec.partition(":")[0]
     if policy == "everything":
         return mechanism
-    return policy if mechanism == "raw" else f"{mechanism} and {policy}"
+    return policy if mechanism == RAW else f"{mechanism} and {policy}"
 
 
 def _estimate(score: CardScore) -> Estimate:

@@ -95,7 +95,7 @@ class TestPage:
     def test_the_strongest_reader_of_an_entry_comes_first(self):
         entry = make_board(self.CARDS[:1]).worlds[0].entries[0]
         assert entry.sentence.startswith("ou_rts knows most: 90.0 %")
-        assert [row[1].text for row in entry.table.rows[:2]] == ["ou_rts", "log:smooth"]
+        assert [row[0].text for row in entry.table.rows[:2]] == ["ou_rts", "log:smooth"]
 
     def test_a_name_cannot_write_html(self):
         card = made_up_card(mechanism='my:Mine:"><script>alert(1)</script>')
