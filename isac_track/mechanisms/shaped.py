@@ -34,7 +34,7 @@ OPTIMA: Final = (
 )
 """Floor, m; standard deviation per axis, m; theta, s: printed by a script.
 
-`scripts/shaped_noise.py` searched them in the world of `isac_track.kalman.shapes`.
+`scripts/shaped_noise.py` searched them in the world of `isac_track.kalman.spectra`.
 """
 
 
@@ -87,7 +87,14 @@ class Shaped:
             walk=walk_numbers(sensed, self.reuse, rng),
             shape=gaussian_filter(self.tau_s),
         )
-        return perturb(sensed, self.std_m, rng, adding="independent", unit_error=unit)
+        return perturb(
+            sensed,
+            self.std_m,
+            rng,
+            adding="independent",
+            law="isotropic",
+            unit_error=unit,
+        )
 
 
 MECHANISMS: Final[Mapping[str, type]] = {"shaped": Shaped}

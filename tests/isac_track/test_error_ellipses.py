@@ -26,6 +26,7 @@ from isac_track.mechanisms.controls import Correlated, Offset, Thin
 from isac_track.mechanisms.literature import Fourier, GpPrior, Qclm, Remap
 from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw, fid_d_sigma
 from isac_track.mechanisms.protections import Forecast, Laplace, Ou
+from isac_track.mechanisms.shaped import Shaped
 from isac_track.mechanisms.withholding import Window
 from isac_track.sensing import draw_channel, sense
 from isac_track.types import ErrorLaw
@@ -170,14 +171,22 @@ def test_an_independent_error_is_round(ellipse, mechanism, std_m):
 
 @pytest.mark.parametrize(
     "mechanism",
-    [Ou(0.3), Laplace(0.3), Qclm(0.3), GpPrior(0.3), Fourier(0.3), Remap(0.3)],
+    [
+        Ou(0.3),
+        Laplace(0.3),
+        Qclm(0.3),
+        GpPrior(0.3),
+        Fourier(0.3),
+        Remap(0.3),
+        Shaped(0.2),
+    ],
     ids=lambda mechanism: type(mechanism).__name__,
 )
 def test_added_noise_has_a_law_of_its_own(mechanism):
     """Behind radial errors, too, it is N(0, std) on either axis."""
     raw = sensed(shaped(), n_samples=60)
     release = mechanism.share(raw, np.random.default_rng(4))
-    added = np.tile(0.09 * np.eye(2), (60, 1, 1))
+    added = np.tile(mechanism.std_m**2 * np.eye(2), (60, 1, 1))
     np.testing.assert_allclose(release.cov - raw.cov, added, atol=1e-9)
 
 
