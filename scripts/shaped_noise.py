@@ -14,7 +14,7 @@ from heapq import heappop, heappush
 import numpy as np
 from scipy.optimize import linprog, minimize, minimize_scalar
 
-from isac_track.kalman import shapes
+from isac_track.kalman import spectra
 from isac_track.types import Floats
 
 FLOORS_M = (0.07, 0.1, 0.15, 0.2, 0.3, 0.4, 0.6, 0.8, 1.2)
@@ -38,13 +38,13 @@ def best_order(*, floor: float, order: float) -> Search:
     """Return the best Matern noise of an order; its parameter is theta, s."""
 
     def density(log_theta: float) -> Floats:
-        shape = shapes.matern_density(
+        shape = spectra.matern_density(
             std_m=1.0, theta_s=math.exp(log_theta), order=order
         )
-        return shapes.scaled_to(shape, floor=floor)
+        return spectra.scaled_to(shape, floor=floor)
 
     result = minimize_scalar(
-        lambda log_theta: shapes.predicted_rms_m(density(log_theta)),
+        lambda log_theta: spectra.predicted_rms_m(density(log_theta)),
         bounds=(math.log(0.5), math.log(100.0)),
         method="bounded",
         options={"xatol": 1e-4},
@@ -63,12 +63,12 @@ def best_mixture(*, floor: float, n: int) -> Search:
         order = np.exp(np.clip(z[n : 2 * n], 0.0, math.log(50.0)))
         weight = np.exp(np.append(0.0, z[2 * n :]))
         parts = [
-            share * shapes.matern_density(std_m=1.0, theta_s=time_s, order=power)
+            share * spectra.matern_density(std_m=1.0, theta_s=time_s, order=power)
             for share, time_s, power in zip(
                 weight / weight.sum(), theta, order, strict=True
             )
         ]
-        return shapes.scaled_to(np.sum(parts, axis=0), floor=floor)
+        return spectra.scaled_to(np.sum(parts, axis=0), floor=floor)
 
     rng = np.random.default_rng(0)
     starts = [rng.uniform(0.0, 3.0, 3 * n - 1) for _ in range(_STARTS)]
@@ -85,7 +85,7 @@ def best_bands(*, near: Search, floor: float, edges: tuple[float, ...]) -> Searc
     start = np.log(np.maximum(height / unit.max(axis=1), 1e-8))
 
     def density(z: Floats) -> Floats:
-        return shapes.scaled_to(np.exp(z - z.max()) @ unit, floor=floor)
+        return spectra.scaled_to(np.exp(z - z.max()) @ unit, floor=floor)
 
     return _search(density, [start], method="Powell")
 
@@ -96,7 +96,7 @@ def _search(
     """Return the noise with the least price that a local search reaches."""
     results = [
         minimize(
-            lambda z: shapes.predicted_rms_m(density(z)),
+            lambda z: spectra.predicted_rms_m(density(z)),
             start,
             method=method,
             options={"maxiter": 6 if method == "Powell" else 300},
@@ -109,12 +109,12 @@ def _search(
 
 def band_densities(edges: tuple[float, ...]) -> Floats:
     """Return spectra that are constant within a band, of unit variance, (J, F)."""
-    frequency = shapes.frequencies()
+    frequency = spectra.frequencies()
     inside = [
         ((frequency >= low) & (frequency < high)).astype(float)
         for low, high in itertools.pairwise(edges)
     ]
-    return np.array([band / shapes.std_of_density(band) ** 2 for band in inside])
+    return np.array([band / spectra.std_of_density(band) ** 2 for band in inside])
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,11 +137,11 @@ class _Bands:
     def price(self, variance: tuple[float, ...]) -> float:
         if variance not in self.known:
             density = np.array(variance) @ self.unit
-            self.known[variance] = shapes.predicted_rms_m(density) ** 2
+            self.known[variance] = spectra.predicted_rms_m(density) ** 2
         return self.known[variance]
 
     def floor(self, variance: Floats) -> float:
-        return shapes.floor_m(np.asarray(variance) @ self.unit) ** 2
+        return spectra.floor_m(np.asarray(variance) @ self.unit) ** 2
 
     def tangent(self, variance: Floats) -> tuple[float, Floats]:
         """Return the floor at a point and its slopes there."""
@@ -240,7 +240,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--floor", type=float, action="append")
     for floor in parser.parse_args().floor or FLOORS_M:
-        smooth = best_order(floor=floor, order=shapes.SMOOTH_ORDER)
+        smooth = best_order(floor=floor, order=spectra.SMOOTH_ORDER)
         ou = best_order(floor=floor, order=1.0)
         mixture = best_mixture(floor=floor, n=2)
         fine = best_bands(near=smooth, floor=floor, edges=FINE_EDGES)
@@ -248,9 +248,9 @@ def main() -> None:
         proof = certify(floor=floor, edges=BAND_EDGES, best_m=coarse.robot_m)
         print(
             f"floor {floor:g} m: smooth theta {smooth.parameters[0]:.4f} s"
-            f" std {shapes.std_of_density(smooth.density):.4f} m"
+            f" std {spectra.std_of_density(smooth.density):.4f} m"
             f" robot {smooth.robot_m:.4f} m; ou tau {ou.parameters[0]:.2f} s"
-            f" std {shapes.std_of_density(ou.density):.3f} robot {ou.robot_m:.4f};"
+            f" std {spectra.std_of_density(ou.density):.3f} robot {ou.robot_m:.4f};"
             f" mixture {mixture.robot_m:.4f}; fine bands {fine.robot_m:.4f};"
             f" coarse bands {coarse.robot_m:.4f}, bound {proof.bound_m:.4f}"
             f" ({proof.nodes} boxes, {'closed' if proof.is_closed else 'open'})",

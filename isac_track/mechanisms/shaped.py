@@ -34,7 +34,7 @@ OPTIMA: Final = (
 )
 """Floor, m; standard deviation per axis, m; theta, s: printed by a script.
 
-`scripts/shaped_noise.py` searched them in the world of `isac_track.kalman.shapes`.
+`scripts/shaped_noise.py` searched them in the world of `isac_track.kalman.spectra`.
 """
 
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import shaped_noise
 
-from isac_track.kalman import Batch, shapes
-from isac_track.kalman.shapes import World, matern_density, predicted_rms_m
+from isac_track.kalman import Batch, spectra
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
+from isac_track.kalman.spectra import World, matern_density, predicted_rms_m
 from isac_track.mechanisms.shaped import OPTIMA, Shaped
 
 # Samples as far apart as the robot averages them, and as they are sensed.
@@ -17,15 +17,15 @@ OU = matern_density(std_m=0.6, theta_s=5.0, order=1.0)
 
 
 def test_matern_spectra_are_ornstein_uhlenbeck_and_gaussian_at_the_ends():
-    frequency = shapes.frequencies()
+    frequency = spectra.frequencies()
     expected = 2.0 * 0.6**2 * 5.0 / (1.0 + (5.0 * frequency) ** 2)
     assert pytest.approx(expected) == OU
     smooth = matern_density(std_m=0.6, theta_s=5.0, order=1e6)
     gaussian = np.exp(-np.square(5.0 * frequency))
     assert smooth / smooth[0] == pytest.approx(gaussian, abs=1e-4)
-    for order in (1.0, 2.5, shapes.SMOOTH_ORDER):
+    for order in (1.0, 2.5, spectra.SMOOTH_ORDER):
         density = matern_density(std_m=0.6, theta_s=5.0, order=order)
-        assert shapes.std_of_density(density) == pytest.approx(0.6, rel=2e-3)
+        assert spectra.std_of_density(density) == pytest.approx(0.6, rel=2e-3)
 
 
 def dense_posterior(*, world):
@@ -42,7 +42,7 @@ def dense_posterior(*, world):
 
 def test_a_smoothers_error_is_that_of_dense_algebra_with_an_anchor_and_without():
     world = replace(EVEN, releases=3)
-    plain, anchored = shapes.smoothed_rms_m(OU, world=world)
+    plain, anchored = spectra.smoothed_rms_m(OU, world=world)
     t, posterior = dense_posterior(world=world)
     start, lags = int(np.argmin(np.abs(t + 15.0))), np.arange(151)
     variance, between = posterior[start, start], posterior[start, start + lags]
@@ -51,7 +51,7 @@ def test_a_smoothers_error_is_that_of_dense_algebra_with_an_anchor_and_without()
     lag_s = lags * world.dt_s
     chance = 2.0 * (30.0 - lag_s) / 30.0**2
     assert anchored**2 == pytest.approx(np.trapezoid(chance * left, lag_s), rel=0.02)
-    alone, _ = shapes.smoothed_rms_m(OU, world=world, releases=1)
+    alone, _ = spectra.smoothed_rms_m(OU, world=world, releases=1)
     assert alone > plain > anchored
 
 
@@ -75,7 +75,7 @@ def test_price_and_floor_grow_with_the_noise_and_are_concave_in_it():
     draw = np.random.default_rng(0)
     for _ in range(10):
         first, second = draw.exponential(1.0, (2, 3)) @ unit
-        for measure in (predicted_rms_m, shapes.floor_m):
+        for measure in (predicted_rms_m, spectra.floor_m):
             low, high = measure(first) ** 2, measure(first + second) ** 2
             middle = measure(first + 0.5 * second) ** 2
             assert low <= high
@@ -84,27 +84,27 @@ def test_price_and_floor_grow_with_the_noise_and_are_concave_in_it():
 
 def test_the_optimum_of_the_table_is_that_of_the_search_and_beats_every_ou():
     floor, std_m, theta_s = OPTIMA[3]
-    order = shapes.SMOOTH_ORDER
+    order = spectra.SMOOTH_ORDER
     best = shaped_noise.best_order(floor=floor, order=order)
     assert best.parameters[0] == pytest.approx(theta_s, rel=0.01)
-    assert shapes.std_of_density(best.density) == pytest.approx(std_m, rel=0.002)
+    assert spectra.std_of_density(best.density) == pytest.approx(std_m, rel=0.002)
     ou = shaped_noise.best_order(floor=floor, order=1.0)
     assert best.robot_m < 0.96 * ou.robot_m
     shared = Shaped(floor)
     density = matern_density(
         std_m=shared.std_m, theta_s=0.5 * shared.tau_s, order=order
     )
-    assert shapes.floor_m(density) == pytest.approx(floor, rel=0.005)
+    assert spectra.floor_m(density) == pytest.approx(floor, rel=0.005)
     between = Shaped(0.5)
     density = matern_density(
         std_m=between.std_m, theta_s=0.5 * between.tau_s, order=order
     )
-    assert shapes.floor_m(density) == pytest.approx(0.5, rel=0.02)
+    assert spectra.floor_m(density) == pytest.approx(0.5, rel=0.02)
 
 
 def test_a_certificate_closes_at_the_optimum_and_not_above_it():
     edges, floor = (0.0, 0.3, 1.0, 4.0), 0.3
-    smooth = shaped_noise.best_order(floor=floor, order=shapes.SMOOTH_ORDER)
+    smooth = shaped_noise.best_order(floor=floor, order=spectra.SMOOTH_ORDER)
     best = shaped_noise.best_bands(near=smooth, floor=floor, edges=edges)
     closed = shaped_noise.certify(
         floor=floor, edges=edges, best_m=best.robot_m, gap=0.01
@@ -115,7 +115,7 @@ def test_a_certificate_closes_at_the_optimum_and_not_above_it():
     draw = np.random.default_rng(0)
     for _ in range(60):  # Nothing that keeps the floor is below the bound.
         mixed = np.exp(draw.normal([0.0, -2.0, -4.0], 1.5)) @ unit
-        density = shapes.scaled_to(mixed, floor=floor)
+        density = spectra.scaled_to(mixed, floor=floor)
         assert predicted_rms_m(density) > closed.bound_m
     worse = shaped_noise.certify(
         floor=floor, edges=edges, best_m=1.05 * best.robot_m, gap=0.01, most_nodes=40
@@ -130,7 +130,7 @@ def test_a_certificate_closes_at_the_optimum_and_not_above_it():
         (lambda: World(q=0.0), "q must be positive"),
         (lambda: World(releases=0), "releases must be 1 or more"),
         (
-            lambda: shapes.scaled_to(
+            lambda: spectra.scaled_to(
                 matern_density(std_m=1.0, theta_s=0.001, order=1.0), floor=1e5
             ),
             "no noise of this shape",
