@@ -15,7 +15,7 @@ from evaluation.api.rebuilding import build, limit_threads
 from evaluation.api.stronger import try_stronger
 from evaluation.plan.constants import BLOCK_SCENES, MOST_SCENES
 from evaluation.plan.plan import Plan, make_plan
-from evaluation.plan.settings import Settings
+from evaluation.plan.settings import NO_TRACKS, Settings
 from evaluation.pool.execute import execute
 from evaluation.pool.memory import release_memory_after
 from evaluation.pool.workers import start_workers_early
@@ -212,7 +212,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         attacks=(),
         tasks=(),
         policies=(),
-        stages=settings.stages.changed({"conflict.horizons_s": ()}),
+        stages=settings.stages.changed({"conflict.horizons_s": (), **NO_TRACKS}),
         out=out,
     )
     plan = make_plan(pilot_settings)

@@ -55,6 +55,7 @@ USUAL_STAGES: Final = StageSettings().changed(
 """A run has the fleets and the patrolled segment of its preset (`plan`)."""
 TRACK_RELEASE: Final = ("tracking.method", "tracking.noise", "tracking.release")
 """Settings that the name of a release of tracks has: numbers of several stay apart."""
+NO_TRACKS: Final = {"tracking.method": "oracle"}  # Settings of a run without tracks.
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
     "scenes": (1, MOST_SCENES, _SCENES_WRONG),

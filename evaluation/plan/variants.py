@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.plan.presets import PRESETS
-from evaluation.plan.settings import Settings
+from evaluation.plan.settings import NO_TRACKS, Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
@@ -211,7 +211,7 @@ def variant_settings(
         attacks=tuple(spec for spec, own in sorted(attacks.items()) if own & tasks),
         tasks=tuple(task for task in ran["tasks"] if task in tasks),
         policies=(),
-        stages=stages,
+        stages=stages.changed(NO_TRACKS),
         keep_ids=identity.get("ids") == "kept",
         jobs=jobs,
         out=out,
