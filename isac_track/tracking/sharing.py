@@ -11,7 +11,12 @@ from typing import Final
 import numpy as np
 
 from isac_track.errors import SettingsError
-from isac_track.measurement import axis_variance, scalar_covariance
+from isac_track.measurement import (
+    axis_share,
+    axis_variance,
+    mean_variance,
+    scalar_covariance,
+)
 from isac_track.mechanisms.perturb import draw_pseudonyms
 from isac_track.protocols import Mechanism
 from isac_track.rng import stream
@@ -78,7 +83,14 @@ def share_tracks(
     if mechanism is None or not point.size:
         rng = stream(seed, "tracking", "pseudonyms")
         names = draw_pseudonyms(len(tracked), rng)
-        release = Release(t, detections.xy[point], None, offsets, names)
+        release = Release(
+            t=t,
+            xy=detections.xy[point],
+            sigma=np.sqrt(mean_variance(cov) / axis_share(detected.sensed.law)),
+            offsets=offsets,
+            pseudonym=names,
+            cov=None if detected.sensed.cov is None else cov,
+        )
     else:
         sensed = detected.sensed
         interval_s = float(detections.scan_s[1] - detections.scan_s[0])

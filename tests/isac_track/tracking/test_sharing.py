@@ -31,7 +31,8 @@ def test_without_noise_a_release_has_the_detections_of_each_track(detected, trac
         shared.release.xy, detected.detections.xy[tracked.detection]
     )
     np.testing.assert_allclose(shared.variance, 0.04)
-    assert shared.release.sigma is None
+    raw = share_tracks(detected, tracked, seed=0, mechanism=Raw())
+    np.testing.assert_allclose(shared.release.sigma, raw.release.sigma)
     assert len(set(shared.release.pseudonym)) == 2
     assert shared.person.tolist() == [0] * 60 + [1] * 60
     assert (shared.confirmed.tolist(), shared.last.tolist()) == ([2, 2], [59, 59])
