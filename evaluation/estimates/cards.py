@@ -97,6 +97,9 @@ def agreement(card: Card, again: Card, protocol: Protocol) -> Agreement:
     correction holds over all. Two seeds share the recorded people, whose variance both
     standard errors contain: the test is conservative.
     """
+    for name, claim in _claims(card).items():
+        if claim != _claims(again)[name]:
+            return Agreement("differs", f"its {name} is not that of the entry")
     if (card.scores, card.primary, card.digits) == (
         again.scores,
         again.primary,
@@ -117,6 +120,17 @@ def agreement(card: Card, again: Card, protocol: Protocol) -> Agreement:
         f"{len(changed)} of {len(pairs)} scores differ, by at most {largest:.2f} joint"
         f" standard errors ({_other_circumstances(card, again)})",
     )
+
+
+def _claims(card: Card) -> Mapping[str, object]:
+    """Return what a card says of its plug-ins, whatever the code that computed it."""
+    return {
+        "mechanism": (card.mechanism.spec, card.mechanism_name, card.level),
+        "claim to protect": (card.mechanism.protects, card.policy.protects),
+        "policy": card.policy.spec,
+        "form of answer": card.form,
+        "list of attacks": [(item.spec, item.adversary) for item in card.attacks],
+    }
 
 
 def _circumstances(card: Card) -> Mapping[str, object]:

@@ -76,6 +76,20 @@ class TestAgreement:
         other = replace(many_scores([0.5001], error=None), seed_commitment="f" * 64)
         assert agreement(card, other, PROTOCOL).verdict == "differs"
 
+    @pytest.mark.parametrize(
+        ("name", "changes"),
+        [
+            ("form of answer", {"form": "state"}),
+            ("claim to protect", {"protects": False}),
+            ("list of attacks", {"attacks": ()}),
+            ("mechanism", {"level": 0.1}),
+        ],
+    )
+    def test_what_a_card_says_of_its_plugins_is_checked(self, name, changes):
+        answer = agreement(made_up_card(**changes), made_up_card(), PROTOCOL)
+        assert answer.verdict == "differs"
+        assert f"its {name} is not" in answer.reason
+
     def test_another_reader_is_named(self):
         card, other = made_up_card(), many_scores([0.1])
         with pytest.raises(DataError, match="only one of both cards has known_share"):
