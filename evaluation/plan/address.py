@@ -32,22 +32,32 @@ class Where(NamedTuple):
     level: float | None = None  # None: the mechanism has none.
 
 
+class _KnownHash:
+    """A place beside the parts of an address; copies and pickles leave it out.
+
+    It has the hash of that address from the first call on, for the address's life: a
+    report asks half a million times.
+    """
+
+    __slots__ = ("_hash",)
+    _hash: int
+
+
 @dataclass(frozen=True, slots=True)
-class Address:
+class Address(_KnownHash):
     """Where a number of a study belongs; a part that is not needed is left out.
 
     All numbers of a table or a mapping may share a part: then it is left out there.
     """
 
-    # A mapping has numbers of one recording and world, so that a hash needs neither.
-    recording: str = field(default="", hash=False)  # Name of the data set.
-    world: World = field(default=OWN_WORLD, hash=False)
+    recording: str = ""  # Name of the data set.
+    world: World = OWN_WORLD
     mechanism: str = ""  # SPEC without the level.
     level: float | None = None  # None: the mechanism has none.
     # Adding rule that the mechanism declares; it follows from the mechanism.
     adding: str = field(default="", compare=False)
     # Which queries are answered; empty: all is disclosed.
-    policy: str = field(default="", hash=False)
+    policy: str = ""
     task: str = ""  # Linkage task; empty: in scenes.
     # SPEC of the predictor, attack or linker; or `shared`, `bound`, `windows`, or a
     # control's name with `control-` in front.
@@ -55,6 +65,26 @@ class Address:
     reconstruction: str = ""  # SPEC of that which a linker runs behind.
     adversary: str = ""  # In the column `knowledge`; empty: not an attack.
     metric: str = ""
+
+    def __hash__(self) -> int:
+        """Return a hash without recording, world and policy.
+
+        A mapping has numbers of one of each, as a rule.
+        """
+        try:
+            return self._hash
+        except AttributeError:
+            parts = (
+                self.mechanism,
+                self.level,
+                self.task,
+                self.plugin,
+                self.reconstruction,
+                self.adversary,
+                self.metric,
+            )
+            object.__setattr__(self, "_hash", hash(parts))
+            return self._hash
 
     @property
     def attack_spec(self) -> str:
@@ -101,23 +131,14 @@ class Address:
     @property
     def measure(self) -> Address:
         """The metric of a consumer, measured at every mechanism level."""
-        return Address(
-            task=self.task,
-            plugin=self.plugin,
-            reconstruction=self.reconstruction,
-            adversary=self.adversary,
-            metric=self.metric,
+        return _measure(
+            self.task, self.plugin, self.reconstruction, self.adversary, self.metric
         )
 
     @property
     def source(self) -> Address:
         """The consumer and its adversary alone: the origin of positions, or a linker."""
-        return Address(
-            task=self.task,
-            plugin=self.plugin,
-            reconstruction=self.reconstruction,
-            adversary=self.adversary,
-        )
+        return _measure(self.task, self.plugin, self.reconstruction, self.adversary, "")
 
     @property
     def without_task(self) -> Address:
@@ -125,7 +146,12 @@ class Address:
         return replace(self, task="")
 
     def at(
-        self, mechanism: str, level: float | None, metric: str | None = None
+        self,
+        mechanism: str,
+        level: float | None,
+        metric: str | None = None,
+        *,
+        adding: str = "",
     ) -> Address:
         """Return the same at a level of a mechanism, by its own metric or another."""
         return Address(
@@ -133,6 +159,7 @@ class Address:
             world=self.world,
             mechanism=mechanism,
             level=level,
+            adding=adding,
             policy=self.policy,
             task=self.task,
             plugin=self.plugin,
@@ -185,6 +212,21 @@ class Address:
             "metric": self.metric,
             "adding": self.adding,
         }
+
+
+# A run has a few hundred consumers, and some metrics of each; for the process.
+@lru_cache(maxsize=2**14)
+def _measure(
+    task: str, plugin: str, reconstruction: str, adversary: str, metric: str
+) -> Address:
+    """Return the address of a consumer's metric, or of the consumer alone."""
+    return Address(
+        task=task,
+        plugin=plugin,
+        reconstruction=reconstruction,
+        adversary=adversary,
+        metric=metric,
+    )
 
 
 AS_SHARED: Final = Address(plugin=SHARED)

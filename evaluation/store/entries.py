@@ -7,7 +7,7 @@ entry has the fields of its mechanism level and those of its consumer, each by n
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 
 from evaluation.plan.address import Address, parse_row
@@ -116,11 +116,8 @@ def make_entry(
     mechanism: Plugin, consumer: Consumer, *, files: Iterable[str] = ()
 ) -> Entry:
     """Return the entry of a consumer of a plan at a level of a mechanism."""
-    address = replace(
-        consumer.address,
-        mechanism=mechanism.name,
-        level=mechanism.level,
-        adding=mechanism.adding,
+    address = consumer.address.at(
+        mechanism.name, mechanism.level, adding=mechanism.adding
     )
     return Entry(
         address=address,
@@ -150,11 +147,8 @@ def parse_entries(
         at_level = parse_row({name: level[name] for name in ("mechanism", "level")})
         files = tuple(level["files"])
         for source, consumer in sets[level["consumers"]]:
-            address = replace(
-                source,
-                mechanism=at_level.mechanism,
-                level=at_level.level,
-                adding=level["adding"],
+            address = source.at(
+                at_level.mechanism, at_level.level, adding=level["adding"]
             )
             entries.append(
                 Entry(

@@ -105,6 +105,8 @@ def words(place, out, *options, scenes=12, jobs=2):
         scenes,
         "--jobs",
         jobs,
+        "--set",
+        "scenes.agents=2",
         "--out",
         out,
     )
