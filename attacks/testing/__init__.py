@@ -174,9 +174,11 @@ _NOUNS = {
 def plugin_noun(subject: object) -> str:
     """Return the kind of a plug-in by its method; by default it is an attack.
 
-    A predictor may have the method of a tracker, too.
+    Predictors and attacks, which declare `requires`, may have a method `track`, too.
     """
     for method, noun in _NOUNS.items():
+        if noun == "tracker" and hasattr(subject, "requires"):
+            continue
         if callable(getattr(subject, method, None)):
             return noun
     return "attack"

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.random import Generator
-from scipy.signal import fftconvolve
 
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints, Sensed
@@ -97,4 +96,6 @@ def _block_path(
     white = np.concatenate([known[number] for number in around])
     first = n_around * _BLOCK - half
     white = white[first : first + _BLOCK + 1 + 2 * half]
+    from scipy.signal import fftconvolve  # noqa: PLC0415 - heavy to import
+
     return np.asarray(fftconvolve(white, shape.weight[:, None], mode="valid", axes=0))

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from isac_track.errors import SettingsError
 from isac_track.tracking.filters import States
@@ -80,6 +79,8 @@ def nearest_assignment(ratios: Floats) -> Ints:
     if not ratios.size:
         return assigned
     gain = np.log(np.maximum(ratios, 1.0))
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy to import
+
     track, detection = linear_sum_assignment(gain, maximize=True)
     is_gain = gain[track, detection] > 0.0
     assigned[track[is_gain]] = detection[is_gain]

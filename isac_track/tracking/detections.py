@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
-from scipy.stats import ncx2
 
 from isac_track.config import Scaling, SensingSettings
 from isac_track.errors import SettingsError
@@ -126,6 +125,8 @@ def detection_probability(
     """
     snr = information / range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
     threshold = -2.0 * np.log(false_alarm_probability)
+    from scipy.stats import ncx2  # noqa: PLC0415 - heavy to import
+
     return np.asarray(ncx2.sf(threshold, 2, 2.0 * snr))
 
 
