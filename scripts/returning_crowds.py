@@ -128,6 +128,7 @@ def judge(seed: int, *, traits: str, is_order_kept: bool) -> dict[str, object]:
         "why": study.decision.why,
         "p": study.regression.p_value,
         "rank1": cell.rank1.value,
+        "rank1_ci": [cell.rank1.ci_low, cell.rank1.ci_high],
         "control": cell.control.value,
         "gain": [cell.gain.value, cell.gain.ci_low, cell.gain.ci_high],
         "n": cell.gain.n,
@@ -158,6 +159,9 @@ def main() -> None:
     """Judge worlds, or count the answers in files of worlds."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--worlds", default="0:20", help="first and last seed")
+    parser.add_argument(
+        "--traits", default=",".join(STRENGTHS), help="strengths, with commas"
+    )
     parser.add_argument("--out", type=Path, help="file that grows by a line a world")
     parser.add_argument("--summary", type=Path, nargs="+", help="such files")
     options = parser.parse_args()
@@ -166,8 +170,10 @@ def main() -> None:
         print(summary(pd.concat(rows)).to_string(index=False))
         return
     first, last = map(int, options.worlds.split(":"))
+    wanted = options.traits.split(",")
+    conditions = [condition for condition in CONDITIONS if condition[0] in wanted]
     for seed in range(first, last):
-        for traits, is_kept in CONDITIONS:
+        for traits, is_kept in conditions:
             line = json.dumps(judge(seed, traits=traits, is_order_kept=is_kept))
             print(line)
             if options.out:
