@@ -51,24 +51,11 @@ from isac_track.patrols.metrics import (
 from isac_track.patrols.refusals import refused_conflicts, refused_queries
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
+from isac_track.policies.compared import COMPARED_POLICIES
 from isac_track.policies.samples import Everything
 from isac_track.sharing import Raw
 from predictors.kalman import KalmanCV
 
-POLICIES = (
-    "everything",
-    "window:1.3",
-    "window:4",
-    "near:4.5",
-    "near:3.5",
-    "ahead:2",
-    "ahead:1.2",
-    "ahead:2,window_s=4,horizon_s=4.1",
-    "state",
-    "state:2",
-    "flag",
-    "random:0.2",
-)
 POSTERIOR_POLICIES = ("everything", "near:3.5", "ahead:1.2", "flag")
 PROBED_POLICIES = ("ahead:1.2", "flag")
 PROBE_RATES = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0)  # Per second.
@@ -512,7 +499,7 @@ def options(words):
     parser.add_argument("--seed", type=int, default=0)
     for name, usual in (
         ("mechanism", MECHANISMS),
-        ("policy", POLICIES),
+        ("policy", COMPARED_POLICIES),
         ("predictor", PREDICTORS),
     ):
         parser.add_argument(
@@ -552,7 +539,7 @@ def comparison(given, dataset, settings):
         compare(
             dataset.tracks,
             mechanisms=plugins_named("mechanisms", given.mechanism or MECHANISMS),
-            policies=plugins_named("policies", given.policy or POLICIES),
+            policies=plugins_named("policies", given.policy or COMPARED_POLICIES),
             predictors=plugins_named("predictors", given.predictor or PREDICTORS),
             adversaries=[
                 name for name in given.adversary or ["blind"] if name != "none"

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from patrol_matching import MATCHED_FIELDS, Option, compare_options
-from patrol_names import MATCHED, MECHANISMS, NUMBERS, POLICIES
+from patrol_names import MATCHED, MECHANISMS, NUMBERS
 
 from attacks.following.followed import following_metrics
 from attacks.following.logs import Following
@@ -32,6 +32,7 @@ from isac_track.patrols.metrics import (
     estimate_utility,
     knowledge_metrics,
 )
+from isac_track.policies.compared import COMPARED_POLICIES
 
 SCAN_S: Final = 0.0836
 FARTHEST: Final = 36  # Scans, 3 s: the horizon at which equal false alarms are shown.
@@ -163,7 +164,7 @@ def _run(options: argparse.Namespace) -> int:
         (
             astuple(number)
             for counts in loaded
-            if counts.place[2] in MECHANISMS and counts.place[3] in POLICIES
+            if counts.place[2] in MECHANISMS and counts.place[3] in COMPARED_POLICIES
             for number in _numbers(counts)
         ),
     )

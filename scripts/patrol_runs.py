@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from patrol_names import MECHANISMS, ROBOTS
 from threadpoolctl import threadpool_limits
 
 from attacks.following.logs import Following, follow_fleets
@@ -63,8 +64,6 @@ POLICIES: Final = (
     "flag",
     "random:0.2",
 )
-MECHANISMS: Final = ("raw", "fid:1", "fixed:0.7,adding=independent", "ou:0.4")
-ROBOTS: Final = ("least_squares", "kalman_cv")
 Array = np.ndarray[Any, np.dtype[Any]]
 
 
@@ -125,7 +124,7 @@ def _run(options: argparse.Namespace) -> int:
     job = Job(
         settings=settings,
         seed=options.seed,
-        robots=_plugins("predictors", options.robot or ROBOTS),
+        robots=_plugins("predictors", options.robot or tuple(ROBOTS)),
         adversaries=_named(options.adversary or ["blind"]),
         out=out,
     )

@@ -12,9 +12,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from patrol_names import MATCHED, MECHANISMS, NUMBERS, POLICIES, RECORDINGS, ROBOTS
+from patrol_names import MATCHED, MECHANISMS, NUMBERS, RECORDINGS, ROBOTS
 
 from isac_track.command_line import DONE, Parser, exit_code
+from isac_track.policies.compared import COMPARED_POLICIES
 
 Row: TypeAlias = Mapping[str, str]
 _SHORT: Final = {"fixed:0.7,adding=independent": "fixed:0.7, independent"}
@@ -94,7 +95,7 @@ class Numbers:
     ) -> Iterator[tuple[str, str]]:
         """Yield the mechanisms and policies of a recording, in the tables' order."""
         for mechanism in MECHANISMS:
-            for policy in POLICIES:
+            for policy in COMPARED_POLICIES:
                 places = {
                     (name, count, mechanism, policy, consumer)
                     for count in robots

@@ -218,8 +218,7 @@ def assign(
 
 def assign_in(order: Ints, scores: Floats, no_match_score: float | None) -> Ints:
     """Assign finite scores with the columns in this order: see `assign`."""
-    # Imported here: numba is heavy, and not every user assigns.
-    from isac_track.linkability import _loops  # noqa: PLC0415
+    from isac_track.linkability import _loops  # noqa: PLC0415 - numba is heavy
 
     gain = scores[:, order]
     if no_match_score is not None:

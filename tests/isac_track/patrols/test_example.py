@@ -138,7 +138,7 @@ def test_a_mistake_is_one_clear_line(example, csv_recording, words, message):
 
 def test_the_usual_names_exist(example):
     for kind, specs in (
-        ("policies", example.POLICIES),
+        ("policies", example.COMPARED_POLICIES),
         ("mechanisms", example.MECHANISMS),
         ("predictors", example.PREDICTORS),
     ):
