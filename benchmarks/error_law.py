@@ -22,7 +22,7 @@ from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.summary import scene_numbers
 from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.axes import axes
-from evaluation.plan.presets import SMOKE_LEVELS
+from evaluation.plan.presets import PUBLISHED_LEVELS
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.intervals import percentile_interval
@@ -35,7 +35,10 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Release
 
-LEVELS = (*SMOKE_LEVELS, *(f"{level},adding=independent" for level in SMOKE_LEVELS[1:]))
+LEVELS = (
+    *PUBLISHED_LEVELS,
+    *(f"{level},adding=independent" for level in PUBLISHED_LEVELS[1:]),
+)
 BUILT_IN = "radial_rts:passes=5"
 N_SEEDS, N_SCENES = 10, 250
 

@@ -1,7 +1,7 @@
 """What a run crosses: the levels and consumers that its settings expand to."""
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final, Literal
 
@@ -10,9 +10,9 @@ from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
 from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
 from evaluation.plan.presets import (
-    BREAKER,
     PRESETS,
     SHARED,
+    STRONGEST_ON_SLOW_NOISE,
     UTILITY_PREDICTORS,
     Preset,
 )
@@ -182,7 +182,8 @@ class Axes:
     skips_oracle: bool = False
     """Whether the oracle attacks only where no lesser adversary can."""
     policies: tuple[Plugin, ...] = ()  # Disclosure policies on patrols.
-    patrolled: tuple[Plugin, ...] = ()  # Mechanisms that patrols are shared with.
+    patrol_mechanisms: tuple[Plugin, ...] = ()
+    """Mechanisms that patrols are shared with."""
     follows_informed: bool = True
     """Whether an informed adversary reads the logs of patrols, too."""
     no_scenes: str = ""  # Why a run has none: too few tracks are long enough.
@@ -420,7 +421,7 @@ def axes(settings: Settings) -> Axes:
         ),
         linked_in=_linked_in(worlds, preset, law=law),
         policies=policies,
-        patrolled=_patrolled(settings, preset, mechanisms) if policies else (),
+        patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
         follows_informed=preset.follows_informed,
         links_returns=RETURNS in tasks,
         track_releases=releases,
@@ -450,15 +451,20 @@ def _check_policies(policies: Iterable[Plugin], settings: Settings) -> None:
                 raise SettingsError(f"policy {policy.spec}: {error}") from None
 
 
-def _patrolled(
-    settings: Settings, preset: Preset, mechanisms: Iterable[Plugin]
+def _patrol_mechanisms(
+    settings: Settings,
+    preset: Preset,
+    mechanisms: Iterable[Plugin],
+    policies: Sequence[Plugin],
 ) -> tuple[Plugin, ...]:
-    """Return the mechanisms of a run that patrols are shared with.
+    """Return the mechanisms of a run that patrols are shared with; none without policy.
 
     They are those of the preset's, and those that a user names together with a policy.
     A mechanism that withholds samples is left out: on patrols that is a policy's part.
     """
-    specs = {*preset.patrolled}
+    if not policies:
+        return ()
+    specs = {*preset.patrol_mechanisms}
     if settings.choice("policies").named:
         named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
         specs |= {plugin.spec for plugin in named}
@@ -497,7 +503,7 @@ def _tracked(
     that withholds samples is left out.
     """
     named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
-    specs = {*preset.patrolled, *(plugin.spec for plugin in named)}
+    specs = {*preset.patrol_mechanisms, *(plugin.spec for plugin in named)}
     return tuple(
         plugin
         for plugin in mechanisms
@@ -523,8 +529,8 @@ def _further_attacks(
     if not _asked_stronger(settings):
         return against_slow, against_slow
     return (
-        (*against_slow, BREAKER),
-        tuple(spec for spec in against_slow if spec != BREAKER),
+        (*against_slow, STRONGEST_ON_SLOW_NOISE),
+        tuple(spec for spec in against_slow if spec != STRONGEST_ON_SLOW_NOISE),
     )
 
 
@@ -575,7 +581,7 @@ def _check_adversaries_used(crossed: Axes, settings: Settings) -> None:
     for name in sorted({*_asked_stronger(settings)} - attacking):
         raise SettingsError(
             f"adversary {name}: no attack of the run uses its knowledge; name one that"
-            f" does, such as --attack {BREAKER}"
+            f" does, such as --attack {STRONGEST_ON_SLOW_NOISE}"
         )
 
 
@@ -605,7 +611,7 @@ def most_workers(crossed: Axes, settings: Settings) -> int:
         len(levels) for levels in crossed.linked_in.values()
     )
     n_tasks = len(crossed.tasks) + len(crossed.return_readers)
-    n_patrols = len(crossed.patrolled) + len(crossed.tracked)
+    n_patrols = len(crossed.patrol_mechanisms) + len(crossed.tracked)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
 

@@ -16,7 +16,7 @@ from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.plan.presets import BREAKER, PRESETS
+from evaluation.plan.presets import PRESETS, STRONGEST_ON_SLOW_NOISE
 from evaluation.plan.settings import (
     TRACK_RELEASE,
     Settings,
@@ -331,18 +331,18 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     The plan has no units without levels, or if the user named the attacks.
     """
     settings, wanted = plan.settings, set(specs)
-    breakers: tuple[str, ...] = ()
+    stronger_adversaries: tuple[str, ...] = ()
     if not plan.axes.no_scenes and not settings.choice("attacks").replaces:
-        breakers = PRESETS[settings.preset].breakers
-    if not breakers:
+        stronger_adversaries = PRESETS[settings.preset].stronger_adversaries
+    if not stronger_adversaries:
         wanted = set()
     crossed = Axes(
         mechanisms=tuple(
             level for level in plan.axes.mechanisms if level.spec in wanted
         ),
         predictors=(),
-        attacks=(plugins.parse("attacks", BREAKER)[0],),
-        adversaries=breakers,
+        attacks=(plugins.parse("attacks", STRONGEST_ON_SLOW_NOISE)[0],),
+        adversaries=stronger_adversaries,
         only_stronger=True,
     )
     units, code_digests = _units(crossed, settings, identity=plan.identity)
@@ -365,7 +365,7 @@ def _with_patrols(settings: Settings) -> Settings:
     preset, patrol = PRESETS[settings.preset], settings.stages.patrol
     values = {
         "patrol.fleets": patrol.fleets or preset.fleets,
-        "patrol.segment_s": patrol.segment_s or preset.patrolled_s,
+        "patrol.segment_s": patrol.segment_s or preset.patrol_segment_s,
     }
     return settings.changed(stages=settings.stages.changed(values))
 
@@ -402,9 +402,9 @@ def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
     crossings.append(_Crossing(crossed.linked_mechanisms, crossed.return_readers, (0,)))
     worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in crossed.horizons_s)]
     crossings += [
-        _Crossing(crossed.patrolled, crossed.patrol_readers(world), (0,))
+        _Crossing(crossed.patrol_mechanisms, crossed.patrol_readers(world), (0,))
         for world in worlds
-        if crossed.patrolled
+        if crossed.patrol_mechanisms
     ]
     crossings += [
         _Crossing(crossed.tracked, crossed.track_readers(world), (0,))

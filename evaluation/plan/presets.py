@@ -7,13 +7,13 @@ from evaluation.plan.constants import IDENTITY, SHARED
 
 __all__ = [
     "BASELINE",
-    "BREAKER",
     "DEFAULT",
     "DISSOCIATION",
     "IDENTITY",
     "PRESETS",
     "PROTECTIONS",
     "SHARED",
+    "STRONGEST_ON_SLOW_NOISE",
     "UTILITY_PREDICTORS",
     "Preset",
 ]
@@ -42,13 +42,13 @@ class Preset:
     # Those of `model` that are linked there, where errors are Gaussian.
     model_linked: tuple[str, ...] = ()
     # Adversaries with more knowledge, tried on the levels that would be proposed.
-    breakers: tuple[str, ...] = ()
+    stronger_adversaries: tuple[str, ...] = ()
     adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
     policies: tuple[str, ...] = ()  # Disclosure policies on patrols; none: no patrols.
     # Mechanisms with which patrols are shared, of those of the run.
-    patrolled: tuple[str, ...] = ("raw", "fid:1")
+    patrol_mechanisms: tuple[str, ...] = ("raw", "fid:1")
     fleets: int = 20  # Fleets of patrols, with routes of their own.
-    patrolled_s: float = 300.0  # They walk through so much of a recording.
+    patrol_segment_s: float = 300.0  # They walk through so much of a recording.
     follows_informed: bool = True
     """Whether an adversary who knows routes and policy follows people, too."""
     skips_oracle: bool = False
@@ -59,11 +59,11 @@ class Preset:
     model_people: int = 100
 
 
-SMOKE_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
+PUBLISHED_LEVELS = ("raw", "fid:1", "fid:1000", "fixed:0.7", "fixed:1")
 """The levels that the paper gives numbers for."""
 _BOTH_RULES = (
-    *SMOKE_LEVELS,
-    *(f"{level},adding=independent" for level in SMOKE_LEVELS[1:]),
+    *PUBLISHED_LEVELS,
+    *(f"{level},adding=independent" for level in PUBLISHED_LEVELS[1:]),
 )
 _AXES = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
 _SWEEP = ("raw", *_AXES, *(f"{axis},adding=independent" for axis in _AXES))
@@ -113,9 +113,9 @@ _FRONTIER = (
     ),
 )
 _AUDITED = (*_BOTH_RULES, "ou:0.4", "laplace:1")
-BREAKER = "ou_rts"
+STRONGEST_ON_SLOW_NOISE = "ou_rts"
 """Attack that uses all that `--adversary` grants; every run with the option has it."""
-BREAKERS = ("repeats", "anchor")
+STRONGER_ADVERSARIES = ("repeats", "anchor")
 """Adversaries that undo a slow error: every proposed level is tried against them."""
 BASELINE = "constant_position"
 """Predictor of standing people, in every preset: no useful robot is worse."""
@@ -150,7 +150,7 @@ _LINKERS = (
 _SMOKE = Preset(
     scenes=40,
     utility_scenes=40,
-    mechanisms=SMOKE_LEVELS,
+    mechanisms=PUBLISHED_LEVELS,
     predictors=("least_squares", "kalman_cv", "kalman_ca", "kalman_imm", BASELINE),
     # The cheap smoothers, and for each kind of task a linker that links most people.
     attacks=(*_SMOOTHERS, "shape", "shape@radial_rts", "kinematic@radial_rts"),
@@ -174,10 +174,10 @@ _PAPER = replace(
     skips_oracle=False,
     protections=PROTECTIONS,
     against_slow=("ou_rts",),
-    other_law=SMOKE_LEVELS,
-    model=(*SMOKE_LEVELS, "ou:0.4"),
+    other_law=PUBLISHED_LEVELS,
+    model=(*PUBLISHED_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),
-    breakers=BREAKERS,
+    stronger_adversaries=STRONGER_ADVERSARIES,
     policies=_POLICIES,
     summary=(
         "2,000 scenes (500 attacked), raw, 13 eta, 10 fixed errors, both rules, 6"
@@ -203,12 +203,12 @@ _QUICK = Preset(
     # The strongest of each kind, by re-releases and handovers of Students03 and plaza.
     attacks=("radial_rts", "kinematic@radial_rts", "likelihood_ratio:one_to_one=true"),
     against_slow=("ou_rts",),
-    adversaries=BREAKERS,
+    adversaries=STRONGER_ADVERSARIES,
     skips_oracle=True,
     tasks=("rerelease", "handover-1s", "handover-5s", RETURNS.name),
     policies=("everything", "near:3.5", "ahead:2", "state:2"),
     fleets=4,
-    patrolled_s=200.0,
+    patrol_segment_s=200.0,
     follows_informed=False,
     summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
 )
@@ -239,7 +239,7 @@ PRESETS = {
             "likelihood_ratio",
         ),
         tasks=("rerelease",),
-        breakers=BREAKERS,
+        stronger_adversaries=STRONGER_ADVERSARIES,
         summary=(
             "5,000 scenes (500 attacked), 98 levels of all families, plain and aware"
             " robots"

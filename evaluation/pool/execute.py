@@ -22,7 +22,12 @@ from evaluation.store.entries import (
     entries_in,
     other_entries,
 )
-from evaluation.store.files import FOLDER, locked, read_regular_file, write_checked
+from evaluation.store.files import (
+    CELLS_FOLDER,
+    locked,
+    read_regular_file,
+    write_checked,
+)
 from evaluation.store.folder import check_folder, check_preset, open_run
 from evaluation.store.manifest import (
     candidate_losses,
@@ -204,6 +209,6 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
             for name, index in sound_files(source)[0].items():
                 present = cell_places({name: index}).keys()
                 if wanted & present:
-                    content = read_regular_file(source / FOLDER / name)
+                    content = read_regular_file(source / CELLS_FOLDER / name)
                     write_checked(plan.out, name, content)
                     wanted -= present

@@ -23,7 +23,7 @@ from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.fingerprint import PATROL, RETURNS, TRACKING
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_index import cell_places, read_index
-from evaluation.store.files import FOLDER, checksummed_files
+from evaluation.store.files import CELLS_FOLDER, checksummed_files
 from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def unfinished(plan: Plan) -> list[Unit]:
     """
     indices = {}
     for name in checksummed_files(plan.out):
-        index = read_index(plan.out / FOLDER / name)
+        index = read_index(plan.out / CELLS_FOLDER / name)
         if index is not None:
             indices[name] = index
     return missing_units(plan, cell_places(indices))

@@ -121,7 +121,7 @@ def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
     preset = PRESETS.get(settings["preset"], PRESETS[DEFAULT])
     usual = StageSettings().flat() | {
         "patrol.fleets": preset.fleets,
-        "patrol.segment_s": preset.patrolled_s,
+        "patrol.segment_s": preset.patrol_segment_s,
     }
     stages = settings.get("stages", {}).items()
     return [

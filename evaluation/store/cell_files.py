@@ -40,7 +40,7 @@ from evaluation.store.cell_index import (
     decode_index,
     encode_index,
 )
-from evaluation.store.files import FOLDER, GALLERY, open_regular, write_whole
+from evaluation.store.files import CELLS_FOLDER, GALLERY_FILE, open_regular, write_whole
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
 from isac_track.types import Floats
@@ -265,7 +265,7 @@ def open_files(
     """Return the files of a cell at its level: some columns, or all but raw scores."""
     stamped = []
     for name in entry.files:
-        path = out / FOLDER / name
+        path = out / CELLS_FOLDER / name
         with readable(path):
             stat = path.stat()
         stamped.append(_Stamped(path, stat.st_mtime_ns, stat.st_size))
@@ -363,13 +363,13 @@ def readable(path: Path) -> Iterator[None]:
 def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
     """Write sample tracks into a run folder; without parts remove earlier ones."""
     if not parts:
-        (out / GALLERY).unlink(missing_ok=True)
+        (out / GALLERY_FILE).unlink(missing_ok=True)
         return
     sink = pa.BufferOutputStream()
     pq.write_table(
         pa.concat_tables(parts), sink, compression="zstd", write_page_checksum=True
     )
-    write_whole(out / GALLERY, sink.getvalue().to_pybytes())
+    write_whole(out / GALLERY_FILE, sink.getvalue().to_pybytes())
 
 
 def read_gallery(out: Path) -> pd.DataFrame | None:
@@ -377,7 +377,7 @@ def read_gallery(out: Path) -> pd.DataFrame | None:
 
     Raises DataError if they are broken.
     """
-    path = out / GALLERY
+    path = out / GALLERY_FILE
     if not path.exists():
         return None
     with readable(path):

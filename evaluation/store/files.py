@@ -36,11 +36,11 @@ from isac_track.errors import DataError, SettingsError
 if TYPE_CHECKING:  # workers write files, too, and need no pandas: 40 MB each
     import pandas as pd
 
-FOLDER: Final = "cells"
-SUBFOLDERS: Final = (FOLDER, "tables", "figures")
+CELLS_FOLDER: Final = "cells"
+SUBFOLDERS: Final = (CELLS_FOLDER, "tables", "figures")
 MANIFEST: Final = "manifest.json"
 CHECKSUMS: Final = "SHA256SUMS"
-GALLERY: Final = "gallery.parquet"
+GALLERY_FILE: Final = "gallery.parquet"
 PAGE: Final = "report.html"
 LOCK: Final = ".lock"
 # Names in cells, and the labels by which readers know them.
@@ -72,7 +72,7 @@ WRITTEN: Final = (
     "verdict.json",
     "tables.txt",
     PAGE,
-    GALLERY,
+    GALLERY_FILE,
     CHECKSUMS,
     PEOPLE,
     PRIVATE,
@@ -240,7 +240,7 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
     # The line comes first: a kill in between leaves a line without a cell, not a cell
     # that looks damaged.
     path = out / CHECKSUMS
-    line = f"{hashlib.sha256(content).hexdigest()}  {FOLDER}/{name}\n"
+    line = f"{hashlib.sha256(content).hexdigest()}  {CELLS_FOLDER}/{name}\n"
     try:
         with open_regular(path, "ab+") as file:
             file.seek(max(file.tell() - 1, 0))
@@ -251,7 +251,7 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
         raise DataError(
             f"cannot write {path}: {error.strerror}; finished cells are kept"
         ) from None
-    write_whole(out / FOLDER / name, content)
+    write_whole(out / CELLS_FOLDER / name, content)
 
 
 def checksummed_files(out: Path) -> set[str]:
@@ -270,7 +270,7 @@ def checked_files(
     known = dict(_checksum_lines(out))
     for name in dict.fromkeys(names):
         try:
-            content = read_regular_file(out / FOLDER / name)
+            content = read_regular_file(out / CELLS_FOLDER / name)
         except FileNotFoundError:
             continue
         except OSError:
@@ -287,14 +287,14 @@ def check_sound(out: Path, names: Iterable[str], *, sizes: Iterable[str] = ()) -
     wanted = list(names)
     if not wanted:
         raise DataError(f"{out} holds no finished cell; run the matrix again")
-    for path in (out / FOLDER / name for name in sizes):
+    for path in (out / CELLS_FOLDER / name for name in sizes):
         if not path.exists():
             raise DataError(f"{path} is missing; run the matrix again to compute it")
     damaged = [name for name, content in checked_files(out, wanted) if content is None]
     if damaged:
         more = f" and {len(damaged) - 1} more" if len(damaged) > 1 else ""
         raise DataError(
-            f"{out / FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum"
+            f"{out / CELLS_FOLDER / damaged[0]}{more}: not as the run wrote it (its checksum"
             " differs); run the matrix again to compute it anew"
         )
 
@@ -305,14 +305,14 @@ def forget_missing(out: Path) -> None:
     needed = {name: checksum for name, checksum in lines if name in present}
     if set(lines) != set(needed.items()):
         text = "".join(
-            f"{checksum}  {FOLDER}/{name}\n" for name, checksum in needed.items()
+            f"{checksum}  {CELLS_FOLDER}/{name}\n" for name, checksum in needed.items()
         )
         write_whole(out / CHECKSUMS, text.encode())
 
 
 def _present(out: Path) -> set[str]:
     try:
-        return {path.name for path in (out / FOLDER).iterdir()}
+        return {path.name for path in (out / CELLS_FOLDER).iterdir()}
     except (FileNotFoundError, NotADirectoryError):
         return set()
 
@@ -327,7 +327,7 @@ def _checksum_lines(out: Path) -> list[tuple[str, str]]:
     except OSError as error:
         message = f"{path} cannot be read: {error.strerror}"
         raise DataError(f"{message}; make it readable or delete it") from None
-    parts = (line.partition(f"  {FOLDER}/") for line in text.splitlines())
+    parts = (line.partition(f"  {CELLS_FOLDER}/") for line in text.splitlines())
     return [(name, checksum) for checksum, is_whole, name in parts if is_whole]
 
 

@@ -57,7 +57,9 @@ def check_folder(out: Path) -> None:
         for path in out.iterdir():
             may_be_left = path.name in left_files or files.is_temporary(path.name)
             is_empty = (
-                path.name == files.FOLDER and path.is_dir() and not any(path.iterdir())
+                path.name == files.CELLS_FOLDER
+                and path.is_dir()
+                and not any(path.iterdir())
             )
             if not (may_be_left or is_empty):
                 raise SettingsError(
@@ -107,7 +109,7 @@ def open_run(out: Path, *, identity: dict[str, Any], fresh: bool) -> OpenedRun:
         elif is_there:
             manifest |= checked_manifest(parse_manifest(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
-        (out / files.FOLDER).mkdir(parents=True, exist_ok=True)
+        (out / files.CELLS_FOLDER).mkdir(parents=True, exist_ok=True)
         index_by_file, damaged = sound_files(out, file_names(manifest))
         _drop_other_code(out, manifest, index_by_file)
         files.forget_missing(out)
@@ -171,13 +173,13 @@ def _drop_other_code(
             for label in unit.consumers
         ):
             continue
-        (out / files.FOLDER / name).unlink(missing_ok=True)
+        (out / files.CELLS_FOLDER / name).unlink(missing_ok=True)
         del index_by_file[name]
 
 
 def _remove_run(out: Path) -> None:
     """Delete the files of a run by name, the manifest last; other files stay."""
-    manifest, cells = parse_manifest(out), (out / files.FOLDER).glob("*.parquet")
+    manifest, cells = parse_manifest(out), (out / files.CELLS_FOLDER).glob("*.parquet")
     written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
     written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
@@ -238,11 +240,11 @@ def copy_without_private(out: Path, to: Path) -> None:
     files.check_sound(out, names, sizes=manifest.get("sizes", ()))
     try:
         to.mkdir(parents=True)
-        (to / files.FOLDER).mkdir()
+        (to / files.CELLS_FOLDER).mkdir()
         people = files.read_regular_file(out / files.PEOPLE)
         files.write_whole(to / files.PEOPLE, people)
         for name in names:
-            content = files.read_regular_file(out / files.FOLDER / name)
+            content = files.read_regular_file(out / files.CELLS_FOLDER / name)
             files.write_checked(to, name, content)
         write_manifest(to, manifest)  # last: its sizes are those of the copies
     except FileExistsError:

@@ -41,7 +41,12 @@ from evaluation.store.entries import (
     parse_entries,
     parse_failed,
 )
-from evaluation.store.files import FOLDER, MANIFEST, read_regular_file, write_whole
+from evaluation.store.files import (
+    CELLS_FOLDER,
+    MANIFEST,
+    read_regular_file,
+    write_whole,
+)
 from evaluation.store.new_files import group_units
 from evaluation.store.people import (
     id_labels,
@@ -104,7 +109,7 @@ def _file_sizes(out: Path, manifest: Mapping[str, Any]) -> dict[str, int]:
     """Return the bytes of each file of a run that is finished, by name."""
     if manifest.get("state") != "finished":
         return {}
-    paths = (out / FOLDER / name for name in file_names(manifest))
+    paths = (out / CELLS_FOLDER / name for name in file_names(manifest))
     return {path.name: path.lstat().st_size for path in paths if path.exists()}
 
 

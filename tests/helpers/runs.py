@@ -5,7 +5,7 @@ import numpy as np
 from evaluation.compute.tables import ROWS
 from evaluation.plan import fingerprint
 from evaluation.store import cell_files, cell_index
-from evaluation.store.files import FOLDER
+from evaluation.store.files import CELLS_FOLDER
 from evaluation.store.manifest import read_manifest
 
 
@@ -38,7 +38,7 @@ def stored_consumers(out):
             spec: set(unit.consumers)
             for spec, unit in cell_index.read_index(path).units.items()
         }
-        for path in (out / FOLDER).iterdir()
+        for path in (out / CELLS_FOLDER).iterdir()
     }
 
 

@@ -85,7 +85,7 @@ class TestTheGallery:
 
     @pytest.mark.parametrize("content", [b"no parquet", None])
     def test_a_broken_one_is_an_error_that_says_what_to_do(self, tmp_path, content):
-        path = tmp_path / gallery_file.GALLERY
+        path = tmp_path / gallery_file.GALLERY_FILE
         if content is None:
             pd.DataFrame({"other": [1]}).to_parquet(path)
         else:

@@ -44,7 +44,7 @@ def test_a_preset_has_its_patrols_and_a_user_others(csv_recording):
     for preset in ("quick", "paper"):
         plan = make_plan(settings.changed(preset=preset))
         assert plan.settings.stages.patrol.fleets == PRESETS[preset].fleets
-        assert plan.settings.stages.patrol.segment_s == PRESETS[preset].patrolled_s
+        assert plan.settings.stages.patrol.segment_s == PRESETS[preset].patrol_segment_s
     named = {"patrol.fleets": 20, "patrol.segment_s": math.inf}
     changed = make_plan(settings.changed(stages=settings.stages.changed(named)))
     assert changed.settings.stages.patrol.fleets == 20

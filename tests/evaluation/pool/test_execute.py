@@ -218,7 +218,7 @@ class TestWhatARunLeaves:
         preset = PRESETS[finished.preset]
         patrols = {
             "patrol.fleets": preset.fleets,
-            "patrol.segment_s": preset.patrolled_s,
+            "patrol.segment_s": preset.patrol_segment_s,
         }
         assert known["stages"] == finished.stages.flat() | patrols
         assert {"isac_track", "python", "machine", "libraries", "git_commit"} <= (
@@ -257,7 +257,12 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         "attacks": ("identity",),
         "tasks": (),
     }
-    axes |= {"other_law": (), "model": (), "protections": (), "breakers": ()}
+    axes |= {
+        "other_law": (),
+        "model": (),
+        "protections": (),
+        "stronger_adversaries": (),
+    }
     axes |= {"policies": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, few)
@@ -487,7 +492,7 @@ def test_some_levels_are_computed_under_the_other_law_too(
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes |= {"protections": (), "model": (), "breakers": (), "policies": ()}
+    axes |= {"protections": (), "model": (), "stronger_adversaries": (), "policies": ()}
     few = replace(
         PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes
     )

@@ -55,7 +55,7 @@ def test_a_limit_of_the_machine_is_not_blamed_on_a_file(
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" * 99])
 def test_a_file_that_is_damaged_is_named(content, out):
-    (out / cell_files.GALLERY).write_bytes(content)
+    (out / cell_files.GALLERY_FILE).write_bytes(content)
     with pytest.raises(
         DataError, match=r"gallery.parquet cannot be read .*; delete it"
     ):

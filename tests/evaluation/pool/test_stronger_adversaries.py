@@ -7,8 +7,8 @@ import pytest
 from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
-from evaluation.plan.presets import BREAKERS, PRESETS
-from evaluation.store.files import FOLDER
+from evaluation.plan.presets import PRESETS, STRONGER_ADVERSARIES
+from evaluation.store.files import CELLS_FOLDER
 from evaluation.store.manifest import read_manifest
 
 LEVELS = ("raw", "ou:0.4", "ou:0.8", "offset:0.3")
@@ -39,7 +39,8 @@ def made(tmp_path_factory):
     walks = write_walks(folder / "walks.csv", n_people=40)
     few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
     without, tried = (
-        replace(PRESETS["smoke"], breakers=some, **few) for some in ((), BREAKERS)
+        replace(PRESETS["smoke"], stronger_adversaries=some, **few)
+        for some in ((), STRONGER_ADVERSARIES)
     )
     result = {}
     with single_process(), pytest.MonkeyPatch.context() as patch:
@@ -52,14 +53,18 @@ def made(tmp_path_factory):
             result[name] = evaluation.run(asked(walks, folder / out), pictures=False)
         files = {
             path.name: path.read_bytes()
-            for path in (folder / "tried" / FOLDER).iterdir()
+            for path in (folder / "tried" / CELLS_FOLDER).iterdir()
         }
         result["again"] = evaluation.run(asked(walks, folder / "tried"), pictures=False)
         after = {
             path.name: path.read_bytes()
-            for path in (folder / "tried" / FOLDER).iterdir()
+            for path in (folder / "tried" / CELLS_FOLDER).iterdir()
         }
-        named = {"attacks": ("ou_rts",), "tasks": (), "adversaries": BREAKERS}
+        named = {
+            "attacks": ("ou_rts",),
+            "tasks": (),
+            "adversaries": STRONGER_ADVERSARIES,
+        }
         result["named"] = evaluation.run(
             asked(walks, folder / "named", **named), pictures=False
         )
@@ -70,7 +75,7 @@ def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
     _, results, _ = made
     summary = results["tried"].summary
     tried = summary[summary["consumer"] == "ou_rts"]
-    assert set(tried["knowledge"]) == set(BREAKERS)
+    assert set(tried["knowledge"]) == set(STRONGER_ADVERSARIES)
     answer = results["plain"].recommendation()
     expected = {offer.where for offer in answer.candidates}
     assert 1 <= len(expected) <= 5
@@ -80,7 +85,7 @@ def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
 
 def test_no_other_number_changes(made):
     _, results, _ = made
-    with_trial = plainly(results["tried"].summary, without=BREAKERS)
+    with_trial = plainly(results["tried"].summary, without=STRONGER_ADVERSARIES)
     pd.testing.assert_frame_equal(with_trial, plainly(results["plain"].summary))
 
 
@@ -99,7 +104,7 @@ def test_it_is_what_naming_the_adversaries_computes(made):
     _, results, _ = made
     tried, named = (
         results[name]
-        .summary[results[name].summary["knowledge"].isin(BREAKERS)]
+        .summary[results[name].summary["knowledge"].isin(STRONGER_ADVERSARIES)]
         .set_index(KEYS)
         for name in ("tried", "named")
     )
