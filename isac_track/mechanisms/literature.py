@@ -27,13 +27,14 @@ from numpy.random import Generator
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
 from isac_track.kalman.steady import INTERVAL_S, Q_M2_PER_S3
-from isac_track.mechanisms.perturb import check_at_least, perturb
+from isac_track.mechanisms.perturb import add_isotropic, check_at_least
 from isac_track.mechanisms.protections import Laplace, Reuse, check_slow
 from isac_track.mechanisms.stationary import (
     Filter,
-    gaussian_filter,
+    add_stationary,
+    error_numbers,
+    smooth_filter,
     stationary_errors,
-    walk_numbers,
 )
 from isac_track.rng import stream
 from isac_track.types import (
@@ -90,21 +91,14 @@ class Qclm:
         paths = stationary_errors(
             t=sensed.t,
             offsets=sensed.offsets,
-            walk=walk_numbers(sensed, self.reuse, rng),
-            shape=gaussian_filter(math.sqrt(2.0) * self.tau_s),
+            walk=error_numbers(sensed, self.reuse, rng),
+            shape=smooth_filter(math.sqrt(2.0) * self.tau_s),
             n_paths=8,
         )
         squares = np.square(paths).reshape(-1, 2, 4)
         # Four squares with signs have the variance 4 times 2.
         unit = squares @ np.array([1.0, 1.0, -1.0, -1.0]) / math.sqrt(8.0)
-        return perturb(
-            sensed,
-            self.std_m,
-            rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
-        )
+        return add_isotropic(sensed, self.std_m, rng, unit_error=unit)
 
 
 @dataclass(frozen=True, slots=True)
@@ -138,19 +132,12 @@ class GpPrior:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the prior's noise on top."""
-        unit = stationary_errors(
-            t=sensed.t,
-            offsets=sensed.offsets,
-            walk=walk_numbers(sensed, self.reuse, rng),
-            shape=gaussian_filter(self.tau_s),
-        )
-        return perturb(
+        return add_stationary(
             sensed,
             self.std_m,
             rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
+            shape=smooth_filter(self.tau_s),
+            reuse=self.reuse,
         )
 
 
@@ -235,21 +222,14 @@ class Fourier:
         scale = np.concatenate([self.scale_m, self.scale_m[1:]])
         scale = scale / self.std_m if self.std_m else np.zeros_like(scale)
         amplitude = np.append(1.0, np.full(2 * k.size, math.sqrt(2.0)))
-        numbers = walk_numbers(sensed, self.reuse, rng)
+        numbers = error_numbers(sensed, self.reuse, rng)
         for track, number in enumerate(numbers.tolist()):
             own = slice(sensed.offsets[track], sensed.offsets[track + 1])
             turn = 2.0 * np.pi * np.outer(sensed.t[own] / self.period_s, k)
             basis = np.hstack([np.ones((len(turn), 1)), np.cos(turn), np.sin(turn)])
             draws = stream(0, "fourier errors", number).laplace(size=(scale.size, 2))
             unit[own] = basis @ ((amplitude * scale)[:, None] * draws)
-        return perturb(
-            sensed,
-            self.std_m,
-            rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
-        )
+        return add_isotropic(sensed, self.std_m, rng, unit_error=unit)
 
 
 INFORMATION_AREA: Final = 1.748038369528081
@@ -295,19 +275,12 @@ class LeastInformation:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the least informative noise on top."""
-        unit = stationary_errors(
-            t=sensed.t,
-            offsets=sensed.offsets,
-            walk=walk_numbers(sensed, self.reuse, rng),
-            shape=_information_filter(self.corner_per_s),
-        )
-        return perturb(
+        return add_stationary(
             sensed,
             self.std_m,
             rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
+            shape=_information_filter(self.corner_per_s),
+            reuse=self.reuse,
         )
 
 

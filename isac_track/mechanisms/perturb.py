@@ -55,9 +55,9 @@ def perturb(
     release declares the standard deviation of every sample, and the covariance of
     errors with a shape: linear adding lengthens both axes of the ellipse by the same
     standard deviation, an independent error is round. ValueError if `d_sigma` is
-    negative, not
-    finite or of a wrong shape, if the rule is unknown, or if linear adding is given a
-    law or an error.
+    negative,
+    not finite or of a wrong shape, if the rule is unknown, or if linear adding is given
+    a law or an error.
 
     Examples
     --------
@@ -117,6 +117,24 @@ def perturb(
         offsets=sensed.offsets,
         pseudonym=pseudonym,
         cov=cov,
+    )
+
+
+def add_isotropic(
+    sensed: Sensed, std_m: Floats | float, rng: Generator, *, unit_error: Floats
+) -> Release:
+    """Add an error of a mechanism's own, of standard deviation `std_m` on either axis.
+
+    `std_m` is (M,) m, or one number; `unit_error`, (M, 2), is the standardised error.
+    The variances add, whatever the law of the raw error.
+    """
+    return perturb(
+        sensed,
+        std_m,
+        rng,
+        adding="independent",
+        law="isotropic",
+        unit_error=unit_error,
     )
 
 

@@ -16,7 +16,7 @@ from isac_track.kalman import Batch, kalman_last, planar_last
 from isac_track.measurement import error_ellipses, mean_variance, scalar_covariance
 from isac_track.mechanisms.controls import correlated_errors
 from isac_track.mechanisms.paper import Fid, fid_d_sigma
-from isac_track.mechanisms.perturb import check_at_least, draw_pseudonyms, perturb
+from isac_track.mechanisms.perturb import add_isotropic, check_at_least, draw_pseudonyms
 from isac_track.rng import stream
 from isac_track.types import (
     Adding,
@@ -121,9 +121,7 @@ def _with_slow_error(
     )
     if mechanism.reuse == "session":
         unit = session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
-    return perturb(
-        sensed, std_m, rng, adding="independent", law="isotropic", unit_error=unit
-    )
+    return add_isotropic(sensed, std_m, rng, unit_error=unit)
 
 
 def check_slow(tau_s: float, reuse: str) -> None:
@@ -218,14 +216,7 @@ class Laplace:
         turn = 2.0 * np.pi * rng.random(sensed.t.size)
         distance = rng.standard_gamma(2.0, sensed.t.size) / np.sqrt(3.0)
         unit = distance[:, None] * np.column_stack([np.cos(turn), np.sin(turn)])
-        return perturb(
-            sensed,
-            self.std_m,
-            rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
-        )
+        return add_isotropic(sensed, self.std_m, rng, unit_error=unit)
 
 
 class _Filtered(NamedTuple):

@@ -12,13 +12,8 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.mechanisms.perturb import perturb
 from isac_track.mechanisms.protections import Reuse, check_slow
-from isac_track.mechanisms.stationary import (
-    gaussian_filter,
-    stationary_errors,
-    walk_numbers,
-)
+from isac_track.mechanisms.stationary import add_stationary, smooth_filter
 from isac_track.types import Adding, ErrorLaw, Release, Sensed
 
 OPTIMA: Final = (
@@ -81,19 +76,12 @@ class Shaped:
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the raw estimates with the smooth noise on top."""
-        unit = stationary_errors(
-            t=sensed.t,
-            offsets=sensed.offsets,
-            walk=walk_numbers(sensed, self.reuse, rng),
-            shape=gaussian_filter(self.tau_s),
-        )
-        return perturb(
+        return add_stationary(
             sensed,
             self.std_m,
             rng,
-            adding="independent",
-            law="isotropic",
-            unit_error=unit,
+            shape=smooth_filter(self.tau_s),
+            reuse=self.reuse,
         )
 
 

@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.mechanisms.perturb import add_isotropic
+from isac_track.mechanisms.protections import Reuse
 from isac_track.rng import stream
-from isac_track.types import Floats, Ints, Sensed
+from isac_track.types import Floats, Ints, Release, Sensed
 
 # Grid points of a block, which is computed as a whole: an instant has one error.
 _BLOCK = 1024
@@ -26,7 +28,7 @@ class Filter:
     weight: Floats  # (2 L + 1,), symmetric; the squares sum to 1.
 
 
-def gaussian_filter(tau_s: float) -> Filter:
+def smooth_filter(tau_s: float) -> Filter:
     """Return the filter of an error with the correlation exp(-(dt / tau)^2).
 
     Its own shape is exp(-2 (dt / tau)^2): convolved with itself it gives the
@@ -36,6 +38,28 @@ def gaussian_filter(tau_s: float) -> Filter:
     half = int(_TAUS_OF_FILTER * _STEPS_PER_TAU)
     weight = np.exp(-2.0 * np.square(np.arange(-half, half + 1) * step_s / tau_s))
     return Filter(step_s, weight / np.sqrt(np.sum(weight**2)))
+
+
+def add_stationary(
+    sensed: Sensed,
+    std_m: float,
+    rng: Generator,
+    *,
+    shape: Filter,
+    reuse: Reuse,
+) -> Release:
+    """Return the raw estimates with a stationary Gaussian error on top.
+
+    `std_m` is its standard deviation per axis, m. With the reuse `session` all releases
+    of a walk have the same error at an instant.
+    """
+    unit = stationary_errors(
+        t=sensed.t,
+        offsets=sensed.offsets,
+        walk=error_numbers(sensed, reuse, rng),
+        shape=shape,
+    )
+    return add_isotropic(sensed, std_m, rng, unit_error=unit)
 
 
 def stationary_errors(
@@ -69,7 +93,7 @@ def stationary_errors(
     return errors
 
 
-def walk_numbers(sensed: Sensed, reuse: str, rng: Generator) -> Ints:
+def error_numbers(sensed: Sensed, reuse: Reuse, rng: Generator) -> Ints:
     """Return the numbers that the errors of N walks depend on, (N,).
 
     With the reuse `session` they are those of the walks, else fresh. Both kinds of
@@ -86,6 +110,8 @@ def _block_path(
 
     `known` holds the draws of the blocks so far; new draws are added to it.
     """
+    from scipy.signal import fftconvolve  # noqa: PLC0415 - heavy to import
+
     half = shape.weight.size // 2
     n_around = -(-(half + 1) // _BLOCK)
     around = range(block - n_around, block + n_around + 1)
@@ -96,6 +122,4 @@ def _block_path(
     white = np.concatenate([known[number] for number in around])
     first = n_around * _BLOCK - half
     white = white[first : first + _BLOCK + 1 + 2 * half]
-    from scipy.signal import fftconvolve  # noqa: PLC0415 - heavy to import
-
     return np.asarray(fftconvolve(white, shape.weight[:, None], mode="valid", axes=0))

@@ -75,12 +75,12 @@ def nearest_assignment(ratios: Floats) -> Ints:
     detection may stay alone, which counts 1. `UNASSIGNED` is a track without a
     detection.
     """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy to import
+
     assigned = np.full(len(ratios), UNASSIGNED)
     if not ratios.size:
         return assigned
     gain = np.log(np.maximum(ratios, 1.0))
-    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy to import
-
     track, detection = linear_sum_assignment(gain, maximize=True)
     is_gain = gain[track, detection] > 0.0
     assigned[track[is_gain]] = detection[is_gain]

@@ -123,10 +123,10 @@ def detection_probability(
     the Fisher information implies, ``I / range_information_per_snr``. `information`,
     (M,) 1/m^2, has a floor where sigma_raw is capped; the probability has it, too.
     """
-    snr = information / range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
-    threshold = -2.0 * np.log(false_alarm_probability)
     from scipy.stats import ncx2  # noqa: PLC0415 - heavy to import
 
+    snr = information / range_information_per_snr(bandwidth_mhz=settings.bandwidth_mhz)
+    threshold = -2.0 * np.log(false_alarm_probability)
     return np.asarray(ncx2.sf(threshold, 2, 2.0 * snr))
 
 

@@ -32,21 +32,11 @@ class GNN:
     q: float = 0.04  # m^2/s^3, of people's acceleration.
 
     def __post_init__(self) -> None:
-        self._settings(Likelihood())
+        _settings("gnn", self, Likelihood())
 
     def track(self, detections: Detections, likelihood: Likelihood) -> Tracked:
         """Return the tracks of unlabelled detections."""
-        return track_detections(detections, settings=self._settings(likelihood))
-
-    def _settings(self, likelihood: Likelihood) -> TrackerSettings:
-        return TrackerSettings(
-            method="gnn",
-            q=self.q,
-            confirm_hits=self.confirm_hits,
-            confirm_scans=self.confirm_scans,
-            most_misses=self.most_misses,
-            likelihood=likelihood,
-        )
+        return track_detections(detections, settings=_settings("gnn", self, likelihood))
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,21 +49,27 @@ class JPDA:
     q: float = 0.04  # m^2/s^3, of people's acceleration.
 
     def __post_init__(self) -> None:
-        self._settings(Likelihood())
+        _settings("jpda", self, Likelihood())
 
     def track(self, detections: Detections, likelihood: Likelihood) -> Tracked:
         """Return the tracks of unlabelled detections."""
-        return track_detections(detections, settings=self._settings(likelihood))
-
-    def _settings(self, likelihood: Likelihood) -> TrackerSettings:
-        return TrackerSettings(
-            method="jpda",
-            q=self.q,
-            confirm_hits=self.confirm_hits,
-            confirm_scans=self.confirm_scans,
-            most_misses=self.most_misses,
-            likelihood=likelihood,
+        return track_detections(
+            detections, settings=_settings("jpda", self, likelihood)
         )
+
+
+def _settings(
+    method: Method, tracker: GNN | JPDA, likelihood: Likelihood
+) -> TrackerSettings:
+    """Return the settings of a tracker; SettingsError for a parameter out of range."""
+    return TrackerSettings(
+        method=method,
+        q=tracker.q,
+        confirm_hits=tracker.confirm_hits,
+        confirm_scans=tracker.confirm_scans,
+        most_misses=tracker.most_misses,
+        likelihood=likelihood,
+    )
 
 
 @dataclass(frozen=True, slots=True)
