@@ -112,7 +112,7 @@ def _layout(figure: Figure) -> Layout:
             x, top = _LEFT, top + 15.0
         key.append((x, top, name, look))
         x += needed
-    top += _LINE if key else 0.0
+    top += 1.5 * _LINE if key else 0.0
     for text in _wrapped(figure.note, width):
         lines.append((top, text))
         top += _LINE

@@ -9,7 +9,11 @@ from evaluation.plan.axes import FUSION
 from evaluation.reporting.charts import LOOKS, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import find_family
-from evaluation.reporting.names import short_mechanism_name
+from evaluation.reporting.names import (
+    INDEPENDENT_MARK,
+    INDEPENDENT_NOTE,
+    short_mechanism_name,
+)
 from evaluation.reporting.return_tables import (
     find_number,
     linkers,
@@ -41,6 +45,8 @@ def figures(run: Results) -> Iterator[Figure]:
         short_mechanism_name(find_family(run.families, where.mechanism), where.level)
         for where in levels
     ]
+    is_marked = any(row.endswith(INDEPENDENT_MARK) for row in rows)
+    note = "Dashed: guessing. Bars are 95 % intervals over people."
     chance = find_number(numbers, levels[0], FUSION, "chance")
     across = [(looks[FUSION], chance.value)] if chance else []
     chart = rows_chart(rows, series, x_label="named first (%)", across=across)
@@ -52,5 +58,5 @@ def figures(run: Results) -> Iterator[Figure]:
         columns=1,
         key=looks,
         caption=return_sentence(run),
-        note="Dashed: guessing. Bars are 95 % intervals over people.",
+        note=f"{note} {INDEPENDENT_NOTE}" if is_marked else note,
     )
