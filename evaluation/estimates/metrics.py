@@ -181,6 +181,7 @@ _ROWS: Final = (
     Metric("confirming_p", "nested p there", "returns", "ratio", digits=3),
     Metric("gospa", "GOSPA", "tracking", "m", digits=2),
     Metric("ospa", "OSPA", "tracking", "m", digits=2),
+    Metric("hota", "HOTA", "tracking", "ratio", digits=2),
     Metric("purity", "purity", "tracking"),
     Metric("id_switches", "switches", "tracking", "1/min", digits=1),
     Metric("fragments", "fragments", "tracking", "1/min", digits=2),

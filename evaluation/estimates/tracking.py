@@ -23,6 +23,8 @@ from evaluation.compute.tracking import (
     ALARMS,
     FOLLOWED,
     FOLLOWED_COLUMNS,
+    HOTA,
+    HOTA_COLUMNS,
     ROBOT_COLUMNS,
     ROBOT_SHARES,
     TRACK_COLUMNS,
@@ -36,6 +38,7 @@ from evaluation.plan.axes import LOG, TRACK_KINDS
 from evaluation.plan.constants import ORACLE
 from evaluation.store.cell_files import read_rows
 from isac_track.tracking.blocks import (
+    block_hota,
     block_missed_at_equal_alarms,
     block_ratio,
     block_statistic,
@@ -54,6 +57,7 @@ _BESIDE: Final = (
     *FOLLOWED_COLUMNS,
     *ROBOT_COLUMNS,
     *ALARM_COLUMNS,
+    *HOTA_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
 REJOINED: Final = "rejoined_share"
@@ -88,6 +92,12 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {
         (entry.address, name): _ratio(rows, name, seed=seed) for name in TRACK_METRICS
     }
+    levels = _read(out, entry, HOTA_COLUMNS, table=HOTA)
+    metrics[entry.address, "hota"] = block_hota(
+        association=by_distance(levels, "association"),
+        pairs=by_distance(levels, "pairs"),
+        seed=seed,
+    )
     known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
     best = int(np.argmax([counts.sum() for counts in known]))
     log = replace(entry.address, plugin=LOG, adversary=ORACLE)

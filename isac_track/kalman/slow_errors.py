@@ -67,7 +67,11 @@ class SlowError:
         return shares if running else shares[offsets[1:] - 1]
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
-        """Return the arguments of a compiled loop."""
+        """Return batch and error as a compiled loop takes them: a plain tuple.
+
+        Behind what `Batch.arrays` returns stands the error's standard deviation at each
+        sample.
+        """
         return (*batch.arrays(2), np.full(batch.t.size, self.std_m, dtype=np.float64))
 
 
