@@ -236,6 +236,18 @@ def grown_covariance(cov: Floats, added_m: Floats) -> Floats:
     )
 
 
+def covariance_without(
+    cov: Floats, *, std_m: Floats | float, least_m2: float
+) -> Floats:
+    """Return covariances less a round error of `std_m` per axis, (M, 2, 2) m^2.
+
+    At least `least_m2` remains along each principal axis.
+    """
+    axes, variances = principal_axes(cov)
+    rest = np.maximum(variances - np.square(std_m)[..., None], least_m2)
+    return np.asarray(np.einsum("mai,mi,mbi->mab", axes, rest, axes))
+
+
 def round_errors(*, cov: Floats, error: Floats) -> Floats:
     """Return errors of covariances `cov` turned into round ones, (M, 2) m -> (M, 2).
 

@@ -21,7 +21,11 @@ from isac_track.kalman import (
     planar_last,
 )
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
-from isac_track.measurement import error_ellipses, mean_variance
+from isac_track.measurement import (
+    covariance_without,
+    error_ellipses,
+    mean_variance,
+)
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
 from isac_track.types import (
     ErrorLaw,
@@ -62,8 +66,6 @@ class KalmanCV:
     tau_s: float = 0.0
 
     states: ClassVar[int] = 2
-    # Whether it filters by declared covariances; else by the standard deviations alone.
-    takes_shape: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if type(self) is not KalmanCV and (
@@ -126,7 +128,7 @@ class KalmanCV:
 
     def _last(self, batch: Batch) -> LastState | PlanarState:
         error = self._slow_error
-        if batch.ellipse is not None:
+        if error is None and batch.ellipse is not None:
             return planar_last(batch, q=self.q, gate=self.gate)
         if error is None:
             return kalman_last(batch, q=self.q, gate=self.gate)
@@ -166,10 +168,14 @@ class KalmanCV:
         if self.noise == "declared":
             assert release.sigma is not None  # granted because it is required
             variance = self._declared_variance(end_to_end(release.sigma, runs))
-            if self.takes_shape and error is None and release.cov is not None:
+            if release.cov is not None:
                 cov = end_to_end(release.cov, runs)
+                if error is not None:
+                    cov = covariance_without(
+                        cov, std_m=self.added_std_m, least_m2=MIN_VARIANCE_M2
+                    )
                 variance = np.maximum(mean_variance(cov), _LEAST_DECLARED_M2)
-                ellipse = None if is_causal else error_ellipses(cov)
+                ellipse = error_ellipses(cov)
         else:
             level = self._estimated_level(t, xy, offsets, is_causal=is_causal)
             variance = level if is_causal else np.repeat(level, sizes)
@@ -215,8 +221,6 @@ class KalmanIMM(KalmanCV):
     # as long as tracks.
     walk_s: float = 4.0
     turn_s: float = 1.5
-
-    takes_shape: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)

@@ -66,9 +66,8 @@ class Batch:
     ellipse: Floats | None = None
     """(M, 2, 2), covariance of the measurement in units of `variance`, of trace 2.
 
-    None: the same variance on both axes. Only `planar_last`, `smooth_positions` and
-    `slow_errors.smooth_mixture` without a slow error take an ellipse; all others refuse
-    it by a ValueError.
+    None: the same variance on both axes. `kalman_last` and `slow_errors.smooth_each`
+    refuse an ellipse by a ValueError.
     """
 
     def __post_init__(self) -> None:
@@ -113,6 +112,12 @@ class Batch:
         if not within(shares, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
             raise ValueError("an ellipse needs two axes of positive, finite variance")
         return *self._arrays(*n_states), axes, shares
+
+    def shaped_arrays(self, *n_states: int) -> tuple[Floats | Ints, ...]:
+        """Return `planar_arrays`; of round errors without axes and shares."""
+        if self.ellipse is not None:
+            return self.planar_arrays(*n_states)
+        return *self._arrays(*n_states), np.empty((0, 2, 2)), np.empty((0, 2))
 
     def _arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
         if len(self.prior_std) not in n_states:
@@ -354,7 +359,7 @@ def _imm_states(
     mean, cov = np.empty((n_rows, 2, 2, 2)), np.empty((n_rows, 2, 4, 4))
     out = ImmStates(mean, cov, np.empty((n_rows, 2)), np.empty(len(batch)))
     getattr(import_module("isac_track.kalman._imm_loops"), loop)(
-        batch.arrays(2),
+        batch.shaped_arrays(2),
         (
             np.array(moods.q, dtype=np.float64),
             moods.probability,
@@ -377,6 +382,6 @@ def prepare() -> None:
     """
     from isac_track.compiling import loops_in  # noqa: PLC0415 - imports numba
 
-    for name in ("linear", "imm", "error", "planar"):
+    for name in ("linear", "imm", "error", "planar", "planar_error"):
         for loop in loops_in(import_module(f"isac_track.kalman._{name}_loops")):
             loop.prepare()
