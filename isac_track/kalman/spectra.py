@@ -98,15 +98,47 @@ def smoothed_rms_m(
     instant of a walk in view for `seen_s`, and the mean is over all positions. The
     smoother knows the endless past and future.
     """
+    plain, anchored = _smoothed_m2(density, world, releases)
+    return math.sqrt(plain), math.sqrt(_mean_over_lags(anchored, world))
+
+
+def known_shares(
+    density: Floats,
+    *,
+    epsilon_m: float,
+    world: World = WORLD,
+    releases: int | None = None,
+) -> tuple[float, float]:
+    """Return the expected PLR of that smoother, 0..1: without and with an anchor.
+
+    Its errors are Gaussian; a position counts as known within `epsilon_m`. Otherwise as
+    `smoothed_rms_m`.
+    """
+    plain, anchored = _smoothed_m2(density, world, releases)
+    shares = -np.expm1(-(epsilon_m**2) / (2.0 * np.append(plain, anchored)))
+    return float(shares[0]), _mean_over_lags(shares[1:], world)
+
+
+def _smoothed_m2(
+    density: Floats, world: World, releases: int | None
+) -> tuple[float, Floats]:
+    """Return a smoothed position's variance per axis, m^2: without an anchor, and (L,).
+
+    The anchor lies at each lag from 0 to the time in view.
+    """
     n = world.releases if releases is None else releases
     walk = world.q / _FREQUENCY**4
     noise = (density + world.raw_m**2 * world.dt_s) / n
     covariance = _lag_covariance(walk * noise / (walk + noise), world.seen_s)
     known = np.square(covariance) / (covariance[0] + _ANCHOR_M2)
+    return float(covariance[0]), covariance[0] - known
+
+
+def _mean_over_lags(values: Floats, world: World) -> float:
+    """Return the mean of values at lags, (L,), over positions and a random anchor."""
     lag_s = np.linspace(0.0, world.seen_s, _N_LAGS)
     chance = 2.0 * (world.seen_s - lag_s) / world.seen_s**2
-    anchored = float(np.trapezoid(chance * (covariance[0] - known), lag_s))
-    return float(np.sqrt(covariance[0])), math.sqrt(anchored)
+    return float(np.trapezoid(chance * values, lag_s))
 
 
 def floor_m(density: Floats, *, world: World = WORLD) -> float:
