@@ -18,6 +18,7 @@ import numpy as np
 from attacks.following.followed import restricted_mean_s
 from attacks.following.logs import Ending
 from evaluation.compute.tables import ROWS
+from evaluation.compute.track_policies import LOG_COLUMNS
 from evaluation.compute.tracking import (
     ALARM_COLUMNS,
     ALARMS,
@@ -30,10 +31,15 @@ from evaluation.compute.tracking import (
     by_distance,
     by_seed,
 )
-from evaluation.estimates.metrics import FUTURE_EQUAL_ALARMS, KNOWN_SHARE, METRICS
+from evaluation.estimates.metrics import (
+    DISCLOSED,
+    FUTURE_EQUAL_ALARMS,
+    KNOWN_SHARE,
+    METRICS,
+)
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.axes import LOG, TRACK_KINDS
-from evaluation.plan.constants import ORACLE
+from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.tracking.blocks import (
     block_missed_at_equal_alarms,
@@ -51,6 +57,7 @@ if TYPE_CHECKING:
 
 _BESIDE: Final = (
     *TRACK_COLUMNS,
+    *LOG_COLUMNS,
     *FOLLOWED_COLUMNS,
     *ROBOT_COLUMNS,
     *ALARM_COLUMNS,
@@ -67,8 +74,7 @@ def track_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]:
     numbers: list[PatrolNumber] = []
     for entry in manifest["cells"]:
         if entry.kind in TRACK_KINDS:
-            read = _track_metrics if entry.kind == "tracks" else _robot_metrics
-            metrics = read(out, entry, seed=seed)
+            metrics = _READERS[entry.kind](out, entry, seed=seed)
             numbers += [
                 PatrolNumber(address.measured(name), estimate)
                 for (address, name), estimate in metrics.items()
@@ -101,6 +107,24 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     for name, estimate in _followed_metrics(followed, n_blocks, seed=seed).items():
         metrics[follower, name] = estimate
     return metrics
+
+
+def _log_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
+    """Return what logs of a policy's answers disclose, and what they reveal."""
+    rows = _read(out, entry, LOG_COLUMNS)
+    known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
+    best = int(np.argmax([counts.sum() for counts in known]))
+    answers = replace(entry.address, plugin=SHARED, adversary="")
+    counts = {
+        (entry.address, KNOWN_SHARE): known[best],
+        (answers, DISCLOSED): by_seed(rows, "disclosed"),
+    }
+    return {
+        key: block_ratio(
+            numerator=numerator, denominator=by_seed(rows, "instants"), seed=seed
+        )
+        for key, numerator in counts.items()
+    }
 
 
 def _followed_metrics(rows: Rows, n_blocks: int, *, seed: int) -> dict[str, Estimate]:
@@ -164,6 +188,14 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
         is_share=False,
     )
     return metrics
+
+
+_READERS: Final = {
+    "tracks": _track_metrics,
+    "track_log": _log_metrics,
+    "tracked": _robot_metrics,
+}
+"""The function that reads the metrics of a cell, by the kind of its consumer."""
 
 
 def _ratio(rows: Rows, name: str, *, seed: int) -> Estimate:

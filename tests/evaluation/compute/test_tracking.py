@@ -114,6 +114,68 @@ def test_with_certain_detection_the_oracle_is_the_policy_everything(recording):
     assert values(rows, "tracks:oracle", "rejoined_share").isna().all()
 
 
+POLICIES = ("everything", "window:2", "near:3", "ahead:1.5", "state", "flag")
+
+
+@pytest.fixture(scope="module")
+def answered(recording):
+    """A run in which policies answer from certain tracks of the oracle, and as usual."""
+    return run(
+        recording,
+        recording.parent / "answered",
+        mechanisms=("raw", "fixed:0.5"),
+        policies=POLICIES,
+        predictors=("kalman_cv",),
+        stages=FEW | CERTAIN | {"tracking.seeds": 1},
+    )
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_a_policy_answers_from_perfect_tracks_as_about_people(answered, policy):
+    rows = answered.summary[answered.summary["mechanism"] == "raw"]
+    on_tracks = f"tracks:oracle,policy={policy}"
+    for metric in (
+        "missed_conflict_rate",
+        "missed_future_rate",
+        "missed_encounter_rate",
+        "missed_future_at_equal_false_alarms",
+        "false_alarms_per_min",
+    ):
+        ours = values(rows, on_tracks, metric, "kalman_cv").dropna()
+        usual = values(rows, policy, metric, "kalman_cv")
+        np.testing.assert_allclose(ours, usual.loc[ours.index], rtol=1e-12)
+    for metric, consumer, within in (
+        ("disclosed_share", "shared", 1e-12),
+        ("known_share", "log", 0.02),  # The usual adversary has more estimators.
+    ):
+        chosen = rows[rows["knowledge"].isin(["", "oracle"])]
+        ours, usual = (
+            values(chosen, name, metric, consumer).item()
+            for name in (on_tracks, policy)
+        )
+        assert ours == pytest.approx(usual, abs=within)
+
+
+def test_a_policy_that_sends_everything_from_tracks_is_the_release(answered):
+    rows = answered.tracks
+    for consumer, metric in (
+        ("kalman_cv", "missed_future_rate"),
+        ("kalman_cv", "false_alarms_per_min"),
+    ):
+        sent, shared = (
+            values(rows, f"tracks:gnn{end}", metric, consumer)
+            for end in ("", ",policy=everything")
+        )
+        pd.testing.assert_series_equal(sent, shared)
+    less = values(rows, "tracks:gnn,policy=near:3", "disclosed_share")
+    assert (
+        less < values(rows, "tracks:gnn,policy=everything", "disclosed_share")
+    ).all()
+    shown = {row[0].text for row in tracking_table(answered).rows}
+    assert "tracks:gnn,policy=near:3" in shown
+    assert "policy=" not in tracking_sentence(answered)
+
+
 def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
     out = recording.parent / "before"
     before = {"tracking.noise": "before"}
