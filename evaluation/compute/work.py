@@ -18,6 +18,7 @@ from evaluation.compute import (
     patrols,
     reconstruction,
     sharing,
+    track_links,
     track_policies,
     tracking,
 )
@@ -240,10 +241,13 @@ def _read_tracks(
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
     """Yield the readers of tracks, or of a policy's answers from them, with rows."""
+    linkers = [reader for reader in consumers if reader.kind == "track_link"]
+    others = [reader for reader in consumers if reader.kind != "track_link"]
     read = tracking.release_rows
     if consumers[0].answers is not None:
         read = track_policies.answer_rows
-    yield from read(consumers, releases, setup, mechanism=mechanism)
+    yield from read(others, releases, setup, mechanism=mechanism)
+    yield from track_links.link_rows(linkers, releases, setup, mechanism=mechanism)
 
 
 def _linkage_cells(

@@ -185,6 +185,7 @@ _ROWS: Final = (
     Metric("id_switches", "switches", "tracking", "1/min", digits=1),
     Metric("fragments", "fragments", "tracking", "1/min", digits=2),
     Metric("rejoined_share", "rejoined", "tracking"),
+    Metric("linkable_share", "linkable", "tracking"),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}

@@ -18,6 +18,7 @@ import numpy as np
 from attacks.following.followed import restricted_mean_s
 from attacks.following.logs import Ending
 from evaluation.compute.tables import ROWS
+from evaluation.compute.track_links import LINK_COLUMNS
 from evaluation.compute.track_policies import LOG_COLUMNS
 from evaluation.compute.tracking import (
     ALARM_COLUMNS,
@@ -36,6 +37,7 @@ from evaluation.estimates.metrics import (
     FUTURE_EQUAL_ALARMS,
     KNOWN_SHARE,
     METRICS,
+    SUCCESS,
 )
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.axes import LOG, TRACK_KINDS
@@ -58,11 +60,14 @@ if TYPE_CHECKING:
 _BESIDE: Final = (
     *TRACK_COLUMNS,
     *LOG_COLUMNS,
+    *LINK_COLUMNS,
     *FOLLOWED_COLUMNS,
     *ROBOT_COLUMNS,
     *ALARM_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
+CHANCE: Final = "chance"  # Of rank 1, by guessing.
+LINKABLE: Final = "linkable_share"
 REJOINED: Final = "rejoined_share"
 BLIND: Final = "blind"  # The adversary that joins tracks without identities.
 _FALSE_ALARMS: Final = "false_alarms_per_min"
@@ -124,6 +129,24 @@ def _log_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
             numerator=numerator, denominator=by_seed(rows, "instants"), seed=seed
         )
         for key, numerator in counts.items()
+    }
+
+
+def _link_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
+    """Return how many people are linked across a rotation of pseudonyms.
+
+    Its denominator is all people who are present on both sides. `LINKABLE` is the share
+    with a track of their own on both: no linker links more.
+    """
+    rows = _read(out, entry, LINK_COLUMNS)
+    columns = {SUCCESS: "hits", CHANCE: "chance", LINKABLE: "linkable"}
+    return {
+        (entry.address, name): block_ratio(
+            numerator=by_seed(rows, column),
+            denominator=by_seed(rows, "trials"),
+            seed=seed,
+        )
+        for name, column in columns.items()
     }
 
 
@@ -194,6 +217,7 @@ _READERS: Final = {
     "tracks": _track_metrics,
     "track_log": _log_metrics,
     "tracked": _robot_metrics,
+    "track_link": _link_metrics,
 }
 """The function that reads the metrics of a cell, by the kind of its consumer."""
 

@@ -45,8 +45,9 @@ LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
 TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
 PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
 PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
-TRACK_KINDS: Final = ("tracks", "tracked", "track_log")
+TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
 """Kinds of consumer that read tracks, or what a policy answers from them."""
+HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
 """Adversaries with a log: the informed one knows routes and policy, the oracle knows
@@ -71,6 +72,7 @@ class Consumer:
         "tracks",
         "tracked",
         "track_log",
+        "track_link",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -117,7 +119,7 @@ class Consumer:
             "tracks": TRACKER,
         }
         name, behind = names.get(self.kind, BOUND), ""
-        if self.kind == "control":
+        if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
             name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
@@ -205,6 +207,7 @@ class Axes:
     """Trackers of a network's detections; the SPEC is that of the release."""
     tracked: tuple[Plugin, ...] = ()  # Mechanisms of these releases.
     track_policies: tuple[Plugin, ...] = ()  # Policies that answer from tracks, too.
+    track_tasks: tuple[str, ...] = ()  # Tasks in which tracks are linked, too.
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -293,7 +296,8 @@ class Axes:
         """Return the readers of tracks in a world: metrics of tracks, and robots.
 
         The robots are those of patrols. A policy's answers from tracks are read by robots
-        and by an adversary with a log. Tracks and logs belong to no further horizon.
+        and by an adversary with a log. Linkers link tracks across a rotation of
+        pseudonyms. Only robots have further horizons.
         """
         robots = [
             Consumer("tracked", plugin, world=world)
@@ -311,6 +315,18 @@ class Axes:
             for release in self.track_releases
             for policy in self.track_policies
             for reader in (robots if world else [log, *robots])
+        ]
+        linkers = [
+            replace(linker, kind="track_link")
+            for task in self.tasks
+            if task.name in self.track_tasks and not world
+            for linker in self.readers(task)
+            if linker.kind != "windows"
+        ]
+        readers += [
+            replace(linker, policy=release)
+            for release in self.track_releases
+            for linker in linkers
         ]
         return tuple(readers)
 
@@ -454,6 +470,7 @@ def axes(settings: Settings) -> Axes:
         track_releases=releases,
         tracked=_tracked(settings, preset, mechanisms) if releases else (),
         track_policies=_track_policies(settings) if releases else (),
+        track_tasks=_track_tasks(settings) if releases else (),
     )
     _check_adversaries_used(crossed, settings)
     return crossed
@@ -530,6 +547,12 @@ def _track_policies(settings: Settings) -> tuple[Plugin, ...]:
     if settings.stages.tracking.release != "tracks":
         return ()
     return plugins.parse_all("policies", settings.choice("policies").named)
+
+
+def _track_tasks(settings: Settings) -> tuple[str, ...]:
+    """Return the tasks in which tracks are linked: handovers that a user names."""
+    named = settings.choice("tasks").named
+    return tuple(name for name in named if task_named(name).family == HANDOVER)
 
 
 def _tracked(

@@ -43,6 +43,7 @@ _STAGES: Final = {
     TRACKING: (
         "evaluation.compute.tracking",
         "evaluation.compute.track_policies",
+        "evaluation.compute.track_links",
         *_COMMON,
     ),
 }
