@@ -113,7 +113,7 @@ def sensed_sessions(
     numbers = np.unique(sessions.fold).tolist()
     if task.comes_back:
         numbers = list(range(len(sessions.learns)))
-    folds = tuple(_prepare_fold(sessions, fold) for fold in numbers)
+    folds = tuple(prepare_fold(sessions, fold) for fold in numbers)
     frames: tuple[Frame, ...] = ()
     if not task.shows_scene:
         frames = tuple(_draw_frames(sessions, side, seed=seed) for side in SIDES)
@@ -124,7 +124,7 @@ def sensed_sessions(
         ),
         frames=frames,
         folds=folds,
-        searches=_whole_searches(fold.searches for fold in folds),
+        searches=whole_searches(fold.searches for fold in folds),
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(
@@ -169,7 +169,7 @@ def _walk_by_model(setup: SensedSessions, motion: Motion) -> SensedSessions:
     return replace(setup, sessions=sessions, sensed=sensed)
 
 
-def _whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing]:
+def whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing]:
     """Return every search with all of its probes, which the folds may have split."""
     searches: dict[int, Pairing] = {}
     for number, piece in chain.from_iterable(part.items() for part in parts):
@@ -182,7 +182,7 @@ def _whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing
     return searches
 
 
-def _prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
+def prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
     """Return the windows of a fold, from its own searches and those of other folds."""
     own = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)

@@ -8,7 +8,14 @@ from typing import Any, Final, Literal
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
-from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
+from evaluation.plan.constants import (
+    ANSWERED_BY,
+    BLOCK_SCENES,
+    BOUND,
+    ORACLE,
+    OTHER_LAW,
+    WINDOWS,
+)
 from evaluation.plan.presets import (
     PRESETS,
     SHARED,
@@ -38,7 +45,9 @@ LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
 TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
 PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
 PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
-TRACK_KINDS: Final = ("tracks", "tracked")  # Kinds of consumer that read tracks.
+TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
+"""Kinds of consumer that read tracks, or what a policy answers from them."""
+HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
 """Adversaries with a log: the informed one knows routes and policy, the oracle knows
@@ -62,6 +71,8 @@ class Consumer:
         "returns",
         "tracks",
         "tracked",
+        "track_log",
+        "track_link",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -75,11 +86,13 @@ class Consumer:
     # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
     # Of `tracks` and of a robot with them (`tracked`), the release and its tracker.
     policy: Plugin | None = None
+    # The policy that answers a robot or a log from tracks; None: they get all tracks.
+    answers: Plugin | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, the reconstruction in front of that, and its policy."""
-        own = (*self._readers, self.policy)
+        """Its plug-in, the reconstruction in front of that, and its policies."""
+        own = (*self._readers, self.policy, self.answers)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
@@ -101,11 +114,12 @@ class Consumer:
             "windows": WINDOWS,
             "bound": BOUND,
             "log": LOG,
+            "track_log": LOG,
             "returns": FUSION,
             "tracks": TRACKER,
         }
         name, behind = names.get(self.kind, BOUND), ""
-        if self.kind == "control":
+        if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
             name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
@@ -192,6 +206,8 @@ class Axes:
     track_releases: tuple[Plugin, ...] = ()
     """Trackers of a network's detections; the SPEC is that of the release."""
     tracked: tuple[Plugin, ...] = ()  # Mechanisms of these releases.
+    track_policies: tuple[Plugin, ...] = ()  # Policies that answer from tracks, too.
+    track_tasks: tuple[str, ...] = ()  # Tasks in which tracks are linked, too.
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -279,18 +295,40 @@ class Axes:
     def track_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
         """Return the readers of tracks in a world: metrics of tracks, and robots.
 
-        The robots are those of patrols. The tracks belong to no further horizon.
+        The robots are those of patrols. A policy's answers from tracks are read by robots
+        and by an adversary with a log. Linkers link tracks across a rotation of
+        pseudonyms. Only robots have further horizons.
         """
         robots = [
             Consumer("tracked", plugin, world=world)
             for plugin in self.predictors
             if plugin.spec in self.utility
         ]
-        return tuple(
+        log = Consumer("track_log", knowledge=ORACLE)
+        readers = [
             replace(reader, policy=release)
             for release in self.track_releases
             for reader in (robots if world else [Consumer("tracks"), *robots])
-        )
+        ]
+        readers += [
+            replace(reader, policy=_answering(release, policy), answers=policy)
+            for release in self.track_releases
+            for policy in self.track_policies
+            for reader in (robots if world else [log, *robots])
+        ]
+        linkers = [
+            replace(linker, kind="track_link")
+            for task in self.tasks
+            if task.name in self.track_tasks and not world
+            for linker in self.readers(task)
+            if linker.kind != "windows"
+        ]
+        readers += [
+            replace(linker, policy=release)
+            for release in self.track_releases
+            for linker in linkers
+        ]
+        return tuple(readers)
 
     def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
         """Return the linkers in another world, and the optimum that knows the model."""
@@ -355,6 +393,11 @@ def _granted(
     link: Consumer, task: Task, asked: tuple[str, ...]
 ) -> dict[str, frozenset[Knowledge]]:
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
+
+
+def _answering(release: Plugin, policy: Plugin) -> Plugin:
+    """Return a release of tracks of which a policy answers, by the SPEC of both."""
+    return replace(release, spec=f"{release.spec}{ANSWERED_BY}{policy.spec}")
 
 
 def windows_consumer(task: str) -> Consumer:
@@ -426,6 +469,8 @@ def axes(settings: Settings) -> Axes:
         links_returns=RETURNS in tasks,
         track_releases=releases,
         tracked=_tracked(settings, preset, mechanisms) if releases else (),
+        track_policies=_track_policies(settings) if releases else (),
+        track_tasks=_track_tasks(settings) if releases else (),
     )
     _check_adversaries_used(crossed, settings)
     return crossed
@@ -492,6 +537,22 @@ def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
         replace(plugin, spec=f"{rules.release}:{plugin.spec}{end}")
         for plugin in (oracle, *trackers)
     )
+
+
+def _track_policies(settings: Settings) -> tuple[Plugin, ...]:
+    """Return the policies that answer from tracks: those that a user names.
+
+    Unlabelled detections have none, since a policy chooses people.
+    """
+    if settings.stages.tracking.release != "tracks":
+        return ()
+    return plugins.parse_all("policies", settings.choice("policies").named)
+
+
+def _track_tasks(settings: Settings) -> tuple[str, ...]:
+    """Return the tasks in which tracks are linked: handovers that a user names."""
+    named = settings.choice("tasks").named
+    return tuple(name for name in named if task_named(name).family == HANDOVER)
 
 
 def _tracked(

@@ -40,7 +40,12 @@ _STAGES: Final = {
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
     PATROL: ("evaluation.compute.patrols", *_COMMON),
     RETURNS: ("evaluation.compute.returns", *_COMMON),
-    TRACKING: ("evaluation.compute.tracking", *_COMMON),
+    TRACKING: (
+        "evaluation.compute.tracking",
+        "evaluation.compute.track_policies",
+        "evaluation.compute.track_links",
+        *_COMMON,
+    ),
 }
 _LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
 _COMPUTES_NOTHING: Final = re.compile(

@@ -483,11 +483,11 @@ def _code(stage: str, *used: Plugin, digests: dict[str, str]) -> dict[str, str]:
 
 
 def _stage(consumer: Consumer) -> str:
-    """Return the stage of a consumer: its task, or a stage of scenes."""
-    if consumer.task:
-        return consumer.task
+    """Return the stage of a consumer: of tracks, its task, or a stage of scenes."""
     if consumer.reads_tracks:
         return fingerprint.TRACKING
+    if consumer.task:
+        return consumer.task
     if consumer.policy:
         return fingerprint.PATROL
     if consumer.kind in {"attack", "bound"}:
