@@ -200,7 +200,8 @@ def _opinions_on(
 
 def _person_entries(log: Log, person: int) -> Entries:
     rows = slice(log.offsets[person], log.offsets[person + 1])
-    return Entries(log.t[rows], log.xy[rows], log.variance[rows])
+    cov = None if log.cov is None else log.cov[rows]
+    return Entries(log.t[rows], log.xy[rows], log.variance[rows], cov)
 
 
 def _likelihood_of_answers(

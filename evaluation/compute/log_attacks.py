@@ -20,6 +20,7 @@ from evaluation.compute.sharing import (
     reconstructed,
 )
 from isac_track.errors import SettingsError
+from isac_track.measurement import scalar_covariance
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols.knowledge import Log, fleet_log, state_positions
 from isac_track.protocols import (
@@ -181,10 +182,13 @@ def _attacked(
         name=f"attack {plugin.spec!r}",
     )
     xy, variance = log.xy.copy(), log.variance.copy()
+    cov = None if log.cov is None else log.cov.copy()
     xy[rows] = rebuilt.xy
     if rebuilt.std is not None:
         variance[rows] = np.maximum(rebuilt.std**2, MIN_VARIANCE_M2)
-    return replace(log, xy=xy, variance=variance)
+        if cov is not None:
+            cov[rows] = scalar_covariance(variance[rows])
+    return replace(log, xy=xy, variance=variance, cov=cov)
 
 
 def _entries(log: Log, people: Bools) -> tuple[Ints, Ints]:
@@ -203,6 +207,7 @@ def _as_release(network: Network, log: Log, rows: Ints, offsets: Ints) -> Releas
         sigma=np.sqrt(log.variance[rows] / per_axis),
         offsets=offsets,
         pseudonym=tuple(map(str, range(offsets.size - 1))),
+        cov=None if log.cov is None else log.cov[rows],
     )
 
 
