@@ -10,8 +10,15 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
+from evaluation.compute.recipients import strongest
 from evaluation.compute.track_links import LINK_COLUMNS, link_rows
-from evaluation.compute.tracking import share_tracked, track_rows, tracking_setup
+from evaluation.compute.tracking import (
+    FOLLOWED_COLUMNS,
+    TRACK_COLUMNS,
+    share_tracked,
+    track_rows,
+    tracking_setup,
+)
 from evaluation.plan.axes import axes
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.reporting.first_screen import first_screen
@@ -296,10 +303,48 @@ def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
         for tracker in ("oracle", "gnn")
         for form, end in (("tracks", ",noise=before"), ("detections", ""))
     }
+    for metric, consumer in (
+        ("purity", "tracker"),
+        ("missed_future_rate", "kalman_cv"),
+    ):
+        pd.testing.assert_series_equal(
+            *(
+                values(shared, release, metric, consumer)
+                for release in ("detections:gnn", "tracks:gnn,noise=before")
+            )
+        )
+    # The reference has no rival.
     pd.testing.assert_series_equal(
-        values(shared, "detections:gnn", "known_share"),
-        values(shared, "tracks:gnn,noise=before", "known_share"),
+        values(shared, "detections:oracle", "known_share"),
+        values(shared, "tracks:oracle,noise=before", "known_share"),
     )
+
+
+def made_up(known, followed_s):
+    """Tables of a tracker: what each of four blocks, a person each, reveals."""
+    block, none = np.arange(4), np.zeros(4)
+    return {
+        "rows": {"block": block, "purity_sum": known, "instants": np.full(4, 9.0)}
+        | {name: none for name in TRACK_COLUMNS if name.startswith(("known", "rejoin"))}
+        | {"known_smooth": np.array(known, dtype=float)},
+        "followed": dict.fromkeys(FOLLOWED_COLUMNS, none)
+        | {"block": block, "followed_s": np.array(followed_s, dtype=float)},
+    }
+
+
+def test_the_strongest_tracker_is_chosen_on_one_half_and_scored_on_the_other():
+    first = made_up([9, 0, 1, 1], [5, 5, 0, 0])
+    second = made_up([2, 2, 3, 3], [1, 1, 9, 9])
+    made = strongest([first, second], n_blocks=4)
+    # The second knows more in the late half: it is scored in the early half, where it
+    # knows less. The first knows more in the early half, and is scored in the late one.
+    assert made["rows"]["known_smooth"].tolist() == [2, 2, 1, 1]
+    assert made["followed"]["followed_s"].tolist() == [1, 1, 0, 0]
+    # Other metrics stay those of the first.
+    assert made["rows"]["purity_sum"] == [9, 0, 1, 1]
+    alone = strongest([first], n_blocks=4)
+    np.testing.assert_array_equal(alone["rows"]["known_smooth"], [9, 0, 1, 1])
+    assert first["rows"]["known_smooth"].tolist() == [9, 0, 1, 1]
 
 
 def test_the_table_and_the_first_screen_compare_with_perfect_association(made):
