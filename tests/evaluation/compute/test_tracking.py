@@ -10,6 +10,8 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
+from evaluation.compute.current_cell import current_cell
+from evaluation.compute.loops import list_loops
 from evaluation.compute.recipients import strongest
 from evaluation.compute.track_links import LINK_COLUMNS, link_rows
 from evaluation.compute.tracking import (
@@ -19,11 +21,14 @@ from evaluation.compute.tracking import (
     track_rows,
     tracking_setup,
 )
+from evaluation.compute.work import TrackingWork, compute_cells
 from evaluation.plan.axes import axes
+from evaluation.plan.plan import make_plan
 from evaluation.pool.execute import FailedCellsWarning
+from evaluation.pool.pieces import cut_work, planned_cells
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
-from isac_track import datasets
+from isac_track import compiling, datasets
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.plugins import parse
@@ -264,6 +269,42 @@ def test_a_network_that_loses_everybody_has_lost_trials_and_no_error(coming):
     lost = linked(coming, "gnn", **{"tracking.detection_probability": 0.15})
     assert all(shares["trials"] > 20 for shares in lost.values())
     assert all(shares["hits"] <= shares["linkable"] < 0.5 for shares in lost.values())
+
+
+def test_cells_of_tracks_call_no_loop_that_is_not_compiled_ahead(coming, monkeypatch):
+    called, call = {}, compiling.Loop.__call__
+
+    def noted(loop, *arguments):
+        name = f"{loop.function.__module__}:{loop.function.__name__}"
+        called.setdefault(current_cell.names, set()).add(name)
+        return call(loop, *arguments)
+
+    monkeypatch.setattr(compiling.Loop, "__call__", noted)
+    settings = smoke(
+        coming,
+        mechanisms=("raw",),
+        predictors=("kalman_cv",),
+        policies=("state",),
+        tasks=(TASK,),
+        attacks=("kinematic",),
+        stages=LINKED | {"patrol.segment_s": 40.0},
+    )
+    plan = make_plan(settings)
+    (work,) = (
+        work for work in cut_work(plan.units, plan) if isinstance(work, TrackingWork)
+    )
+    for _ in compute_cells(work, tracks=plan.tracks, stages=settings.stages, seed=0):
+        pass
+    listed = {
+        (cell.mechanism.spec, cell.consumer.label): list_loops(
+            [(cell.mechanism, cell.consumer)]
+        )
+        for cell in planned_cells(work)
+    }
+    named = {names: called[names] for names in listed.keys() & called.keys()}
+    assert named
+    for names, loops in named.items():
+        assert loops <= {*listed[names]}, names
 
 
 @pytest.mark.slow
