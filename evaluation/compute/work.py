@@ -16,6 +16,7 @@ from evaluation.compute import (
     linkage,
     model_walks,
     patrols,
+    recipients,
     reconstruction,
     sharing,
     track_links,
@@ -240,12 +241,18 @@ def _read_tracks(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of tracks, or of a policy's answers from them, with rows."""
+    """Yield the readers of a tracker's release, each with the rows of its tables.
+
+    They get all tracks, or a policy's answers from them, or link them.
+    """
     linkers = [reader for reader in consumers if reader.kind == "track_link"]
     others = [reader for reader in consumers if reader.kind != "track_link"]
-    read = tracking.release_rows
     if consumers[0].answers is not None:
         read = track_policies.answer_rows
+    elif setup.stages.tracking.release == "detections":
+        read = recipients.recipient_rows
+    else:
+        read = tracking.release_rows
     yield from read(others, releases, setup, mechanism=mechanism)
     yield from track_links.link_rows(linkers, releases, setup, mechanism=mechanism)
 

@@ -550,7 +550,12 @@ def _track_policies(settings: Settings) -> tuple[Plugin, ...]:
 
 
 def _track_tasks(settings: Settings) -> tuple[str, ...]:
-    """Return the tasks in which tracks are linked: handovers that a user names."""
+    """Return the tasks in which tracks are linked: handovers that a user names.
+
+    Unlabelled detections have no pseudonyms that rotate.
+    """
+    if settings.stages.tracking.release != "tracks":
+        return ()
     named = settings.choice("tasks").named
     return tuple(name for name in named if task_named(name).family == HANDOVER)
 

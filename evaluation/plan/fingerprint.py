@@ -42,6 +42,7 @@ _STAGES: Final = {
     RETURNS: ("evaluation.compute.returns", *_COMMON),
     TRACKING: (
         "evaluation.compute.tracking",
+        "evaluation.compute.recipients",
         "evaluation.compute.track_policies",
         "evaluation.compute.track_links",
         *_COMMON,

@@ -10,13 +10,25 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
+from evaluation.compute.current_cell import current_cell
+from evaluation.compute.loops import list_loops
+from evaluation.compute.recipients import strongest
 from evaluation.compute.track_links import LINK_COLUMNS, link_rows
-from evaluation.compute.tracking import share_tracked, track_rows, tracking_setup
+from evaluation.compute.tracking import (
+    FOLLOWED_COLUMNS,
+    TRACK_COLUMNS,
+    share_tracked,
+    track_rows,
+    tracking_setup,
+)
+from evaluation.compute.work import TrackingWork, compute_cells
 from evaluation.plan.axes import axes
+from evaluation.plan.plan import make_plan
 from evaluation.pool.execute import FailedCellsWarning
+from evaluation.pool.pieces import cut_work, planned_cells
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
-from isac_track import datasets
+from isac_track import compiling, datasets
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.plugins import parse
@@ -259,6 +271,42 @@ def test_a_network_that_loses_everybody_has_lost_trials_and_no_error(coming):
     assert all(shares["hits"] <= shares["linkable"] < 0.5 for shares in lost.values())
 
 
+def test_cells_of_tracks_call_no_loop_that_is_not_compiled_ahead(coming, monkeypatch):
+    called, call = {}, compiling.Loop.__call__
+
+    def noted(loop, *arguments):
+        name = f"{loop.function.__module__}:{loop.function.__name__}"
+        called.setdefault(current_cell.names, set()).add(name)
+        return call(loop, *arguments)
+
+    monkeypatch.setattr(compiling.Loop, "__call__", noted)
+    settings = smoke(
+        coming,
+        mechanisms=("raw",),
+        predictors=("kalman_cv",),
+        policies=("state",),
+        tasks=(TASK,),
+        attacks=("kinematic",),
+        stages=LINKED | {"patrol.segment_s": 40.0},
+    )
+    plan = make_plan(settings)
+    (work,) = (
+        work for work in cut_work(plan.units, plan) if isinstance(work, TrackingWork)
+    )
+    for _ in compute_cells(work, tracks=plan.tracks, stages=settings.stages, seed=0):
+        pass
+    listed = {
+        (cell.mechanism.spec, cell.consumer.label): list_loops(
+            [(cell.mechanism, cell.consumer)]
+        )
+        for cell in planned_cells(work)
+    }
+    named = {names: called[names] for names in listed.keys() & called.keys()}
+    assert named
+    for names, loops in named.items():
+        assert loops <= {*listed[names]}, names
+
+
 @pytest.mark.slow
 def test_rows_of_linkers_of_tracks_stand_beside_those_of_the_task(coming):
     made = run(
@@ -301,10 +349,48 @@ def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
         for tracker in ("oracle", "gnn")
         for form, end in (("tracks", ",noise=before"), ("detections", ""))
     }
+    for metric, consumer in (
+        ("purity", "tracker"),
+        ("missed_future_rate", "kalman_cv"),
+    ):
+        pd.testing.assert_series_equal(
+            *(
+                values(shared, release, metric, consumer)
+                for release in ("detections:gnn", "tracks:gnn,noise=before")
+            )
+        )
+    # The reference has no rival.
     pd.testing.assert_series_equal(
-        values(shared, "detections:gnn", "known_share"),
-        values(shared, "tracks:gnn,noise=before", "known_share"),
+        values(shared, "detections:oracle", "known_share"),
+        values(shared, "tracks:oracle,noise=before", "known_share"),
     )
+
+
+def made_up(known, followed_s):
+    """Tables of a tracker: what each of four blocks, a person each, reveals."""
+    block, none = np.arange(4), np.zeros(4)
+    return {
+        "rows": {"block": block, "purity_sum": known, "instants": np.full(4, 9.0)}
+        | {name: none for name in TRACK_COLUMNS if name.startswith(("known", "rejoin"))}
+        | {"known_smooth": np.array(known, dtype=float)},
+        "followed": dict.fromkeys(FOLLOWED_COLUMNS, none)
+        | {"block": block, "followed_s": np.array(followed_s, dtype=float)},
+    }
+
+
+def test_the_strongest_tracker_is_chosen_on_one_half_and_scored_on_the_other():
+    first = made_up([9, 0, 1, 1], [5, 5, 0, 0])
+    second = made_up([2, 2, 3, 3], [1, 1, 9, 9])
+    made = strongest([first, second], n_blocks=4)
+    # The second knows more in the late half: it is scored in the early half, where it
+    # knows less. The first knows more in the early half, and is scored in the late one.
+    assert made["rows"]["known_smooth"].tolist() == [2, 2, 1, 1]
+    assert made["followed"]["followed_s"].tolist() == [1, 1, 0, 0]
+    # Other metrics stay those of the first.
+    assert made["rows"]["purity_sum"] == [9, 0, 1, 1]
+    alone = strongest([first], n_blocks=4)
+    np.testing.assert_array_equal(alone["rows"]["known_smooth"], [9, 0, 1, 1])
+    assert first["rows"]["known_smooth"].tolist() == [9, 0, 1, 1]
 
 
 def test_the_table_and_the_first_screen_compare_with_perfect_association(made):
