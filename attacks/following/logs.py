@@ -287,18 +287,18 @@ def _chain_log(network: Network, pieces: Pieces, chain: Ints) -> Log:
     label = np.repeat(chain, sizes)
     # Chains may hold several draws of a sample.
     n_samples = network.patrol.people.t.size
-    key, xy, variance = average_draws(
+    averaged = average_draws(
         label * n_samples + pieces.sample, pieces.xy, pieces.variance
     )
-    label, sample = np.divmod(key, n_samples)
+    label, sample = np.divmod(averaged.key, n_samples)
     t = network.patrol.people.t[sample]
     # A chain may hold another person, whose samples have numbers of their own.
     order = np.lexsort((t, label))
     return Log(
         sample=sample[order],
         t=t[order],
-        xy=xy[order],
-        variance=np.maximum(variance[order], MIN_VARIANCE_M2),
+        xy=averaged.xy[order],
+        variance=np.maximum(averaged.variance[order], MIN_VARIANCE_M2),
         offsets=np.searchsorted(label, np.arange(int(chain.max()) + 2)),
     )
 

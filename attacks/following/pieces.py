@@ -197,18 +197,18 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
     n_samples = network.patrol.people.t.size
     key = piece * n_samples + sent_samples(network, row)
     variance = np.maximum(sent_variance(network), MIN_VARIANCE_M2)[row]
-    keys, xy, variance = average_draws(key, network.sent.xy[row], variance)
-    latest = np.full(keys.size, -1)
-    np.maximum.at(latest, np.searchsorted(keys, key), row)
-    piece, sample = np.divmod(keys, n_samples)
+    averaged = average_draws(key, network.sent.xy[row], variance)
+    latest = np.full(averaged.key.size, -1)
+    np.maximum.at(latest, np.searchsorted(averaged.key, key), row)
+    piece, sample = np.divmod(averaged.key, n_samples)
     n_pieces = int(label.max(initial=-1)) + 1
     first_query = np.full(n_pieces, np.iinfo(np.int64).max)
     np.minimum.at(first_query, label, network.patrol.presences.query[runs.presence])
     return _Entries(
         sample=sample,
         t=network.patrol.people.t[sample],
-        xy=xy,
-        variance=variance,
+        xy=averaged.xy,
+        variance=averaged.variance,
         row=latest,
         query=first_query[piece],
         offsets=np.searchsorted(piece, np.arange(n_pieces + 1)),

@@ -23,6 +23,7 @@ from isac_track.linkability.return_rule import (
     decide_return,
 )
 from isac_track.linkability.returns import (
+    NodeScores,
     OpenSet,
     PersonScores,
     Probe,
@@ -122,8 +123,8 @@ class _Scored:
         scores = [self.scores[member] for member in self.members(name)]
         return fuse(scores, self.law(name), self.returning, weights)
 
-    def nodes(self, name: str) -> tuple[Floats, Ints, Ints]:
-        """Return its scores between people in runs, and the nodes."""
+    def nodes(self, name: str) -> NodeScores:
+        """Return its scores between people in runs."""
         scores = [self.scores[member] for member in self.members(name)]
         return node_scores(scores, self.law(name), self.returning)
 
@@ -261,13 +262,14 @@ def _primary(
     session: int | None,
 ) -> tuple[ReturnEvidence, Regression, OpenSet]:
     """Return the evidence of the primary cell, its test and its open set."""
-    response, person, run = scored.nodes(FUSION)
-    controls = np.stack([scored.nodes(name)[0] for name in scored.circumstances])
+    nodes = scored.nodes(FUSION)
+    person, run = nodes.person, nodes.session
+    controls = np.stack([scored.nodes(name).values for name in scored.circumstances])
     counts = run[:, None] != run
     if session is not None:
         counts &= (run == session)[:, None]
     regression = nested_permutation(
-        response,
+        nodes.values,
         (person[:, None] == person).astype(float),
         controls,
         counts=counts,

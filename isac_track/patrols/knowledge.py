@@ -190,22 +190,20 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
     people = network.patrol.people
     if disclosure.form == "state":
         sent = disclosure.sent(network.patrol, robots=robots)
-        xy, variance, is_entry = _state_entries(network, sent)
-        sample = np.flatnonzero(is_entry)
-        xy, variance = xy[sample], variance[sample]
+        entries = _state_entries(network, sent)
     else:
         row = _sent_rows(network, disclosure, robots)
-        sample, xy, variance = average_draws(
+        entries = average_draws(
             sent_samples(network, row),
             network.sent.xy[row],
             sent_variance(network)[row],
         )
     return Log(
-        sample=sample,
-        t=people.t[sample],
-        xy=xy,
-        variance=np.maximum(variance, MIN_VARIANCE_M2),
-        offsets=np.searchsorted(sample, people.offsets),
+        sample=entries.key,
+        t=people.t[entries.key],
+        xy=entries.xy,
+        variance=np.maximum(entries.variance, MIN_VARIANCE_M2),
+        offsets=np.searchsorted(entries.key, people.offsets),
     )
 
 
@@ -230,21 +228,28 @@ def sent_samples(network: Network, row: Ints) -> Ints:
     return np.asarray(first + row - offsets[presence])
 
 
-def average_draws(
-    key: Ints, xy: Floats, variance: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Return the ascending keys, and position and variance of each, of several draws.
+@dataclass(frozen=True, eq=False, slots=True)
+class KeyedPositions:
+    """K positions, each with a key of its own."""
 
-    Draws, (L,), are weighted by the inverse of their variance.
+    key: Ints  # (K,) ascending, each once
+    xy: Floats  # (K, 2) m
+    variance: Floats  # (K,) m^2 per axis
+
+
+def average_draws(key: Ints, xy: Floats, variance: Floats) -> KeyedPositions:
+    """Average the draws, (L,), of each key, weighted by the inverse of their variance.
+
+    A sample that was sent several times may have fresh noise each time.
     """
     keys, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
     if (count == 1).all():
         order = np.argsort(key)
-        return keys, xy[order], variance[order]
+        return KeyedPositions(keys, xy[order], variance[order])
     weight = 1.0 / np.maximum(variance, MIN_VARIANCE_M2)
     total = np.bincount(inverse, weights=weight)
     mean = [np.bincount(inverse, weights=weight * axis) / total for axis in xy.T]
-    return keys, np.stack(mean, axis=1), 1.0 / total
+    return KeyedPositions(keys, np.stack(mean, axis=1), 1.0 / total)
 
 
 def sent_variance(network: Network) -> Floats:
@@ -267,8 +272,8 @@ def _variance(network: Network, release: Release) -> Floats:
     return np.asarray(sigma**2 * (1.0 if network.sensed.law == "isotropic" else 0.5))
 
 
-def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools]:
-    """Return position, variance and presence of the entries of states, (M,) each."""
+def _state_entries(network: Network, sent: Bools) -> KeyedPositions:
+    """Return the entries of sent states, by sample: forecast until the next query."""
     patrol, forecast = network.patrol, network.shared_forecast
     n_samples = patrol.people.t.size
     xy, variance = np.zeros((n_samples, 2)), np.full(n_samples, UNKNOWN_VARIANCE_M2)
@@ -285,7 +290,8 @@ def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools
             variance[entry] = (
                 np.trace(forecast.cov[row, step], axis1=-2, axis2=-1) / 2.0
             )
-    return xy, variance, is_entry
+    key = np.flatnonzero(is_entry)
+    return KeyedPositions(key, xy[key], variance[key])
 
 
 def state_positions(
@@ -322,6 +328,18 @@ def _smooth_entries(log: Log, offsets: Ints) -> Log:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Neighbours:
+    """The entries of a log around G instants.
+
+    Outside of a person's entries both are the first or last of them.
+    """
+
+    before: Ints  # (G,) entry at the instant or before it
+    after: Ints  # (G,) the next entry
+    share: Floats  # (G,) place of the instant between both, 0 to 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Gaps:
     """Instants between the entries of a log, of people with at least one entry."""
 
@@ -330,11 +348,8 @@ class Gaps:
     t: Floats  # (G,) s, instants.
     person: Ints  # (G,) person of each instant, rising.
 
-    def neighbours(self) -> tuple[Ints, Ints, Floats]:
-        """Return the entries before and after each instant, and its place between.
-
-        (G,) each. Outside of a person's entries both are the first or last of them.
-        """
+    def neighbours(self) -> _Neighbours:
+        """Return the entries before and after each instant."""
         first, last = self.offsets[self.person], self.offsets[self.person + 1] - 1
         owner = np.repeat(np.arange(self.offsets.size - 1), np.diff(self.offsets))
         # Place all people on one rising axis, where their times do not overlap.
@@ -349,15 +364,15 @@ class Gaps:
         gap_s = self.log.t[after] - self.log.t[before]
         share = np.zeros(self.t.size)
         np.divide(self.t - self.log.t[before], gap_s, out=share, where=gap_s > 0)
-        return before, after, share
+        return _Neighbours(before, after, share)
 
     def interpolate(self, *, is_held: bool) -> Floats:
         """Interpolate between the entries, or hold the entry before, (G, 2) m."""
-        before, after, share = self.neighbours()
-        xy = self.log.xy
+        near, xy = self.neighbours(), self.log.xy
+        start = xy[near.before]
         if is_held:
-            return xy[before]
-        return np.asarray(xy[before] + share[:, None] * (xy[after] - xy[before]))
+            return start
+        return np.asarray(start + near.share[:, None] * (xy[near.after] - start))
 
 
 def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
@@ -367,7 +382,7 @@ def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
     variance so large that they carry no information.
     """
     log, n_entries = gaps.log, gaps.log.t.size
-    before, _, _ = gaps.neighbours()
+    before = gaps.neighbours().before
     owner = np.repeat(np.arange(gaps.offsets.size - 1), np.diff(gaps.offsets))
     person = np.concatenate([owner, gaps.person])
     t = np.concatenate([log.t, gaps.t + _APART_S])

@@ -9,6 +9,7 @@ collision tau. Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10
 (2010): walking groups.
 """
 
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -71,12 +72,17 @@ _PARTY = np.dtype(
 )
 
 
-def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats]:
-    """Walk everybody across the plaza.
+@dataclass(frozen=True, eq=False, slots=True)
+class RecordedFrames:
+    """M recorded positions, frame after frame."""
 
-    Returns the recorded frame, (M,) in order, the row of the person, (M,), and the
-    recorded position, (M, 2) m: the body's, with its sway.
-    """
+    frame: Ints  # (M,) in order
+    person: Ints  # (M,) row of the person
+    xy: Floats  # (M, 2) m, of the body with its sway
+
+
+def simulate(plan: Plan, *, seed: int, session: int) -> RecordedFrames:
+    """Walk everybody across the plaza."""
     settings = plan.settings
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)
@@ -105,7 +111,11 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
         places.append(crowd["xy"][rows] + offset[:, None] * side)
         if rows.size:
             _advance(crowd, progress, plan, rows, noise, frame)
-    return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
+    return RecordedFrames(
+        frame=np.concatenate(frames),
+        person=np.concatenate(people),
+        xy=np.concatenate(places),
+    )
 
 
 def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> None:
