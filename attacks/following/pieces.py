@@ -82,7 +82,7 @@ def collect_pieces(
     rows, offsets = stretches(entries.offsets[:-1][order], sizes[order])
     people = network.patrol.people
     begins = entries.offsets[:-1][order]
-    start, end, states = _end_states(
+    states = _piece_states(
         network,
         disclosure,
         entries,
@@ -94,11 +94,11 @@ def collect_pieces(
         person=np.searchsorted(people.offsets, entries.sample[begins], side="right")
         - 1,
         sample=entries.sample[rows],
-        xy=(entries.xy if states is None else states.mean[:, :, 0])[rows],
-        variance=(entries.variance if states is None else states.cov[:, 0, 0])[rows],
+        xy=states.xy[rows],
+        variance=states.variance[rows],
         offsets=offsets,
-        start=start,
-        end=end,
+        start=states.start,
+        end=states.end,
     )
 
 
@@ -232,7 +232,17 @@ def _first_new(network: Network, entries: _Entries) -> Ints:
     return np.minimum(begins + n_old, ends - 1)
 
 
-def _end_states(
+@dataclass(frozen=True, eq=False, slots=True)
+class _PieceStates:
+    """States of K pieces at both ends, and positions of all M entries."""
+
+    start: States  # (K,)
+    end: States  # (K,)
+    xy: Floats  # (M, 2) m
+    variance: Floats  # (M,) m^2 per axis
+
+
+def _piece_states(
     network: Network,
     disclosure: Disclosure,
     entries: _Entries,
@@ -240,18 +250,21 @@ def _end_states(
     starts: Ints,
     begins: Ints,
     ends: Ints,
-) -> tuple[States, States, States | None]:
-    """Return the states at the start and the end of each piece, and of all states.
-
-    The third is None for a log of samples.
-    """
+) -> _PieceStates:
+    """Return the states at the start and the end of each piece."""
     if disclosure.form == "state":
         states = _filtered_states(network, entries.row)
-        return states[starts], states[ends - 1], states
+        return _PieceStates(
+            start=states[starts],
+            end=states[ends - 1],
+            xy=states.mean[:, :, 0],
+            variance=states.cov[:, 0, 0],
+        )
     t, xy, variance = entries.t, entries.xy, entries.variance
     rows, offsets = stretches(begins, ends - begins)
     end = _last_states(t[rows], xy[rows], variance[rows], offsets)
-    return _first_states(t, xy, variance, starts=starts, ends=ends), end, None
+    start = _first_states(t, xy, variance, starts=starts, ends=ends)
+    return _PieceStates(start, end, xy, variance)
 
 
 def end_states(
