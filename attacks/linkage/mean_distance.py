@@ -9,7 +9,7 @@ import numpy as np
 from attacks.linkage.learning import make_linker
 from attacks.parameters import require_positive
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Ints, Knowledge, Release
+from isac_track.types import Floats, Ints, Knowledge, Release, lengths
 
 _FARTHEST_M = 1e6  # The distance of two walks that do not overlap in time.
 
@@ -32,7 +32,7 @@ class MeanDistance:
     least_s: float = 2.0
 
     kind: ClassVar[str] = "linkage"
-    one_stretch: ClassVar[bool] = True
+    same_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
     uses: ClassVar[frozenset[Knowledge]] = frozenset()
 
@@ -60,7 +60,7 @@ def _closeness(
         start, end = own.tick[first], own.tick[last - 1]
         overlap = slice(*np.searchsorted(tick, (start, end + 1)))
         own_xy = own.xy[first + tick[overlap] - start]
-        apart_m = np.hypot(*(xy[overlap] - own_xy).T)
+        apart_m = lengths(xy[overlap] - own_xy)
         shared = np.bincount(row[overlap], minlength=len(gallery))
         total_m = np.bincount(row[overlap], weights=apart_m, minlength=len(gallery))
         enough = shared * step_s >= least_s

@@ -64,7 +64,7 @@ _REPAIRS: Final = {
         "pieces of walks made straight where a spline overshoots",
     ),
     "fast-step": ("step above 12 m/s kept", "steps above 12 m/s kept"),
-    "fast-piece": (
+    "fast-track": (
         "track with a step above 4 m/s kept",
         "tracks with a step above 4 m/s kept",
     ),

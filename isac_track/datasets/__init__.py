@@ -557,7 +557,7 @@ def _read_grand_central(path: Path, known: Known, *, reading: Reading) -> _Recor
     registry.check(path, known, file_name=registry.WHOLE, actual=digest)
     _no_columns(reading, format_name=GRAND_CENTRAL, path=shown(path))
     tracks, repairs = _to_tracks(rows, unit=None, reading=reading)
-    fast = read_gc.fast_pieces(tracks, where=shown(path))
+    fast = read_gc.note_fast_tracks(tracks, where=shown(path))
     return _Recording(tracks, (*repairs, *fast), digest, GRAND_CENTRAL)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from isac_track.datasets import people
 from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_within
 from isac_track.errors import DataError
-from isac_track.types import Bools, Floats, Ints, Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks, lengths
 
 # Closer samples of an id are the same: no rate is above 1 MHz, slopes overflow.
 SAME_TIME_S = 1e-7
@@ -92,14 +92,14 @@ def to_tracks(
     cut_rows = _drop_frozen(_cut_tracks(in_order), drop_s=drop_frozen_s)
     notes += cut_rows.notes
     rows, order, ids = cut_rows.rows, cut_rows.order, cut_rows.rows.ids
-    lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut_rows.cut, [True]])))
-    single = np.repeat(lengths == 1, lengths)
+    sizes = np.diff(np.flatnonzero(np.concatenate([[True], cut_rows.cut, [True]])))
+    single = np.repeat(sizes == 1, sizes)
     notes += place.note_rows(
         "one-point", order[single], "a single sample of an id; dropped"
     )
     if single.any():
         rows, order = _take(rows, ~single), order[~single]
-    offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
+    offsets = np.concatenate([[0], np.cumsum(sizes[sizes > 1])])
     if not rows.t.size:
         raise DataError(f"{place.path}: no track has two samples")
     notes += _note_fast_steps(rows, offsets, order)
@@ -240,13 +240,13 @@ def _find_clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
         is_long = min(middle - first, last - middle) >= _LEAST_RUN
         if not (is_long and back[middle - 1]):
             continue
-        stride_m = float(np.hypot(*(xy[middle] - xy[middle - 1])))
+        stride_m = float(lengths(xy[middle] - xy[middle - 1]))
         if stride_m > WALK_MPS * usual_s * GAP_STEPS + _ZIGZAG_M:
             continue
         merged = np.argsort(t[first:last], kind="stable")
         crossing = np.diff(merged >= middle - first)
         step_s = np.diff(t[first:last][merged])[crossing]
-        step_m = np.hypot(*np.diff(xy[first:last][merged], axis=0)[crossing].T)
+        step_m = lengths(np.diff(xy[first:last][merged], axis=0)[crossing])
         fallen[middle - 1] = np.median(step_m - WALK_MPS * step_s) > _ZIGZAG_M
     if not fallen.any():
         return None, fallen
@@ -308,7 +308,7 @@ def _merge_near(in_order: _InOrder) -> _InOrder:
     within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
     usual_s = _usual_steps(rows, steps, within & (steps > CLOCK_S))
     near = within & (steps < NEAR_STEPS * usual_s[rows.person[1:]])
-    near &= np.hypot(*np.diff(rows.xy, axis=0).T) <= NEAR_M
+    near &= lengths(np.diff(rows.xy, axis=0)) <= NEAR_M
     if not near.any():
         return in_order
     # In a chain of such samples none is further from the first than half a step.
@@ -366,7 +366,7 @@ def _cut_tracks(in_order: _InOrder) -> _CutRows:
     )
     long = within & (steps > longest_s + SAME_TIME_S)
     gap = within & (steps > GAP_STEPS * nominal) | long
-    distance = np.hypot(*np.diff(rows.xy, axis=0).T)
+    distance = lengths(np.diff(rows.xy, axis=0))
     jumped = within & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
     elsewhere = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
     elsewhere |= jumped & (distance > SWITCH_M)
@@ -407,7 +407,7 @@ def _find_detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Boo
         leaves = positions[:-lag]  # The last row before.
         returns = positions[lag:] + 1  # The first row behind.
         lasting_s = rows.t[returns] - rows.t[leaves]
-        away_m = np.hypot(*(rows.xy[returns] - rows.xy[leaves]).T)
+        away_m = lengths(rows.xy[returns] - rows.xy[leaves])
         is_back = (rows.person[returns] == rows.person[leaves]) & (
             run[returns] == run[leaves]
         )
@@ -482,7 +482,7 @@ def _drop_frozen(cut_rows: _CutRows, *, drop_s: float | None) -> _CutRows:
 def _note_fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
     """Return the note of steps that are fast, but too short for a jump."""
     within = steps_within(offsets)
-    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
+    distance = lengths(np.diff(rows.xy, axis=0)[within])
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * np.diff(rows.t)[within]
     text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
@@ -492,7 +492,7 @@ def _note_fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
 def _check_speeds(rows: Rows) -> None:
     """Raise DataError if speeds of sorted rows show a wrong unit, rate or column."""
     within = (rows.person[1:] == rows.person[:-1]) & (np.diff(rows.t) > 0)
-    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
+    distance = lengths(np.diff(rows.xy, axis=0)[within])
     duration = np.diff(rows.t)[within]
     moving = distance > 0
     if not moving.any():
@@ -538,10 +538,10 @@ def _check_speeds(rows: Rows) -> None:
 
 def _suggest_options(speed_mps: float, *, has_unit: bool) -> str:
     """Suggest options with which this median speed is a walk; empty without any."""
-    lengths = (
+    unit_lengths = (
         {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
     )
-    options = {f"--unit {unit}": metres for unit, metres in lengths.items()}
+    options = {f"--unit {unit}": metres for unit, metres in unit_lengths.items()}
     for unit in ("min", "ms", "us", "ns"):
         options[f"--columns t=t[{unit}]"] = 1.0 / TIMES[unit]
     low, high = _WALKING_MPS
