@@ -358,9 +358,9 @@ def _n_workers(settings: Settings) -> int:
         has_user_plugins,
     )
 
-    crossed = axes(settings)
-    jobs = min(choose_jobs(crossed, settings), most_workers(crossed, settings))
-    has_users = has_user_plugins(crossed)
+    run_axes = axes(settings)
+    jobs = min(choose_jobs(run_axes, settings), most_workers(run_axes, settings))
+    has_users = has_user_plugins(run_axes)
     is_needed = jobs > 1 or has_users or settings.cell_timeout_s is not None
     if not is_needed or settings.scheduler is not None:
         return 0

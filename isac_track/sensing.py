@@ -30,6 +30,7 @@ from isac_track.types import (
     Ints,
     Scenes,
     Sensed,
+    lengths,
     read_only,
     squared_lengths,
 )
@@ -364,7 +365,7 @@ def _turn_line(error: Floats, rng: Generator) -> Floats:
     """Turn errors on one line onto another line with a drawn direction, (M, 2)."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     line = error[np.abs(error).max(axis=1).argmax()]
-    along = error @ (line / np.hypot(*line))
+    along = error @ (line / lengths(line))
     return np.asarray(along[:, None] * np.array([np.cos(angle), np.sin(angle)]))
 
 

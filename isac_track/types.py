@@ -631,6 +631,11 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
     return parts[0] if len(parts) == 1 else np.concatenate(parts or [values[:0]])
 
 
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (...,) of vectors of the plane, (..., 2), without overflow."""
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
+
+
 def squared_lengths(vectors: Floats) -> Floats:
     """Return the squared lengths (...,) of vectors of the plane, (..., 2).
 

@@ -75,7 +75,7 @@ class LikelihoodRatio:
     """
 
     kind: ClassVar[str] = "linkage"
-    one_stretch: ClassVar[bool] = True
+    same_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
 
     @property

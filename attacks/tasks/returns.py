@@ -24,6 +24,7 @@ from isac_track.types import (
     Release,
     Tracks,
     end_to_end,
+    lengths,
     read_only,
     sample_runs,
 )
@@ -211,8 +212,8 @@ def _closeness(
         density[here] = _density(begin_s[here], end_s[here])
     for row, run in enumerate(_slices(tracks.offsets, np.arange(n))):
         length_s[row] = end_s[row] - begin_s[row]
-        steps_m = np.hypot(*(tracks.xy[run][-1] - tracks.xy[run][0]))
-        way_m = np.hypot(*np.diff(_every_second(tracks, run), axis=0).T).sum()
+        steps_m = lengths(tracks.xy[run][-1] - tracks.xy[run][0])
+        way_m = lengths(np.diff(_every_second(tracks, run), axis=0)).sum()
         speed[row] = max(steps_m, way_m) / max(length_s[row], 1e-9)
     scalars = {
         "density": np.log(density),

@@ -26,7 +26,12 @@ from attacks.testing._checks import Row
 from attacks.testing._releases import copied
 from isac_track import plugins, protocols
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, attack_kind, grants
+from isac_track.protocols import (
+    ADVERSARIES,
+    attack_kind,
+    grants,
+    links_same_stretch,
+)
 from isac_track.renamed import renamed
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
@@ -88,7 +93,7 @@ def _rows(subject: Hashable) -> list[Row]:
     case_type = _CASE_TYPES[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
-        same_steps = bool(getattr(subject, "one_stretch", False))
+        same_steps = links_same_stretch(subject)
         ordinary, another = case_type.ordinary_and_another(
             granted, same_steps=same_steps
         )

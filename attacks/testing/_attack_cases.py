@@ -26,6 +26,7 @@ from isac_track.types import (
     Knowledge,
     Reconstruction,
     Release,
+    lengths,
 )
 
 N_TRACKS = 24  # And as many people.
@@ -111,8 +112,8 @@ class ReconstructionCase(made.Case):
         low = np.minimum.reduceat(self.release.xy, first)
         high = np.maximum.reduceat(self.release.xy, first)
         middle = np.repeat((low + high) / 2, sizes, axis=0)
-        away_m = np.maximum.reduceat(np.hypot(*(answer[:, :2] - middle).T), first)
-        limit_m = EXTENTS * np.hypot(*(high - low).T) + EXTRA_M
+        away_m = np.maximum.reduceat(lengths(answer[:, :2] - middle), first)
+        limit_m = EXTENTS * lengths(high - low) + EXTRA_M
         if (away_m <= limit_m).all():
             return ""
         worst = int(np.argmax(away_m / limit_m))

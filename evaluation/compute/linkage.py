@@ -66,7 +66,7 @@ from isac_track.protocols import (
     TrainingSet,
 )
 from isac_track.rng import stream
-from isac_track.types import Floats, Knowledge, Release, derived
+from isac_track.types import Floats, Knowledge, Release, derived, lengths
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions, Windows
@@ -598,7 +598,7 @@ def _side_table(level: LinkedLevel, smoothed: _View, side: int) -> pa.Table:
 def _durations_and_speeds(windows: Windows) -> tuple[Floats, Floats]:
     """Return the duration of each window, s, and the speed of its walk, m/s."""
     step_m = np.zeros(windows.t.size)
-    step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
+    step_m[1:] = lengths(np.diff(windows.xy, axis=0))
     step_m[windows.offsets[:-1]] = 0.0  # between windows
     duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])

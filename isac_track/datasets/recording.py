@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isac_track.errors import DataError
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints, lengths
 
 COLUMNS = ("t", "id", "x", "y", "group", "person")  # Columns of a table.
 # Frames and ids are float64, which holds every whole number below this.
@@ -328,7 +328,7 @@ def _speed_variation(rows: Rows, xy: Floats) -> float:
     order = np.lexsort((rows.t, rows.person))
     person, step_s = rows.person[order], np.diff(rows.t[order])
     moves = (person[1:] == person[:-1]) & (step_s > 0)
-    speed = np.hypot(*np.diff(xy[order], axis=0)[moves].T) / step_s[moves]
+    speed = lengths(np.diff(xy[order], axis=0)[moves]) / step_s[moves]
     owner, n_people = person[1:][moves], len(rows.ids)
     count = np.maximum(np.bincount(owner, minlength=n_people), 1)
     mean = np.bincount(owner, speed, n_people) / count

@@ -287,7 +287,7 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
 
 
 @_check_each("ael_s", "mel_s")
-def _of_independent_samples(function: Function) -> None:
+def _averages_independent_samples(function: Function) -> None:
     """{metric} of independent samples averages to the exact mean of its runs."""
     name, size = _NAMES[function.__name__], 9
     patterns = ["".join(samples) for samples in product("01", repeat=size)]
