@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints, stretches
@@ -186,6 +185,8 @@ def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
     They maximise the likelihood of the next piece, or of having none. Without a true
     link among `learn_from` every link gets probability 0.
     """
+    from scipy.optimize import minimize  # noqa: PLC0415 - heavy to import
+
     n_features = links.features.shape[1]
     rows = learn_from[links.before]
     if not is_next[rows].any():

@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from isac_track.linkability.ranks import log_sum_exp
 from isac_track.types import Bools, Floats, Ints
@@ -84,6 +83,8 @@ def fit_scale(scores: Sequence[Floats], mates: Sequence[Ints]) -> float:
     are given for several galleries. 1 where no probe has a mate, or scores are
     constant.
     """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - heavy to import
+
     rows = [
         (score[mate >= 0], mate[mate >= 0])
         for score, mate in zip(scores, mates, strict=True)
