@@ -287,7 +287,7 @@ class LinkageCase(made.Case):
     same_steps: bool = False
 
     @property
-    def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
+    def everything(self) -> frozenset[Knowledge]:
         """All knowledge that can be granted: repeats of a walk are linked already."""
         everything = frozenset(Knowledge) - WALK_KNOWLEDGE
         return everything if self.scene else everything - {Knowledge.SCENE}

@@ -106,9 +106,8 @@ class _Cluster(Generic[W, R]):
 
         self._client, self._scheduler, self._modules = client, scheduler, modules
         # Some versions of distributed have no types here, others do.
-        self._completed: Any = as_completed(  # type: ignore[no-untyped-call,unused-ignore]
-            loop=client.loop
-        )
+        untyped: Any = as_completed
+        self._completed = untyped(loop=client.loop)
         self._expected = _describe_process(modules, seen={})
         self.n_threads = 1
         self.under_way: dict[Task, W] = {}
@@ -253,7 +252,8 @@ def _connected(scheduler: str) -> Iterator[Client]:
         ends.enter_context(dask.config.set(_LARGE))
         try:
             # Some versions of distributed have no types here, others do.
-            client: Client = distributed.Client(  # type: ignore[no-untyped-call,unused-ignore]
+            untyped: Any = distributed.Client
+            client: Client = untyped(
                 scheduler, timeout=_CONNECT_S, set_as_default=False
             )
         except (OSError, ValueError, TypeError, RuntimeError) as error:
