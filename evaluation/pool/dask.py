@@ -1,6 +1,6 @@
 """The same cells, bit by bit, on the scheduler and workers of a user's Dask cluster.
 
-When a worker dies, Dask gives its work to another one. Work that has killed several
+When a worker dies, Dask gives its work to another worker. Work that has killed several
 workers is tried once more with nothing beside it, so that no innocent work is blamed.
 """
 
@@ -226,7 +226,7 @@ class _Cluster(Generic[W, R]):
 
     def _lost_error(self, state: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} {state}; finished cells are kept;"
+            f"the scheduler at {self._scheduler} {state}; finished cells stay;"
             f" start {start} and run the same command again"
         )
 
