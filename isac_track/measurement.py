@@ -241,7 +241,7 @@ def error_ellipses(cov: Floats) -> Floats:
 
 
 def shaped_errors(*, cov: Floats, unit_error: Floats, law: ErrorLaw) -> Floats:
-    """Return errors of covariances `cov`, (M, 2) m, from standardised ones, (M, 2).
+    """Return errors of covariances `cov`, (M, 2) m, from standardised errors, (M, 2).
 
     The factor is Cholesky's, so that a round covariance gives the scalar error.
     """
@@ -285,7 +285,7 @@ def covariance_without(
 
 
 def round_errors(*, cov: Floats, error: Floats) -> Floats:
-    """Return errors of covariances `cov` turned into round ones, (M, 2) m -> (M, 2).
+    """Return errors of covariances `cov` turned into round errors, (M, 2) m -> (M, 2).
 
     They have the variance 1 along all directions: the inverse of the symmetric square
     root times the error. An error of no size stays 0.

@@ -388,7 +388,7 @@ def grants(
     An attack runs for each adversary that has all of its `requires`. Among adversaries
     with the same granted knowledge only the weakest runs it. A task may grant knowledge
     to `everyone`, and withhold some from all (`nobody`). `asked` names adversaries
-    besides the usual ones.
+    besides the usual.
 
     Examples
     --------

@@ -272,7 +272,7 @@ def draw_channel(
     return Channel(read_only(large_scale), *rest)
 
 
-# The last two tasks' draws are kept for the life of the process, which works on several
+# The last two tasks' draws stay for the life of the process, which works on several
 # pieces of a task in turn.
 @lru_cache(maxsize=2)
 def _draw_batches(

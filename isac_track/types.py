@@ -205,7 +205,7 @@ class Scenes:
     conflict : Bools
         True label c, (S,): eq. conflict_rule on the true future.
     exhausted : Ints
-        Agents whose placement ran out of redraws and kept the last draw, (S,).
+        Agents whose placement ran out of redraws and took the last draw, (S,).
     time_to_conflict_s : Floats
         Time until an agent is inside, (S,) s; 0: now; NaN: no conflict, or unknown.
 

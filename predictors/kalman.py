@@ -39,7 +39,7 @@ from isac_track.types import (
 )
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
-WINDOW = 160  # Samples; earlier ones no longer change the prediction (tested).
+WINDOW = 160  # Samples; earlier samples no longer change the prediction (tested).
 # Least share of the innovations' variance that is not attributed to a slow error.
 LEAST_REST = 0.05
 _LEAST_DECLARED_M2 = 1e-12

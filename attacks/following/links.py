@@ -23,7 +23,7 @@ from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints, stretches
 
 LONGEST_GAP_S: Final = 30.0  # A last state predicts nothing after a longer gap.
-MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
+MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest successors, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
 # Keeps weights finite where training pieces are separable without error.
 _RIDGE: Final = 1e-3
@@ -59,7 +59,7 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     Each earlier piece keeps the `MOST_CANDIDATES` of largest density.
 
     `begins`, (K,), is the piece whose first state stands at the start of each piece:
-    the piece itself by default, another one in the shuffled control.
+    the piece itself by default, another piece in the shuffled control.
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins

@@ -231,7 +231,7 @@ def _amplitudes(signal: Floats, waves: Complexes) -> Complexes:
     """Return amplitudes of the motion behind an acceleration, (B, H, S) m.
 
     There are S segments of the waves' length, which overlap by half (Welch, IEEE Trans.
-    Audio Electroacoustics 15, 1967); a stride drifts too much for longer ones.
+    Audio Electroacoustics 15, 1967); a stride drifts too much for longer segments.
     """
     cells = waves.shape[-1]
     starts = np.arange(0, signal.size - cells + 1, max(cells // 2, 1))

@@ -127,7 +127,7 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
 
 
 def width_factors(context: AttackContext, given: float | None) -> tuple[float, ...]:
-    """Return the factors of the widths to try: the given one, or the default first.
+    """Return the factors of the widths to try: the given factor, or the default first.
 
     A factor is left out if it gives all walks of the training set the same widths as an
     earlier factor.

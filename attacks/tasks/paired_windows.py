@@ -212,7 +212,7 @@ class _Searches:
 
 
 def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
-    """Return a search for each half of the people, or one in which all come back.
+    """Return a search for each half of the people, or a search in which all come back.
 
     Who comes back is linked by an adversary who learns from all other groups.
     """

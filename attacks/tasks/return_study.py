@@ -114,7 +114,7 @@ class _Scored:
         return self.circumstances if name == TOGETHER else (name,)
 
     def law(self, name: str) -> Floats:
-        """Return how scores are fused; a single one stays as it is."""
+        """Return how scores are fused; a single score stays as it is."""
         single = np.tile([1.0, 0.0], (self.returning.people.size + 1, 1))
         return self.laws.get(name, single)
 

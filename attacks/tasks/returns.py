@@ -115,9 +115,9 @@ def passages(
 ) -> Passages:
     """Return the passages of a recording with people and sessions.
 
-    Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`. If
+    Passages shorter than `least_s` are left out; longer are cut to `longest_s`. If
     a linker would have more than `most_scores` scores, people are drawn by `seed`.
-    Circumstances come from whole tracks, those of short ones included. DataError
+    Circumstances come from whole tracks, those of short passages included. DataError
     without people or sessions, if nobody comes back, or for a single person.
     """
     if tracks.person is None or tracks.session is None:

@@ -26,7 +26,7 @@ class Task:
     # Whether the releases come in the true frame and on the true clock.
     shows_scene: bool = False
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    # Whether it is of the few people in two sessions: to learn, one is left out.
+    # Whether it is of the few people in two sessions: to learn, a person is left out.
     comes_back: bool = False
     # Whether both sides show the same steps, at least in part.
     is_same_stretch: bool = False

@@ -86,7 +86,7 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
 # Of the newest plug-ins; the 17th makes the oldest go.
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
-    """Return the rows of a plug-in, weakest adversary first, for all checks but one.
+    """Return the rows of a plug-in, weakest adversary first, for nearly all checks.
 
     The exception is `only_granted_knowledge_is_touched`.
     """

@@ -151,7 +151,7 @@ class ReconstructionCase(made.Case):
     def ordinary_and_another(
         _granted: object, **_shown: bool
     ) -> tuple[ReconstructionCase, ReconstructionCase]:
-        """Return a small ordinary case, and one with another release of its walks."""
+        """Return a small ordinary case, and another release of its walks."""
         sizes = tuple(20 + 4 * row for row in range(8))
         case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)
         other = replace(case.repeats[0], pseudonym=case.release.pseudonym)
@@ -287,7 +287,7 @@ class LinkageCase(made.Case):
     same_steps: bool = False
 
     @property
-    def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
+    def everything(self) -> frozenset[Knowledge]:
         """All knowledge that can be granted: repeats of a walk are linked already."""
         everything = frozenset(Knowledge) - WALK_KNOWLEDGE
         return everything if self.scene else everything - {Knowledge.SCENE}

@@ -263,7 +263,7 @@ def _sense_side(
     """Return what the network senses of one side; every window has streams of its own.
 
     The slow part of the channel belongs to the walk and its time: the same before and
-    after a gap, another one when the steps are logged again or people come back.
+    after a gap, another draw when the steps are logged again or people come back.
     """
     windows, task = getattr(sessions, side), sessions.task
     # Names of the streams of each window, and of the lasting parts of its walk.

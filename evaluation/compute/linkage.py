@@ -417,7 +417,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     if behind is None:
         return level.view_for(shows)
     granted = consumer.granted & declared(behind)
-    # Built-in attacks draw nothing: one without training is the same in both folds.
+    # Built-in attacks draw nothing: without training they are the same in both folds.
     is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
         sharing.OURS
     )
@@ -425,7 +425,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     key = (Knowledge.SIGMA in shows, behind.spec, granted, key_fold)
     if key not in level.views:
         smoothed = _smoothed_view(consumer, behind, level, fold, shows)
-        # The smoother may choose alike in both folds: share the earlier view, so that
+        # The smoother may choose equally in both folds: share the earlier view, so that
         # linkers compute their descriptors of a release once.
         equal_views = (
             view

@@ -152,7 +152,7 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
     if first is second:
         runs = runs[:1]
     elif first["identity"]["sha256"] == second["identity"]["sha256"]:
-        # A run's draws depend on its seed and its list of groups: use the same ones.
+        # A run's draws depend on its seed and its list of groups: use the same draws.
         groups = sorted({*first["groups"], *second["groups"]})
         seed = first["identity"]["seed"]
         runs = [(out, _redrawn(run, groups, seed)) for out, run in runs]
@@ -219,7 +219,8 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     no spread (a share of exactly 0 or 1), both intervals are combined as of independent
     estimates (Newcombe 1998; Zou and Donner 2008). The p-value is Student's, with one
     degree of freedom less than the smaller number of clusters: replicates alone give
-    none below 0.002, and Holm needs smaller ones. With fewer than two clusters, or
+    none below 0.002, and Holm needs smaller p-values.
+    With fewer than two clusters, or
     without an interval of either, there is neither interval nor p-value. Numbers of
     people who come back have intervals of a jackknife, and no replicates.
     """
@@ -331,7 +332,7 @@ def _rows(
     tested = (table["finding"] != IDENTICAL) & table["p_holm"].notna()
     differs = np.where(table["p_holm"] <= SIGNIFICANCE, DIFFERS, BETWEEN)
     table["finding"] = table["finding"].where(~tested, differs)
-    # Where p-values are too small to be told apart, the larger t is the surer.
+    # Where p-values are too small to be distinguished, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
     return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(
         drop=True
@@ -354,7 +355,7 @@ def _is_headline(key: Address) -> bool:
 def _lead(
     rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Entry]
 ) -> pd.DataFrame:
-    """Return the leading rows, at the levels of the smoke preset or the first ones."""
+    """Return the leading rows, at the levels of the smoke preset, or the first."""
     best = strongest(estimates, entry_families(cells))
     known = dict.fromkeys(
         key.measure for key, number in estimates.items() if np.isfinite(number.value)
@@ -393,7 +394,7 @@ def _lead(
 
 
 def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:
-    """Return the levels of the smoke preset that a run has, else its first ones."""
+    """Return the levels of the smoke preset that a run has, else its first levels."""
     where_by_spec = {
         cell.spec: cell.address.where for cell in cells if cell.address.where in known
     }

@@ -41,7 +41,7 @@ class Metric:
     is_root: bool = False  # Whether the metric is the square root of that ratio.
     # Whether it is among the few metrics tested first where runs are compared.
     is_headline: bool = False
-    # Whether its replicates are biased, so that its intervals are basic ones.
+    # Whether its replicates are biased, so that its intervals are basic intervals.
     is_biased: bool = False
     is_difference: bool = False  # Whether it is a difference, which may be negative.
 

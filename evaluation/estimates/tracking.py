@@ -208,7 +208,7 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {(robot, name): _ratio(rows, name, seed=seed) for name in ROBOT_SHARES}
     alarms = _read(out, entry, ALARM_COLUMNS, table=ALARMS)
     metrics[robot, FUTURE_EQUAL_ALARMS] = block_missed_at_equal_alarms(
-        # The last row repeats the one before.
+        # The last row repeats the row before.
         alarms=by_distance(alarms, "alarms")[:-1],
         warned=by_distance(alarms, "warned"),
         allowed=by_seed(rows, "allowed"),

@@ -189,7 +189,7 @@ class Axes:
     """The worlds where people are linked, and the mechanisms there."""
     horizons_s: tuple[float, ...] = ()
     """Further horizons, a world each, where predictors alone read, in all scenes."""
-    adversaries: tuple[str, ...] = ()  # Beside the usual ones.
+    adversaries: tuple[str, ...] = ()  # Beside the usual adversaries.
     only_stronger: bool = False
     """Whether only `adversaries` read: on a few levels, after all others."""
     against_slow: frozenset[str] = frozenset()
@@ -535,7 +535,7 @@ def _walked_through(
     *,
     takes_named: bool,
 ) -> tuple[Plugin, ...]:
-    """Return the mechanisms of patrolled recordings: the preset's, and named ones."""
+    """Return the mechanisms of patrolled recordings: the preset's, and those named."""
     specs = set(preset.patrol_mechanisms)
     if takes_named:
         named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
@@ -601,7 +601,7 @@ def _tracked(
 def _further_attacks(
     settings: Settings, preset: Preset
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the SPECs of attacks beside the named ones and the preset's own.
+    """Return the SPECs of attacks beside the named attacks and the preset's own.
 
     The second tuple has those that run only against a slow error. A user who names the
     attacks of a run gets no others.
@@ -622,7 +622,7 @@ def _further_attacks(
 
 
 def _asked_stronger(settings: Settings) -> list[str]:
-    """Return the adversaries that a user names beside the usual ones."""
+    """Return the adversaries that a user names beside the usual three."""
     return [name for name in settings.adversaries if name not in USUAL]
 
 
@@ -673,7 +673,7 @@ def _check_adversaries_used(run_axes: Axes, settings: Settings) -> None:
 
 
 def _stronger_adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
-    """Return the adversaries beside the usual ones: as asked, and the preset's own."""
+    """Return the adversaries beside the usual three: as asked, and the preset's own."""
     own = () if settings.choice("attacks").replaces else preset.adversaries
     return tuple(dict.fromkeys((*settings.adversaries, *own)))
 

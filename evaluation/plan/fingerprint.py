@@ -160,7 +160,7 @@ def source_digest(module: str) -> str:
 
     These are its own top-level package and, unless it was installed, all modules in the
     same folder as that; the project's own packages count as a single one. Imports are
-    read, not run, the lazy ones too. Imports for types alone do not count, and imports
+    read, not run, lazy imports too. Imports for types alone do not count, and imports
     that are composed at run time are not seen. A module without a file, such as
     `__main__`, has the digest of no bytes.
     """

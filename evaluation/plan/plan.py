@@ -477,7 +477,7 @@ def _consumers_by_stage(
 def _code(stage: str, *used: Plugin, digests: dict[str, str]) -> dict[str, str]:
     """Return the digests of the modules of a stage and of plug-ins, by module.
 
-    `digests` holds those that are known by now; new ones are added to it.
+    `digests` holds those that are known by now; new digests are added to it.
     """
     modules = fingerprint.sources(stage, *used)
     for module in modules:

@@ -84,7 +84,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     )
 
     # Cells are counted and not read, which would take seconds. The run reads them and
-    # names the damaged ones.
+    # names the damaged files.
     check_folder(plan.out)
     with usable(plan.out):
         finished = n_finished(plan)
@@ -116,7 +116,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
 
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the stage settings that are not the usual ones, as they are typed."""
+    """Return the stage settings that are not as usual, as they are typed."""
     settings = manifest["settings"]
     preset = PRESETS.get(settings["preset"], PRESETS[DEFAULT])
     usual = StageSettings().flat() | {

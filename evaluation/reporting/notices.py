@@ -55,18 +55,18 @@ _REPAIRS: Final = {
         "boxes without a pedestrian, dropped",
     ),
     "frozen": (
-        "frozen stretch kept (--drop-frozen S drops it)",
-        "frozen stretches kept (--drop-frozen S drops them)",
+        "frozen stretch (--drop-frozen S drops it)",
+        "frozen stretches (--drop-frozen S drops them)",
     ),
     "frozen-dropped": ("frozen stretch dropped", "frozen stretches dropped"),
     "overshoot": (
         "piece of a walk made straight where a spline overshoots",
         "pieces of walks made straight where a spline overshoots",
     ),
-    "fast-step": ("step above 12 m/s kept", "steps above 12 m/s kept"),
+    "fast-step": ("step above 12 m/s, not cut", "steps above 12 m/s, not cut"),
     "fast-track": (
-        "track with a step above 4 m/s kept",
-        "tracks with a step above 4 m/s kept",
+        "track with a step above 4 m/s, not cut",
+        "tracks with a step above 4 m/s, not cut",
     ),
     "ignored-column": ("column not used", "columns not used"),
     "too-short": ("track too short for a scene", "tracks too short for a scene"),

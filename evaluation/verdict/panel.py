@@ -246,7 +246,7 @@ def contrasts(
     degrees = np.where(rests_on, effective, np.inf).min(axis=1) - 1.0
     beside = _level_shares(fixed, beside_fixed.places, shares.shape[1])
     discordant = _discordant(sums, shares - beside, raw=fixed[-1])
-    # If all people fare alike, replicates have no spread and tell nothing of others.
+    # If all people fare the same, replicates have no spread and say nothing of others.
     has_no_spread = errors < rules.NO_SPREAD
     has_no_spread &= discordant[2] >= rules.FEWEST_DISCORDANT
     is_shown = has_gap & (degrees + 1.0 >= LEAST_CLUSTERS) & ~has_no_spread
@@ -327,7 +327,7 @@ def _whole_range(rates: Rates, fixed: Sequence[int]) -> _WholeRange:
 
 
 def _filled(values: Floats) -> Floats:
-    """Return values, (R, K), with the estimate, or 0, in place of unknown ones."""
+    """Return values, (R, K), with the estimate, or 0, in place of unknown values."""
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 

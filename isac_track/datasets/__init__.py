@@ -122,7 +122,7 @@ class Dataset:
     # True for the bundled crowd; False for all files, of which nothing is known.
     simulated: bool
     repairs: tuple[Repair, ...]
-    # Says that another data set than the preferred one was taken; to be shown.
+    # Says that another data set than the preferred was taken; to be shown.
     notice: str | None
     citation: str  # Source to credit; empty if unknown.
     licence: str  # Empty if unknown.
@@ -204,7 +204,7 @@ def load(
     if not isinstance(name, str | Path | None):
         if (format, fps) != (None, None) or persistent_ids:
             raise DataError(
-                "a DataFrame has no format, frames a second or sessions to be told"
+                "a DataFrame has no format, no frames a second and no sessions"
             )
         return _load_frame(name, unit=unit, reading=reading)
     source = _find_source(name, download=download, format=format, fps=fps, unit=unit)
@@ -520,7 +520,7 @@ def _find_source(
     looks_like_path = os.sep in text or "." in text or os.path.exists(text)  # noqa: PTH110 - never raises
     if isinstance(name, Path) or (looks_like_path and name not in KNOWN):
         path = Path(text)
-        # Rows of another recording must never pass for those of a known one.
+        # Rows of another recording must never pass for those of a known recording.
         title = shown(path.name if path.stem in KNOWN else path.stem)
         own = Known(title, format=format or "", fps=fps)
         return _Source(own, {registry.MAIN_FILE: path})

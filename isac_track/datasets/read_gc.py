@@ -73,7 +73,7 @@ def note_fast_tracks(tracks: Tracks, *, where: str) -> list[Repair]:
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets) - 1)
     fast = np.unique(owner[distance_m > FAST_STEP_MPS * np.diff(tracks.t)[within]])
     names = recording.listed([tracks.source[row] for row in fast])
-    text = f"{where}: tracks {names}: a step above {FAST_STEP_MPS:g} m/s; not changed"
+    text = f"{where}: tracks {names}: a step above {FAST_STEP_MPS:g} m/s; not cut"
     return [Repair("fast-track", fast.size, text)] if fast.size else []
 
 

@@ -18,7 +18,7 @@ _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
     "t": 1e12,
-    # No coordinate on Earth is larger; differences of larger ones could overflow.
+    # No coordinate on Earth is larger; larger differences could overflow.
     "x": 1e9,
     "y": 1e9,
 }
@@ -132,7 +132,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The name of a column of a table, and its unit; an empty unit is the usual one."""
+    """The name of a column of a table, and its unit; an empty unit is the usual."""
 
     name: str
     unit: str = ""

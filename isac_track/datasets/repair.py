@@ -26,7 +26,7 @@ SPEED_LIMITS_MPS = (0.01, 5.0)
 # Another unit whose median is within these is proposed, never used.
 _WALKING_MPS = (0.2, 2.5)
 FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
-JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
+JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted, not cut.
 WALK_MPS = 4.0  # Nobody walks faster.
 REUSE_M = 2.0  # Further away behind a gap than a walk leads is another person.
 # A longer jump without a gap leads to another person; a shorter jump is an error.
@@ -377,7 +377,7 @@ def _cut_tracks(in_order: _InOrder) -> _CutRows:
     fast = (jumped | elsewhere) & ~reused & ~long
     notes = list(in_order.notes)
     for selected, kind, action in (
-        (gap & ~long & ~reused & ~fast, "gap", "kept, to be interpolated"),
+        (gap & ~long & ~reused & ~fast, "gap", "to be interpolated"),
         (long & ~reused, "split", "too long to interpolate; two tracks of one group"),
     ):
         longest = steps[selected].max(initial=0)
@@ -461,7 +461,7 @@ def _drop_frozen(cut_rows: _CutRows, *, drop_s: float | None) -> _CutRows:
         " samples)"
     )
     if drop_s is None:
-        text = f"{description}; kept, --drop-frozen {least_s:g} drops it"
+        text = f"{description}; --drop-frozen {least_s:g} drops it"
         note = rows.place.note_rows("frozen", order[first], text)
         return replace(cut_rows, notes=cut_rows.notes + note)
     begins = np.concatenate([[True], cut])
@@ -485,7 +485,7 @@ def _note_fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
     distance = lengths(np.diff(rows.xy, axis=0)[within])
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * np.diff(rows.t)[within]
-    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
+    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; not cut"
     return rows.place.note_rows("fast-step", order[1:][within][fast], text)
 
 

@@ -355,7 +355,7 @@ def imm_states(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates
 def _imm_states(
     loop: str, batch: Batch, moods: Moods, *, gate: float, n_rows: int
 ) -> ImmStates:
-    """Return the states that one of the filter's loops writes, a row each."""
+    """Return the states that a loop of the filter writes, a row each."""
     mean, cov = np.empty((n_rows, 2, 2, 2)), np.empty((n_rows, 2, 4, 4))
     out = ImmStates(mean, cov, np.empty((n_rows, 2)), np.empty(len(batch)))
     getattr(import_module("isac_track.kalman._imm_loops"), loop)(

@@ -212,7 +212,7 @@ class _WalkCovariance:
 # Covariances of a few worlds, for the process.
 @cache
 def _walk_covariance(world: World, n_steps: int) -> _WalkCovariance:
-    """Return the covariance at `n_steps` seen instants and the future one."""
+    """Return the covariance at `n_steps` seen instants and the future instant."""
     t = np.append(
         np.linspace(0.0, world.seen_s, n_steps), world.seen_s + world.horizon_s
     )

@@ -19,7 +19,7 @@ from isac_track.types import Bools, Floats, Ints
 _MOST_SWEEPS: Final = 300
 _TOLERANCE: Final = 1e-5  # Greatest relative change of a factor in the last sweep.
 _MOST_NATS: Final = 200.0  # Pairs that are less likely are as good as impossible.
-# Expected number of probes, and of candidates, without a mate if all may have one.
+# Expected number of probes, and of candidates, without a mate if all may have a mate.
 _LEAST_SLACK: Final = 1e-3
 # Greatest logarithm, up or down, of the scale per spread of scores.
 _STEEPEST: Final = 8.0

@@ -413,7 +413,7 @@ def predicted_rank1(
 
 
 def reach(measured: int) -> int:
-    """Return the largest gallery that can be predicted from a measured one; 0 for none.
+    """Return the largest gallery to predict from a measured gallery; 0 for none.
 
     At most `REACH` times as large, and such that a step of the same ratio fits within
     the measured gallery: from galleries of `FEWEST` and more.

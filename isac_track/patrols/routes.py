@@ -24,7 +24,7 @@ def draw_waypoints(
     """Draw the waypoints of a route that is at least `length_m` long, (W, 2) m.
 
     Each is uniform in the walked area. They are drawn in turn, so that a longer route
-    begins with the waypoints of a shorter one. A leg may leave the area.
+    begins with the waypoints of a shorter route. A leg may leave the area.
     """
     waypoints, walked_m = [_draw_place(cells, rng, cell_m)], 0.0
     while walked_m <= length_m:

@@ -308,7 +308,7 @@ def _averages_independent_samples(function: Function) -> None:
 
 @check
 def mel_is_at_least_ael(ael_s: Function, mel_s: Function) -> None:
-    """The longest segment lasts at least as long as the mean one."""
+    """The longest segment lasts at least as long as the mean segment."""
     for track in random_tracks("mel_is_at_least_ael", least_size=2):
         mean, longest = evaluate(ael_s, track), evaluate(mel_s, track)
         failure = f"MEL {longest!r} s is below AEL {mean!r} s"

@@ -81,7 +81,7 @@ class Layout(NamedTuple):
 
 
 def make_figures(run: Results) -> list[Figure]:
-    """Make the figures of a run with all files of this folder, but empty ones."""
+    """Make the figures of a run with all files of this folder, unless empty."""
     folder = __name__.rpartition(".")[0]
     names = [module.name for module in iter_modules(import_module(folder).__path__)]
     modules = [import_module(f"{folder}.{name}") for name in names]
