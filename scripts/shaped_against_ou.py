@@ -65,10 +65,11 @@ class Curves:
 
     sweeps: Sweeps
     quantities: Sequence[Quantity]  # PLR after attack, and rank 1 of linkers.
+    price: str = CRITERIA[FUTURE]  # What rises by `TARGETS`.
 
     def reached(self, robot: str) -> dict[str, Places]:
         """Return the place of every target on the curve of each mechanism."""
-        price = parse_consumer(robot).measured(CRITERIA[FUTURE])
+        price = parse_consumer(robot).measured(self.price)
         costs = self.sweeps.together(dict.fromkeys(self.sweeps.families, price))
         targets = np.array(TARGETS)
         return {
@@ -107,28 +108,33 @@ def read_curves(out: Path) -> Curves:
     return Curves(Sweeps(at_horizon, families), axes)
 
 
-def lines(curves: Curves) -> Iterator[str]:
-    """Yield the lines of a table in Markdown: values and paired differences in %."""
-    rivals = [name for name in curves.sweeps.families if name.startswith("ou")]
-    heads = [*rivals, COMPARED, *(f"less {name}" for name in rivals)]
+def lines(
+    curves: Curves,
+    *,
+    compared: str = COMPARED,
+    rivals: Sequence[str],
+    robots: Sequence[str] = ROBOTS,
+) -> Iterator[str]:
+    """Yield the lines of a table in Markdown: values and paired differences in %.
+
+    Each robot and rise has a line for each adversary and linkage task. There are the
+    values of the rivals and of the mechanism `compared`, then its value less theirs.
+    """
+    heads = [*rivals, compared, *(f"less {name}" for name in rivals)]
     yield f"| robot, rise | after | {' | '.join(heads)} |"
     yield f"|:--|:--|{'--:|' * len(heads)}"
-    for robot in ROBOTS:
+    for robot in robots:
         reached = curves.reached(robot)
         for place, target in enumerate(TARGETS):
             for quantity in curves.quantities:
                 left = curves.at_targets(quantity, reached)
-                values = [left[name] for name in (*rivals, COMPARED)]
-                gaps = [_difference(left[COMPARED], left[name]) for name in rivals]
+                values = [left[name] for name in (*rivals, compared)]
+                gaps = [_difference(left[compared], left[name]) for name in rivals]
                 cells = [_text(value, place) for value in [*values, *gaps]]
+                source = quantity.source_by_mechanism[compared]
                 about = f"{robot}, +{100 * target:.0f}"
-                yield f"| {about} | {_reader(quantity)} | {' | '.join(cells)} |"
-
-
-def _reader(quantity: Quantity) -> str:
-    """Return the adversary or the task of a quantity."""
-    source = quantity.source_by_mechanism[COMPARED]
-    return source.task or source.adversary
+                reader = source.task or source.adversary
+                yield f"| {about} | {reader} | {' | '.join(cells)} |"
 
 
 def _difference(first: Floats, second: Floats) -> Floats:
@@ -175,7 +181,9 @@ def _run(options: argparse.Namespace) -> int:
         pictures=False,
         walks=False,
     )
-    print(*lines(read_curves(options.out)), sep="\n")
+    curves = read_curves(options.out)
+    rivals = [name for name in curves.sweeps.families if name.startswith("ou")]
+    print(*lines(curves, rivals=rivals), sep="\n")
     return DONE
 
 
