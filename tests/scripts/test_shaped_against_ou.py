@@ -13,25 +13,39 @@ from evaluation.estimates.metrics import EQUAL_ALARMS
 from evaluation.estimates.strongest_table import strongest_on_each
 
 
-def test_values_and_differences_are_those_of_the_straight_lines():
-    sweeps = make_sweeps(run(advantage=0.1))
+def readings(advantage):
+    """Readings of fid and fixed where a line's misses have risen."""
+    sweeps = make_sweeps(run(advantage=advantage))
     attacks = strongest_on_each(sweeps.estimates, {}, sweeps.families)
     quantities, _ = frontier_quantities(sweeps, attacks)
-    axes = [quantity for quantity in quantities if quantity.is_axis]
-    curves = shaped_against_ou.Curves(sweeps, axes, price=EQUAL_ALARMS)
+    return shaped_against_ou.readings(
+        sweeps, quantities, robots=["least_squares"], price=EQUAL_ALARMS
+    )
+
+
+def test_values_and_differences_are_those_of_the_straight_lines():
     head, _, *rows = shaped_against_ou.lines(
-        curves, compared="fid", rivals=["fixed"], robots=["least_squares"]
+        readings(0.1), compared="fid", rivals=["fixed"]
     )
     assert head == "| robot, rise | after | fixed | fid | less fixed |"
     # Misses rise by 0.3 times the noise, and PLR is 2 exp(-0.5 - noise).
-    for row, target in zip(rows[::2], shaped_against_ou.TARGETS, strict=True):
+    for row, target in zip(rows[:2], shaped_against_ou.TARGETS, strict=True):
         assert row.startswith(f"| least_squares, +{100 * target:.0f} | blind |")
         fixed, fid, gap = re.findall(r"\| (-?[\d.]+) \[", row)
         left = 200.0 * np.exp(-0.5 - target / 0.3)
         assert float(fixed) == pytest.approx(left, abs=0.3)
         assert float(fid) == pytest.approx(left * np.exp(-0.1), abs=0.3)
         assert float(gap) == pytest.approx(left * np.expm1(-0.1), abs=0.3)
-    assert all("| rerelease |" in row for row in rows[1::2])
+    assert all("| rerelease |" in row for row in rows[2:])
+
+
+def test_a_mean_of_runs_is_narrower_than_either():
+    first, second = readings(0.1), readings(0.3)
+    key = "least_squares", 0.03, "blind"
+    mean = shaped_against_ou.mean_readings([first, second])[key]["fid"]
+    both = [values[key]["fid"] for values in (first, second)]
+    assert mean[0] == pytest.approx(np.mean([values[0] for values in both]))
+    assert mean[1:].std() < 0.85 * min(values[1:].std() for values in both)
 
 
 def test_each_level_is_named_once():
