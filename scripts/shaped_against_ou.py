@@ -1,36 +1,34 @@
 """Compare `shaped` with `ou` where a robot misses as many conflicts.
 
-    python scripts/shaped_against_ou.py --dataset students03 --out runs/shaped-students03
+    python scripts/shaped_against_ou.py --dataset students03 --dataset gc --out runs/shaped
 
 It runs both at levels about +3 and +10 points of missed future conflicts, and prints
 what the strongest attack knows there, and whom the strongest linker links. Attacks are
 chosen on one half of the people and scored on the other. Differences are paired by
-person. A second call with the same folder continues the run, or reads it.
+person. Several recordings also have a mean. A second call with the same folder
+continues the runs, or reads them.
 """
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
 import evaluation
 from evaluation.api.estimated import (
-    SceneEstimates,
     compare_attacks,
     link_estimates,
     scene_estimates,
 )
-from evaluation.estimates.families import entry_families
+from evaluation.estimates.families import RAW, entry_families
 from evaluation.estimates.frontier import Quantity, frontier_quantities
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.matching import (
     CRITERIA,
     FUTURE,
-    Places,
     Sweeps,
     interpolated,
     places,
@@ -49,6 +47,7 @@ ROBOTS: Final = ("kalman_cv", "kalman_cv:aware=true")
 TARGETS: Final = (0.03, 0.1)  # Rises of missed future conflicts over raw.
 HORIZON_S: Final = 3.0
 COMPARED: Final = "shaped"
+RIVALS: Final = ("ou", "ou:tau_s=15")
 _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
@@ -59,87 +58,103 @@ def mechanisms() -> list[str]:
     return ["raw", *shaped, *slow]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Curves:
-    """A run's curves over levels, and where each robot's misses rise by `TARGETS`."""
-
-    sweeps: Sweeps
-    quantities: Sequence[Quantity]  # PLR after attack, and rank 1 of linkers.
-
-    def reached(self, robot: str) -> dict[str, Places]:
-        """Return the place of every target on the curve of each mechanism."""
-        price = parse_consumer(robot).measured(CRITERIA[FUTURE])
-        costs = self.sweeps.together(dict.fromkeys(self.sweeps.families, price))
-        targets = np.array(TARGETS)
-        return {
-            name: places(targets, np.abs(curve - curve[:, -1:]))
-            for name, curve in costs.items()
-        }
-
-    def at_targets(
-        self, quantity: Quantity, reached: dict[str, Places]
-    ) -> dict[str, Floats]:
-        """Return a quantity of each mechanism at the targets, (1 + B, P)."""
-        curves = self.sweeps.together(
-            {
-                name: source.measured(quantity.metric)
-                for name, source in quantity.source_by_mechanism.items()
-            }
-        )
-        is_log = quantity.metric in DESCRIPTORS
-        return {
-            name: interpolated(reached[name], curve, log=is_log)
-            for name, curve in curves.items()
-            if name in reached
-        }
+Readings: TypeAlias = "dict[tuple[str, float, str], dict[str, Floats]]"
+"""By robot, rise, and adversary or task: a mechanism's value and replicates, (1 + B,)."""
 
 
-def read_curves(out: Path) -> Curves:
-    """Return the curves of a finished run; DataError if a cell cannot be read."""
+def read_run(out: Path) -> Readings:
+    """Return the readings of a finished run; DataError if a cell cannot be read."""
     manifest = read_manifest(out)
     families = entry_families(manifest["cells"])
-    scenes: SceneEstimates = scene_estimates(out, manifest)
+    scenes = scene_estimates(out, manifest)
     compared = compare_attacks(scenes, link_estimates(out, manifest), families)
     quantities, crossed = frontier_quantities(compared.sweeps, compared.by_mechanism)
     estimates = {**compared.sweeps.estimates, **crossed}
     at_horizon = judged_at(estimates, scenes.later[HORIZON_S].all_estimates)
-    axes = [quantity for quantity in quantities if quantity.is_axis]
-    return Curves(Sweeps(at_horizon, families), axes)
+    return readings(Sweeps(at_horizon, families), quantities, robots=ROBOTS)
 
 
-def lines(curves: Curves) -> Iterator[str]:
-    """Yield the lines of a table in Markdown: values and paired differences in %."""
-    rivals = [name for name in curves.sweeps.families if name.startswith("ou")]
-    heads = [*rivals, COMPARED, *(f"less {name}" for name in rivals)]
+def readings(
+    sweeps: Sweeps,
+    quantities: Iterable[Quantity],
+    *,
+    robots: Iterable[str],
+    price: str = CRITERIA[FUTURE],
+) -> Readings:
+    """Return PLR after attack and rank 1 where a robot's `price` rises by `TARGETS`."""
+    values_at: Readings = {}
+    targets = np.array(TARGETS)
+    for robot in robots:
+        cost = parse_consumer(robot).measured(price)
+        rises = sweeps.together(dict.fromkeys(sweeps.families, cost))
+        reached = {
+            name: places(targets, np.abs(curve - curve[:, -1:]))
+            for name, curve in rises.items()
+        }
+        for quantity in quantities:
+            if not quantity.is_axis:
+                continue
+            sources = quantity.source_by_mechanism
+            curves = sweeps.together(
+                {name: sources[name].measured(quantity.metric) for name in sources}
+            )
+            source = sources[RAW]
+            for name in curves.keys() & reached.keys():
+                is_log = quantity.metric in DESCRIPTORS
+                values = interpolated(reached[name], curves[name], log=is_log)
+                for place, target in enumerate(TARGETS):
+                    key = robot, target, source.task or source.adversary
+                    values_at.setdefault(key, {})[name] = values[:, place]
+    return values_at
+
+
+def mean_readings(runs: Sequence[Readings]) -> Readings:
+    """Return the means over runs of other people, which are drawn independently."""
+    shared = set.intersection(*(set(run) for run in runs))
+    return {
+        key: {
+            name: _mean([run[key][name] for run in runs])
+            for name in runs[0][key]
+            if all(name in run[key] for run in runs)
+        }
+        for key in runs[0]
+        if key in shared
+    }
+
+
+def _mean(values: Sequence[Floats]) -> Floats:
+    """Return the mean of values and replicates, (1 + B,) each.
+
+    Runs of one seed draw their clusters from one stream: replicates are moved apart.
+    """
+    n_drawn = min(map(len, values)) - 1
+    moved = [
+        np.append(value[:1], np.roll(value[1 : n_drawn + 1], place * n_drawn // 7))
+        for place, value in enumerate(values)
+    ]
+    return np.asarray(np.mean(moved, axis=0))
+
+
+def lines(
+    values: Readings, *, compared: str = COMPARED, rivals: Sequence[str] = RIVALS
+) -> Iterator[str]:
+    """Yield the lines of a table in Markdown: values and paired differences, in %."""
+    heads = [*rivals, compared, *(f"less {name}" for name in rivals)]
     yield f"| robot, rise | after | {' | '.join(heads)} |"
     yield f"|:--|:--|{'--:|' * len(heads)}"
-    for robot in ROBOTS:
-        reached = curves.reached(robot)
-        for place, target in enumerate(TARGETS):
-            for quantity in curves.quantities:
-                left = curves.at_targets(quantity, reached)
-                values = [left[name] for name in (*rivals, COMPARED)]
-                gaps = [_difference(left[COMPARED], left[name]) for name in rivals]
-                cells = [_text(value, place) for value in [*values, *gaps]]
-                about = f"{robot}, +{100 * target:.0f}"
-                yield f"| {about} | {_reader(quantity)} | {' | '.join(cells)} |"
+    for (robot, target, reader), by_name in values.items():
+        own = by_name[compared]
+        cells = [_text(by_name[name]) for name in (*rivals, compared)]
+        for name in rivals:
+            n_rows = min(len(own), len(by_name[name]))
+            cells.append(_text(own[:n_rows] - by_name[name][:n_rows]))
+        yield f"| {robot}, +{100 * target:.0f} | {reader} | {' | '.join(cells)} |"
 
 
-def _reader(quantity: Quantity) -> str:
-    """Return the adversary or the task of a quantity."""
-    source = quantity.source_by_mechanism[COMPARED]
-    return source.task or source.adversary
-
-
-def _difference(first: Floats, second: Floats) -> Floats:
-    n_rows = min(len(first), len(second))
-    return first[:n_rows] - second[:n_rows]
-
-
-def _text(values: Floats, place: int) -> str:
+def _text(values: Floats) -> str:
     """Return an estimate with its interval, in %; empty out of reach."""
-    ends = with_ends(_ENDS, values, np.ones(values.shape[1], dtype=bool))
-    value, low, high = (100.0 * ends[name][place] for name in _ENDS)
+    ends = with_ends(_ENDS, values[:, None], np.array([True]))
+    value, low, high = (100.0 * ends[name][0] for name in _ENDS)
     if not np.isfinite(value):
         return ""
     interval = f" [{low:.1f}, {high:.1f}]" if np.isfinite(low) else ""
@@ -153,17 +168,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         description="Compare shaped with ou where a robot misses as many conflicts.",
     )
     add = command.add_argument
-    add("--dataset", metavar="NAME|PATH", default="students03")
+    help_text = "a recording; repeatable (default: students03)"
+    add("--dataset", metavar="NAME", action="append", help=help_text)
     add("--seed", metavar="N", type=int, default=0)
-    add("--out", metavar="DIR", type=Path, required=True, help="folder of the run")
+    add("--out", metavar="DIR", type=Path, required=True, help="folder of the runs")
     return exit_code(lambda: _run(command.parse_args(arguments)))
 
 
 def _run(options: argparse.Namespace) -> int:
+    names = options.dataset or ["students03"]
+    runs = []
+    for name in names:
+        _compute(name, seed=options.seed, out=options.out / name)
+        runs.append(read_run(options.out / name))
+        print(f"\n{name}\n", *lines(runs[-1]), sep="\n", flush=True)
+    if len(runs) > 1:
+        print("\nmean\n", *lines(mean_readings(runs)), sep="\n")
+    return DONE
+
+
+def _compute(dataset: str, *, seed: int, out: Path) -> None:
+    """Run all levels on a recording, or continue."""
     evaluation.run(
         preset="quick",
-        dataset=options.dataset,
-        seed=options.seed,
+        dataset=dataset,
+        seed=seed,
         mechanisms=mechanisms(),
         predictors=ROBOTS,
         attacks=["radial_rts", "ou_rts", "kinematic@radial_rts"],
@@ -171,12 +200,10 @@ def _run(options: argparse.Namespace) -> int:
         policies=[],
         adversaries=["anchor", "repeats"],
         stages={"attacks.repeats": 3, "linkage.most_people": 300},
-        out=options.out,
+        out=out,
         pictures=False,
         walks=False,
     )
-    print(*lines(read_curves(options.out)), sep="\n")
-    return DONE
 
 
 if __name__ == "__main__":
