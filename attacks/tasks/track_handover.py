@@ -100,7 +100,7 @@ def track_handover(
     used = np.unique(trials.rotation[trials.is_linkable])
     if used.size < N_FOLDS:
         return TrackHandover(trials, None, ())
-    sides = tuple(_of_rotations(side, used) for side in (probe, gallery))
+    sides = tuple(_take_rotations(side, used) for side in (probe, gallery))
     trials = _trials(was_there & is_there, *sides)
     sessions = _sessions(
         task,
@@ -123,12 +123,12 @@ def _trials(present: Bools, probe: _Side, gallery: _Side) -> Trials:
     return Trials(
         rotation=rotation,
         person=person,
-        probe=_most_of(probe, present.shape)[rotation, person],
-        gallery=_most_of(gallery, present.shape)[rotation, person],
+        probe=_largest_windows(probe, present.shape)[rotation, person],
+        gallery=_largest_windows(gallery, present.shape)[rotation, person],
     )
 
 
-def _of_rotations(side: _Side, used: Ints) -> _Side:
+def _take_rotations(side: _Side, used: Ints) -> _Side:
     """Return the windows of some rotations."""
     window = np.flatnonzero(np.isin(side.rotation, used))
     place, offsets = stretches(side.offsets[window], np.diff(side.offsets)[window])
@@ -188,7 +188,7 @@ def _owners(person: Ints, offsets: Ints) -> tuple[Ints, Ints]:
     return owner, n_own
 
 
-def _most_of(side: _Side, shape: tuple[int, ...]) -> Ints:
+def _largest_windows(side: _Side, shape: tuple[int, ...]) -> Ints:
     """Return the window with most samples of each person, (S, N), or `MISSING`."""
     best = np.full(shape, MISSING)
     window = np.flatnonzero(side.owner != CLUTTER)
