@@ -100,7 +100,7 @@ def track_handover(
     used = np.unique(trials.rotation[trials.is_linkable])
     if used.size < N_FOLDS:
         return TrackHandover(trials, None, ())
-    sides = tuple(_select_rotations(side, used) for side in (probe, gallery))
+    sides = tuple(_take_rotations(side, used) for side in (probe, gallery))
     trials = _trials(was_there & is_there, *sides)
     sessions = _sessions(
         task,
@@ -128,7 +128,7 @@ def _trials(present: Bools, probe: _Side, gallery: _Side) -> Trials:
     )
 
 
-def _select_rotations(side: _Side, used: Ints) -> _Side:
+def _take_rotations(side: _Side, used: Ints) -> _Side:
     """Return the windows of some rotations."""
     window = np.flatnonzero(np.isin(side.rotation, used))
     place, offsets = stretches(side.offsets[window], np.diff(side.offsets)[window])
