@@ -5,10 +5,10 @@ range by its bandwidth and the bearing by its array, so that the error is an ell
 that points to the station.
 """
 
+from importlib import import_module
 from typing import Final
 
 import numpy as np
-from scipy.special import ndtr
 
 from isac_track.config import Scaling, SensingSettings
 from isac_track.types import ErrorLaw, Floats
@@ -201,6 +201,9 @@ def mass_within(away: Floats, cov: Floats, *, radius_m: float) -> Floats:
     covariance is `cov`, (..., 2, 2) m^2, positive. Across the longer axis the integral
     is a sum over Gauss and Legendre's nodes, along it in closed form.
     """
+    # A filter imports this file, too, and does without SciPy.
+    ndtr = import_module("scipy.special").ndtr
+
     shape = np.broadcast_shapes(away.shape[:-1], cov.shape[:-2])
     away = np.broadcast_to(away, (*shape, 2)).reshape(-1, 2)
     axes, variances = principal_axes(
@@ -238,7 +241,7 @@ def error_ellipses(cov: Floats) -> Floats:
 
 
 def shaped_errors(*, cov: Floats, unit_error: Floats, law: ErrorLaw) -> Floats:
-    """Return errors of covariances `cov`, (M, 2) m, from standardised ones, (M, 2).
+    """Return errors of covariances `cov`, (M, 2) m, from standardised errors, (M, 2).
 
     The factor is Cholesky's, so that a round covariance gives the scalar error.
     """
@@ -282,7 +285,7 @@ def covariance_without(
 
 
 def round_errors(*, cov: Floats, error: Floats) -> Floats:
-    """Return errors of covariances `cov` turned into round ones, (M, 2) m -> (M, 2).
+    """Return errors of covariances `cov` turned into round errors, (M, 2) m -> (M, 2).
 
     They have the variance 1 along all directions: the inverse of the symmetric square
     root times the error. An error of no size stays 0.

@@ -39,7 +39,7 @@ from isac_track.types import (
 )
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
-WINDOW = 160  # Samples; earlier ones no longer change the prediction (tested).
+WINDOW = 160  # Samples; earlier samples no longer change the prediction (tested).
 # Least share of the innovations' variance that is not attributed to a slow error.
 LEAST_REST = 0.05
 _LEAST_DECLARED_M2 = 1e-12
@@ -241,18 +241,16 @@ class KalmanIMM(KalmanCV):
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov, probability = filterpy_engine.last_modes(
-                batch, self.moods, gate=self.gate
-            )
+            last = filterpy_engine.last_modes(batch, self.moods, gate=self.gate)
         else:
             last = imm_last(batch, self.moods, gate=self.gate)
-            mean, cov, probability = last.mean, last.cov, last.probability
         mean, cov = _extrapolate(
-            mean,
-            cov.reshape(*cov.shape[:2], 2, 2, 2, 2),
+            last.mean,
+            last.cov.reshape(len(batch), 2, 2, 2, 2, 2),
             q=np.array(self.moods.q)[:, None],
             elapsed_s=(t_future - release.t[release.offsets[1:] - 1, None])[:, None],
         )
+        probability = last.probability
         mixed = np.einsum("nj,njha->nha", probability, mean)
         gap = mean - mixed[:, None]
         spread = cov + gap[..., :, None] * gap[..., None, :]

@@ -18,13 +18,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints, stretches
 
 LONGEST_GAP_S: Final = 30.0  # A last state predicts nothing after a longer gap.
-MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
+MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest successors, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
 # Keeps weights finite where training pieces are separable without error.
 _RIDGE: Final = 1e-3
@@ -60,7 +59,7 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     Each earlier piece keeps the `MOST_CANDIDATES` of largest density.
 
     `begins`, (K,), is the piece whose first state stands at the start of each piece:
-    the piece itself by default, another one in the shuffled control.
+    the piece itself by default, another piece in the shuffled control.
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins
@@ -186,6 +185,8 @@ def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
     They maximise the likelihood of the next piece, or of having none. Without a true
     link among `learn_from` every link gets probability 0.
     """
+    from scipy.optimize import minimize  # noqa: PLC0415 - heavy to import
+
     n_features = links.features.shape[1]
     rows = learn_from[links.before]
     if not is_next[rows].any():

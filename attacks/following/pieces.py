@@ -1,6 +1,6 @@
 """Pieces of walks in a log: answers that repeat a sample belong to one person.
 
-Pseudonyms are fresh in every answer, or kept for an encounter. Errors are continuous,
+Pseudonyms are fresh in every answer, or last for an encounter. Errors are continuous,
 so no two people share a sample: an adversary joins two answers with a common sample
 without doubt. A window longer than the time between two queries therefore yields a
 chain by itself.
@@ -78,7 +78,7 @@ def collect_pieces(
 
     A `flag` has no pieces. A `state` is a piece of its own at the instant of its query:
     no later state repeats it. With errors that are drawn anew at every query no two
-    answers share a sample. `pseudonyms` kept for an encounter join the answers to
+    answers share a sample. `pseudonyms` that last for an encounter join the answers to
     queries of a robot in a row.
     """
     runs = _received_runs(network, disclosure, robots)
@@ -227,7 +227,7 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
 
 
 def _first_new(network: Network, entries: _Entries) -> Ints:
-    """Return the entry at which each piece begins for a link to an earlier one, (K,).
+    """Return the entry at which each piece begins for a link to an earlier piece, (K,).
 
     With errors drawn anew at every query answers overlap in time without a common
     sample. A piece then begins after the query before its first; it keeps at least its
@@ -280,7 +280,7 @@ def _first_states(t: Floats, reports: Reports, *, starts: Ints, ends: Ints) -> S
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     turned = np.repeat(ends + offsets[:-1] - 1, sizes) - np.arange(offsets[-1])
     back = last_states(-t[turned], reports[turned], offsets)
-    flip = np.array([1.0, -1.0])  # A velocity back in time is the opposite one.
+    flip = np.array([1.0, -1.0])  # Back in time a velocity is the opposite.
     both, planar = np.outer(flip, flip), back.planar
     return States(
         -back.t,

@@ -115,7 +115,7 @@ def posterior_scores(
                 rows=~half[patrol.presences.person],
             )
             evidence = _Evidence(answers.positive, levels, rates)
-        for target, number, opinion in _opinions_on(
+        for result in _opinions_on(
             network,
             disclosure,
             chain,
@@ -124,9 +124,10 @@ def posterior_scores(
             epsilon_m=epsilon_m,
             options=options,
         ):
-            person.append(np.full(opinion.gap.size, target))
-            fleet.append(np.full(opinion.gap.size, number))
-            opinions.append(opinion)
+            n = result.opinions.gap.size
+            person.append(np.full(n, result.target))
+            fleet.append(np.full(n, result.fleet))
+            opinions.append(result.opinions)
     owner, joined = np.concatenate(person), _join_opinions(opinions)
     blind, informed = (
         _score_pool(
@@ -151,6 +152,15 @@ def chain_from(patrol: Patrol, *, people: Bools, options: PosteriorOptions) -> C
         raise DataError(f"the posterior adversary cannot learn: {error}") from error
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _FleetOpinions:
+    """The opinions about a person from a fleet's log."""
+
+    target: int
+    fleet: int
+    opinions: Opinions
+
+
 def _opinions_on(
     network: Network,
     disclosure: Disclosure,
@@ -160,8 +170,8 @@ def _opinions_on(
     targets: Ints,
     epsilon_m: float,
     options: PosteriorOptions,
-) -> Iterator[tuple[int, int, Opinions]]:
-    """Yield each target, fleet, and the opinions about her from its log."""
+) -> Iterator[_FleetOpinions]:
+    """Yield the opinions about each target from each fleet's log."""
     patrol = network.patrol
     grid = patrol.grid
     # Of each target: opinions by log, for this call alone. Fleets hold equal logs often.
@@ -193,7 +203,7 @@ def _opinions_on(
                     epsilon_m=epsilon_m,
                     options=options,
                 )
-            yield target, fleet, by_log[key]
+            yield _FleetOpinions(target, fleet, by_log[key])
             if evidence is not None:
                 by_log.clear()
 

@@ -237,7 +237,7 @@ def _longest_s(spans: Spans, chain: Ints, *, n_people: int) -> Floats:
 
 
 def _are_joined(chain: Ints, pieces: Pieces, true_next: Ints) -> Bools:
-    """Return whether each track is joined to its true next one, directly, (K,)."""
+    """Return whether each track is joined to its true successor, directly, (K,)."""
     order = np.lexsort((pieces.start.t, chain))
     joined = np.full(len(pieces), -1)
     same = np.diff(chain[order]) == 0

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 READINGS: Final = ("interpolate", "smooth")
-"""Estimators between the reconstructed entries; the one that knows more counts."""
+"""Estimators between the reconstructed entries; that which knows more counts."""
 _EVERYONE: Final = frozenset({Knowledge.SCENE, Knowledge.SIGMA})
 _ORACLE: Final = "oracle"
 
@@ -65,7 +65,7 @@ class LogAttack:
 def log_attack(plugin: Plugin) -> LogAttack:
     """Return an attack with all knowledge that it takes and an adversary can have.
 
-    SettingsError for a linkage attack, and for one that needs more than a log offers.
+    SettingsError for a linkage attack, or if an attack needs more than a log offers.
     """
     if attack_kind(plugin.instance) == "linkage":
         raise SettingsError(
@@ -111,7 +111,7 @@ class Logs:
 def known_by_attack(logs: Logs, attack: LogAttack) -> Ints:
     """Count the instants that each fleet's log reveals through an attack, (N, F).
 
-    The reading between entries is the one of `READINGS` that knows more over all people
+    The reading between entries is that of `READINGS` which knows more over all people
     and fleets. PluginError names an attack that fails.
     """
     patrol = logs.network.patrol

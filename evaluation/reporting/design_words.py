@@ -31,7 +31,7 @@ from evaluation.reporting.names import (
     mechanism_name,
     short_mechanism_name,
 )
-from evaluation.reporting.noise_plan import plan_lines
+from evaluation.reporting.noise_plan import short_lines
 from evaluation.reporting.notices import few_people
 from evaluation.reporting.patrol_advice import (
     PatrolAnswer,
@@ -265,8 +265,8 @@ def _closed_form_notes(answer: Answer) -> list[str]:
         return []
     epsilon_m = words.epsilon_m(answer.manifest)
     dt_s = float(answer.manifest["history"]["interval_s"])
-    lines = plan_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
-    text = " ".join(line.strip() for line in lines[:2])
+    lines = short_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
+    text = " ".join(line.strip() for line in lines)
     return [f"Closed forms alone, without a run: {text}"]
 
 

@@ -91,18 +91,21 @@ class Batch:
         return self.offsets.size - 1
 
     def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-        """Return a loop's arguments.
+        """Return the batch as a compiled loop takes it: a plain tuple, in fixed order.
 
-        ValueError for another number of states, or an ellipse.
+        Times, positions, variances, offsets, and the variances of the prior. ValueError
+        for another number of states, or an ellipse.
         """
         if self.ellipse is not None:
             raise ValueError("this filter needs the same variance on both axes")
         return self._arrays(*n_states)
 
     def planar_arrays(self, *n_states: int) -> tuple[Floats | Ints, ...]:
-        """Return the arguments of a loop for errors with a shape.
+        """Return the batch as a loop for errors with a shape takes it.
 
-        ValueError for another number of states, or an ellipse that is flat.
+        Behind what `arrays` returns stand the principal axes of each sample's error,
+        and their variances as shares of the mean. ValueError for another number of
+        states, or an ellipse that is flat.
         """
         ellipse = np.eye(2) if self.ellipse is None else self.ellipse
         axes, shares = principal_axes(np.broadcast_to(ellipse, (len(self.t), 2, 2)))
@@ -298,11 +301,11 @@ class Moods:
         """Probabilities of the modes in the long run and at first, (2,)."""
         return np.array(self.stay_s) / sum(self.stay_s)
 
-    def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return q, `probability`, and the transition probabilities to each sample.
+    def transitions(self, t: Floats) -> Floats:
+        """Return the transition probabilities to each sample, (M, 2, 2).
 
-        The last are exp(rates * step), (M, 2, 2), indexed by the mode before, then the
-        mode now; there is no step to a track's first sample.
+        They are exp(rates * step), indexed by the mode before, then the mode now; there
+        is no step to a track's first sample.
         """
         rates = 1.0 / np.array(self.stay_s)
         step_s = np.abs(np.diff(t, prepend=t[:1]))
@@ -311,7 +314,7 @@ class Moods:
         for mode, rate in enumerate(rates):
             np.multiply(mixed, rate, out=chances[:, mode, 1 - mode])
             np.subtract(1.0, chances[:, mode, 1 - mode], out=chances[:, mode, mode])
-        return np.array(self.q, dtype=np.float64), self.probability, chances
+        return chances
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -352,12 +355,16 @@ def imm_states(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates
 def _imm_states(
     loop: str, batch: Batch, moods: Moods, *, gate: float, n_rows: int
 ) -> ImmStates:
-    """Return the states that one of the filter's loops writes, a row each."""
+    """Return the states that a loop of the filter writes, a row each."""
     mean, cov = np.empty((n_rows, 2, 2, 2)), np.empty((n_rows, 2, 4, 4))
     out = ImmStates(mean, cov, np.empty((n_rows, 2)), np.empty(len(batch)))
     getattr(import_module("isac_track.kalman._imm_loops"), loop)(
         batch.shaped_arrays(2),
-        moods.arrays(batch.t),
+        (
+            np.array(moods.q, dtype=np.float64),
+            moods.probability,
+            moods.transitions(batch.t),
+        ),
         positive("gate", gate, finite=False),
         MAX_REJECTIONS,
         (mean.reshape(n_rows, 2, 4), cov, out.probability, out.log_likelihood),

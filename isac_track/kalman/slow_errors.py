@@ -55,9 +55,9 @@ class SlowError:
         """Return the share of the error's variance that innovations show, (N,).
 
         Innovations are those of `isac_track.noise`: the share is their mean square,
-        divided by s^2. It is nearly 0 for a slow error and 1 for a white one, and 1 for
+        divided by s^2. It is nearly 0 for a slow error, 1 for a white error, and 1 for
         tracks of fewer than three samples. With `running` it is the share of the
-        samples up to each one, (M,).
+        samples up to each, (M,).
         """
         if self.tau_s == 0.0:
             return np.ones(t.size if running else offsets.size - 1)
@@ -73,7 +73,11 @@ class SlowError:
         return shares if running else shares[offsets[1:] - 1]
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
-        """Return the arguments of a compiled loop."""
+        """Return batch and error as a compiled loop takes them: a plain tuple.
+
+        Behind what `Batch.arrays` returns stands the error's standard deviation at each
+        sample.
+        """
         return (*batch.arrays(2), np.full(batch.t.size, self.std_m, dtype=np.float64))
 
     def planar_arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:

@@ -196,7 +196,7 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
     """Return the log of a fleet of `robots`: samples, or states at their samples.
 
     A state gives an entry at every scan until the next query, by its position and
-    velocity. A later state replaces an earlier one. Several draws of a sample are
+    velocity. A later state replaces an earlier state. Several draws of a sample are
     averaged.
     """
     people = network.patrol.people

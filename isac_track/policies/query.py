@@ -61,8 +61,12 @@ class Query:
 
     @property
     def age_s(self) -> Floats:
-        """Time since each sample, (M,) s."""
-        return np.asarray(self.t.max(initial=-np.inf) - self.t)
+        """Time from each sample to the last of the same person, (M,) s.
+
+        That is the time since the sample, unless the network missed the person lately.
+        """
+        last_s = self.t[self.offsets[1:] - 1]
+        return np.asarray(np.repeat(last_s, np.diff(self.offsets)) - self.t)
 
     def recent_samples(self, people: Bools, *, window_s: float | None = None) -> Bools:
         """Return which samples of some people are recent, (P,) -> (M,).

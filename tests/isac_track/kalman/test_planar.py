@@ -170,10 +170,10 @@ def test_a_vague_prior_and_a_long_ellipse_give_a_sound_result():
 def test_last_modes_are_filterpy_s(gate):
     case = elliptic(batch())
     ours = kalman.imm_last(case, MOODS, gate=gate)
-    mean, cov, probability = last_modes(case, MOODS, gate=gate)
-    np.testing.assert_allclose(ours.mean, mean, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(ours.cov, cov, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(ours.probability, probability, rtol=0, atol=1e-9)
+    theirs = last_modes(case, MOODS, gate=gate)
+    np.testing.assert_allclose(ours.mean, theirs.mean, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.cov, theirs.cov, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(ours.probability, theirs.probability, rtol=0, atol=1e-9)
 
 
 def test_modes_with_round_ellipses_are_those_without():
