@@ -442,7 +442,6 @@ def axes(settings: Settings) -> Axes:
     # A user who names mechanisms has asked for these alone.
     policies = plugins.parse_all("policies", names["policies"])
     _check_policies(policies, settings)
-    releases = _track_releases(settings)
     if not chosen["mechanisms"].replaces:
         worlds = _worlds(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
@@ -467,13 +466,23 @@ def axes(settings: Settings) -> Axes:
         patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
         follows_informed=preset.follows_informed,
         links_returns=RETURNS in tasks,
-        track_releases=releases,
-        tracked=_tracked(settings, preset, mechanisms) if releases else (),
-        track_policies=_track_policies(settings) if releases else (),
-        track_tasks=_track_tasks(settings) if releases else (),
     )
     _check_adversaries_used(crossed, settings)
-    return crossed
+    return _with_tracks(crossed, settings, preset)
+
+
+def _with_tracks(crossed: Axes, settings: Settings, preset: Preset) -> Axes:
+    """Return axes with the tracks of a run's tracker; as they are without one."""
+    releases = _track_releases(settings)
+    if not releases:
+        return crossed
+    return replace(
+        crossed,
+        track_releases=releases,
+        tracked=_tracked(settings, preset, crossed.mechanisms),
+        track_policies=_track_policies(settings),
+        track_tasks=_track_tasks(settings),
+    )
 
 
 def _skips_oracle(settings: Settings, preset: Preset) -> bool:
