@@ -364,7 +364,7 @@ def _full_parts(answer: Answer) -> list[Part]:
         parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
     parts += ["", answer.on_patrol.text]
     if options := answer.on_patrol.options:
-        parts += [patrol_table(options, families_in(manifest["cells"]))]
+        parts += [patrol_table(options, entry_families(manifest["cells"]))]
     if remarks := [f"Note: {note}" for note in notes(answer)]:
         parts += ["", *remarks]
     return parts
