@@ -96,12 +96,12 @@ class Task:
         """Distance below which a place is known, m."""
         return self.settings.privacy.epsilon_m
 
-    def by_walk(self, flags: Bools, offsets: Ints) -> Shares:
+    def walk_shares(self, flags: Bools, offsets: Ints) -> Shares:
         """Count flags of people, whose flags lie between offsets."""
         hits = np.add.reduceat(flags.astype(float), offsets[:-1])
-        return self.of_people(hits, np.diff(offsets).astype(float))
+        return self.people_shares(hits, np.diff(offsets).astype(float))
 
-    def of_people(self, hits: Floats, trials: Floats) -> Shares:
+    def people_shares(self, hits: Floats, trials: Floats) -> Shares:
         """Return counts of people; walking groups are clusters."""
         return Shares(hits, trials, cluster_numbers(self.patrol.people.group))
 
@@ -203,7 +203,7 @@ def known_from_log(task: Task, network: Network, *, estimator: str) -> Shares:
         otherwise=np.repeat(task.guesses, np.diff(grid.offsets), axis=0),
     )
     is_known = squared_lengths(stated - grid.xy) < task.epsilon_m**2
-    return task.by_walk(is_known, grid.offsets)
+    return task.walk_shares(is_known, grid.offsets)
 
 
 def known_by_chains(task: Task, network: Network) -> Shares:
@@ -218,7 +218,7 @@ def known_by_chains(task: Task, network: Network) -> Shares:
     )
     known = following.known.sum(axis=1)
     trials = following.instants * float(following.known.shape[1])
-    return task.of_people(known.astype(float), trials)
+    return task.people_shares(known.astype(float), trials)
 
 
 def known_by_attack(
@@ -235,7 +235,7 @@ def known_by_attack(
     )
     rebuilt = attack.fit(context)(network.release)
     is_known = squared_lengths(rebuilt.xy - people.xy) < task.epsilon_m**2
-    return task.by_walk(is_known, people.offsets)
+    return task.walk_shares(is_known, people.offsets)
 
 
 def missed(task: Task, network: Network, robot: Predictor) -> Shares:
@@ -246,7 +246,7 @@ def missed(task: Task, network: Network, robot: Predictor) -> Shares:
     )
     person, n = patrol.presences.person, len(patrol.people)
     hits = (counts.hits & counts.trials).sum(axis=1)
-    return task.of_people(
+    return task.people_shares(
         np.bincount(person, weights=hits, minlength=n),
         np.bincount(person, weights=counts.trials.sum(axis=1), minlength=n),
     )

@@ -108,7 +108,7 @@ def _log_density(
             difference, end.planar, start.planar, gap_s
         )
     else:
-        square, determinant = _surprise_of_axes(difference, end.cov, start.cov, gap_s)
+        square, determinant = _axis_surprise(difference, end.cov, start.cov, gap_s)
     dimensions = 4.0  # Position and velocity on two axes.
     density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(
         determinant
@@ -119,7 +119,7 @@ def _log_density(
 def _planar_surprise(
     difference: Floats, cov: Floats, other: Floats, gap_s: Floats
 ) -> tuple[Floats, Floats]:
-    """Return what `_surprise_of_axes` does for coupled axes, (C, 2, 2, 2, 2)."""
+    """Return what `_axis_surprise` does for coupled axes, (C, 2, 2, 2, 2)."""
     move = np.zeros((gap_s.size, 4, 4))
     move[:] = np.eye(4)
     move[:, 0, 1] = move[:, 2, 3] = gap_s
@@ -135,7 +135,7 @@ def _planar_surprise(
     return np.asarray(square), np.asarray(np.sqrt(np.linalg.det(total)))
 
 
-def _surprise_of_axes(
+def _axis_surprise(
     difference: Floats, cov: Floats, other: Floats, gap_s: Floats
 ) -> tuple[Floats, Floats]:
     """Return the normalised square of differences and a determinant, (C,).

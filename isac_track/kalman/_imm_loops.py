@@ -225,18 +225,15 @@ def _filter(
     written for every sample, or, if `out` has a single row, for the last sample only.
     """
     t, xy, _, offsets, prior, axes, _ = batch
-    is_shaped = len(axes) > 0
     (q, probability, chances), (x, p, mu) = moods, out
-    first = offsets[i]
+    first, is_shaped = offsets[i], len(axes) > 0
     a, c = prior[0], prior[1]  # Of position and velocity; the track starts at rest.
     x0, y0 = xy[first, 0], xy[first, 1]
     state_0: _State = (x0, 0.0, y0, 0.0, a, 0.0, c, 0.0, 0.0, a, 0.0, 0.0, 0.0, c)
     state_1 = state_0
     mu_0, mu_1 = probability[0], probability[1]
-    misses, log_likelihood = 0, 0.0
-    # A factor of the squared likelihood that is not yet in the logarithm: to take the
-    # logarithm once for many samples saves time.
-    scale = 1.0
+    # The scale is not yet in the logarithm, which takes it once for many samples.
+    misses, log_likelihood, scale = 0, 0.0, 1.0
     for k in range(first, offsets[i + 1]):
         if k > first:
             dt = t[k] - t[k - 1]
@@ -248,7 +245,6 @@ def _filter(
             state_0 = _predict(dt, q[0], _mix(w, v, before_0, before_1))
             w, v = (leave / mu_1, remain / mu_1) if mu_1 > 0 else (0.0, 1.0)
             state_1 = _predict(dt, q[1], _mix(w, v, before_0, before_1))
-
         zx, zy, rx, ry, cosine, sine = _measurement(k, batch)
         if is_shaped:
             state_0, state_1 = _turn_both(cosine, -sine, state_0, state_1)

@@ -16,7 +16,7 @@ from isac_track.intervals import (
     estimate_from_replicates,
 )
 from isac_track.patrols.equal_alarms import AlarmCurve, drawn_misses
-from isac_track.tracking.hota import hota_of_sums
+from isac_track.tracking.hota import hota_from_sums
 from isac_track.types import Floats, Ints
 
 _REPLICATES = 2000
@@ -120,7 +120,7 @@ def block_hota(*, association: Floats, pairs: Floats, seed: int) -> Estimate:
         np.einsum("abs,rb,rs->ra", part, blocks, seeds, optimize=True)
         for part in (association, pairs)
     ]
-    values = hota_of_sums(*sums)
+    values = hota_from_sums(*sums)
     by_block = pairs[0].sum(axis=1)
     effective, n = effective_clusters(by_block), int((by_block > 0).sum())
     if effective < LEAST_CLUSTERS or values[0] in (0.0, 1.0):

@@ -40,10 +40,10 @@ class HotaScans:
     @property
     def hota(self) -> float:
         """HOTA of all scans, 0 to 1."""
-        return float(hota_of_sums(self.association.sum(0), self.pairs.sum(0)))
+        return float(hota_from_sums(self.association.sum(0), self.pairs.sum(0)))
 
 
-def hota_of_sums(association: Floats, pairs: Floats) -> Floats:
+def hota_from_sums(association: Floats, pairs: Floats) -> Floats:
     """Return HOTA of parts that are summed over scans, (..., A) -> (...).
 
     At each level it is sqrt(DetA AssA) = sqrt(association / pairs): the matches cancel.

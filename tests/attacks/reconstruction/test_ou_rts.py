@@ -202,3 +202,13 @@ def test_the_shape_of_the_white_error_helps_and_a_round_one_changes_nothing():
         )
         np.testing.assert_allclose(got.xy, expected.xy, rtol=0, atol=1e-10)
         np.testing.assert_allclose(got.std, expected.std, rtol=0, atol=1e-10)
+    places = circular.offsets[:-1] + 40
+    anchored = OuRTS(q=Q).fit(
+        context(
+            granted=(*knows["granted"], ANCHOR),
+            mechanism=knows["mechanism"],
+            anchor=known_at(circular, truth, places),
+        )
+    )
+    got, expected = (anchored(each) for each in (circular, derived(circular, cov=None)))
+    np.testing.assert_allclose(got.xy, expected.xy, rtol=0, atol=1e-10)
