@@ -192,7 +192,7 @@ def _slices(offsets: Ints, rows: Ints) -> list[slice]:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Circumstances:
-    """How each of T tracks was walked, whoever walked it."""
+    """How each of T tracks was walked, apart from the person."""
 
     place: Floats  # (T,) place in the queue of its session, 0 to 1
     ahead: Ints  # (T,) person in front in the queue, or -1
