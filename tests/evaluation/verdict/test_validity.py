@@ -176,7 +176,7 @@ def test_what_rests_on_few_or_on_nobody_is_not_testable(worlds, equal):
         run_validity(worlds, changed(equal, success=lambda level: level.probes))
     )
     assert nobody["decision"] == still["decision"] == rules.NOT_TESTABLE
-    assert "alike" in nobody["why"]
+    assert "fare the same" in nobody["why"]
     high = changed(
         equal, success=lambda level: 0.8 * level.probes + 0.2 * level.success
     )
