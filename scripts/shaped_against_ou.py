@@ -49,6 +49,16 @@ HORIZON_S: Final = 3.0
 COMPARED: Final = "shaped"
 RIVALS: Final = ("ou", "ou:tau_s=15")
 _ENDS: Final = ("value", "ci_low", "ci_high")
+_LABELS: Final = {
+    "kalman_cv": "unaware",
+    "kalman_cv:aware=true": "aware",
+    "informed": "one release",
+    "repeats": "four releases",
+    "anchor": "a known position",
+    "handover-1s": "links over 1 s",
+    "handover-5s": "links over 5 s",
+}
+"""Names of robots, adversaries and tasks in the table."""
 
 
 def mechanisms() -> list[str]:
@@ -142,13 +152,17 @@ def lines(
     heads = [*rivals, compared, *(f"less {name}" for name in rivals)]
     yield f"| robot, rise | after | {' | '.join(heads)} |"
     yield f"|:--|:--|{'--:|' * len(heads)}"
-    for (robot, target, reader), by_name in values.items():
+    order = [*dict.fromkeys(robot for robot, _, _ in values)]
+    keys = sorted(values, key=lambda key: (order.index(key[0]), key[1]))
+    for robot, target, reader in keys:
+        by_name = values[robot, target, reader]
         own = by_name[compared]
         cells = [_text(by_name[name]) for name in (*rivals, compared)]
         for name in rivals:
             n_rows = min(len(own), len(by_name[name]))
             cells.append(_text(own[:n_rows] - by_name[name][:n_rows]))
-        yield f"| {robot}, +{100 * target:.0f} | {reader} | {' | '.join(cells)} |"
+        about = f"{_LABELS.get(robot, robot)}, +{100 * target:.0f}"
+        yield f"| {about} | {_LABELS.get(reader, reader)} | {' | '.join(cells)} |"
 
 
 def _text(values: Floats) -> str:
