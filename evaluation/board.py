@@ -16,6 +16,13 @@ examples:
   python -m evaluation.board --attack my_module:MyAttack cards --out board
   python -m evaluation.board --mechanism my_module:Mine:0.5 cards --out board
 """
+_LISTS = (
+    ("--attack", "SPEC", "a new attack, against all cards"),
+    ("--mechanism", "SPEC", "a new mechanism, in all worlds of the cards"),
+    ("--policy", "SPEC", "a policy with the new mechanism (default: everything)"),
+    ("--secret-seed", "FILE", "file with the secret seed of some of the cards"),
+)
+"""Options that may be given several times."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -31,14 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add = command.add_argument
     about = "files of cards, or folders of them"
     add("cards", type=Path, nargs="+", metavar="CARDS", help=about)
-    about = "a new attack, against all cards; repeatable"
-    add("--attack", action="append", metavar="SPEC", default=[], help=about)
-    about = "a new mechanism, in all worlds of the cards; repeatable"
-    add("--mechanism", action="append", metavar="SPEC", default=[], help=about)
-    about = "a policy with the new mechanism; repeatable (default: everything)"
-    add("--policy", action="append", metavar="SPEC", default=[], help=about)
-    about = "file with the secret seed of some of the cards; repeatable"
-    add("--secret-seed", action="append", metavar="FILE", default=[], help=about)
+    for option, metavar, about in _LISTS:
+        command.add_repeated(option, about, metavar=metavar)
     about = "folder of the page and its cards (default: board)"
     add("--out", type=Path, metavar="DIR", default=Path("board"), help=about)
     return exit_code(lambda: _run(command.parse_args(arguments)))
@@ -49,11 +50,15 @@ def _run(options: argparse.Namespace) -> int:
         raise SettingsError("--policy goes with --mechanism")
     if options.attack and options.mechanism:
         raise SettingsError("--attack and --mechanism: first the one, then the other")
-    from evaluation.api import boarding, carding  # noqa: PLC0415 - --help answers at once
+    from evaluation.api import (  # noqa: PLC0415 - --help answers at once
+        boarding,
+        card_checks,
+        card_entries,
+    )
     from evaluation.reporting.cards import card_line, fall_line  # noqa: PLC0415 - as above
 
-    seeds = [carding.read_secret_seed(Path(name)) for name in options.secret_seed]
-    cards = [*carding.load_cards(options.cards).values()]
+    seeds = [card_entries.read_secret_seed(Path(name)) for name in options.secret_seed]
+    cards = [*card_checks.load_cards(options.cards).values()]
     if options.attack:
         attacked = []
         for item in boarding.attack_cards(cards, options.attack, seeds=seeds):

@@ -10,7 +10,7 @@ from isac_track.errors import SettingsError
 
 _EPILOG = """\
 exit codes: 0 done, or the card is confirmed; 1 the card is not confirmed; 2 wrong usage or
-data; 130 interrupted (finished cards are kept; the same command continues)
+data; 130 interrupted (finished cards stay; the same command continues)
 
 examples:
   python -m evaluation.card runs/plaza-quick-0
@@ -20,6 +20,18 @@ examples:
   python -m evaluation.card --verify cards/plaza-radial-ou-0.4-everything-0-1f0c8a2b.json
   python -m evaluation.card --verify CARD.json --seed 7
 """
+_LISTS = (
+    ("--dataset", "NAME", "a recording of the protocol (default: plaza)"),
+    ("--law", "LAW", "law of the sensing error (default: radial)"),
+    (
+        "--mechanism",
+        "SPEC",
+        "a mechanism (default: those of the protocol, and raw with all its policies)",
+    ),
+    ("--policy", "SPEC", "a policy with each mechanism (default: everything)"),
+    ("--attack", "SPEC", "a further attack, beside those of the protocol"),
+)
+"""Options that may be given several times."""
 _VERDICTS = {"equal": "equal", "agrees": "agreeing", "differs": "NOT CONFIRMED"}
 
 
@@ -38,25 +50,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("run", type=Path, nargs="?", metavar="OUT", help=about)
     about = "a card to compute again, instead of making cards"
     add("--verify", type=Path, metavar="CARD", help=about)
-    about = "a recording of the protocol; repeatable (default: plaza)"
-    add("--dataset", action="append", metavar="NAME", help=about)
-    about = "law of the sensing error; repeatable (default: radial)"
-    add("--law", action="append", metavar="LAW", help=about)
-    about = (
-        "a mechanism; repeatable (default: those of the protocol, and raw with all its"
-        " policies)"
-    )
-    add("--mechanism", action="append", metavar="SPEC", help=about)
-    about = "a policy with each mechanism; repeatable (default: everything)"
-    add("--policy", action="append", metavar="SPEC", help=about)
-    about = "a further attack, beside those of the protocol; repeatable"
-    add("--attack", action="append", metavar="SPEC", default=[], help=about)
+    for option, metavar, about in _LISTS:
+        command.add_repeated(option, about, metavar=metavar)
     add("--seed", type=int, metavar="N", help="base seed (default: 0)")
     about = "file with a secret seed: the card holds a commitment instead"
     add("--secret-seed", type=Path, metavar="FILE", help=about)
     about = "folder of the cards (default: OUT/cards, or cards)"
     add("--out", type=Path, metavar="DIR", help=about)
-    interrupted = "interrupted; finished cards are kept, the same command continues"
+    interrupted = "interrupted; finished cards stay, the same command continues"
     return exit_code(
         lambda: _run(command.parse_args(arguments)), interrupted=interrupted
     )
@@ -76,46 +77,52 @@ def _verify(options: argparse.Namespace) -> int:
     for name in refused:
         if getattr(options, name):
             raise SettingsError(f"--verify takes the card's own {name}: leave it out")
-    from evaluation.api import carding  # noqa: PLC0415 - --help answers at once
+    from evaluation.api import (  # noqa: PLC0415 - --help answers at once
+        card_checks,
+        card_entries,
+    )
     from evaluation.store.cards import read_card  # noqa: PLC0415 - as above
 
     card = read_card(options.verify)
-    seed = None if options.seed is None else carding.Seed(options.seed)
+    seed = None if options.seed is None else card_entries.Seed(options.seed)
     if options.secret_seed is not None:
-        seed = carding.read_secret_seed(options.secret_seed)
-    answer = carding.verify(card, seed=seed)
+        seed = card_entries.read_secret_seed(options.secret_seed)
+    answer = card_checks.verify(card, seed=seed)
     print(f"{card.label}: {_VERDICTS[answer.verdict]}: {answer.reason}")
     return DONE if answer.is_confirmed else LIMIT_NOT_MET
 
 
 def _make(options: argparse.Namespace) -> int:
     """Make the cards of a run, of named mechanisms, or of the protocol."""
-    from evaluation.api import carding  # noqa: PLC0415 - --help answers at once
+    from evaluation.api import (  # noqa: PLC0415 - --help answers at once
+        card_entries,
+        carding,
+    )
     from evaluation.plan.protocol import read_protocol  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import card_line  # noqa: PLC0415 - as above
     from isac_track.plugins import parse_all  # noqa: PLC0415 - as above
 
-    protocol, seed = read_protocol(), carding.Seed(options.seed or 0)
+    protocol, seed = read_protocol(), card_entries.Seed(options.seed or 0)
     recordings, laws = options.dataset or ["plaza"], options.law or ["radial"]
     folder = options.out or Path("cards")
     if options.run is not None:
         for name in ("dataset", "law", "mechanism", "policy"):
             if getattr(options, name):
                 raise SettingsError(f"OUT has its own {name}: leave out --{name}")
-        entries, run_seed = carding.run_entries(options.run, protocol=protocol)
-        seed = carding.Seed(run_seed if options.seed is None else options.seed)
+        entries, run_seed = card_entries.run_entries(options.run, protocol=protocol)
+        seed = card_entries.Seed(run_seed if options.seed is None else options.seed)
         folder = options.out or options.run / "cards"
     elif options.mechanism or options.policy:
-        entries = carding.cross_entries(
+        entries = card_entries.cross_entries(
             recordings,
             laws,
             options.mechanism or ["raw"],
             options.policy or ["everything"],
         )
     else:
-        entries = carding.protocol_entries(recordings, laws, protocol=protocol)
+        entries = card_entries.protocol_entries(recordings, laws, protocol=protocol)
     if options.secret_seed is not None:
-        seed = carding.read_secret_seed(options.secret_seed)
+        seed = card_entries.read_secret_seed(options.secret_seed)
     maker = carding.Maker(seed, parse_all("attacks", options.attack))
     maker.check(entries)
     for card, path in carding.make_cards(maker, entries, folder=folder):

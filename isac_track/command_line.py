@@ -43,6 +43,14 @@ class Parser(argparse.ArgumentParser):
         options.setdefault("allow_abbrev", False)
         super().__init__(**options)
 
+    def add_repeated(self, option: str, about: str, **options: Any) -> None:  # noqa: ANN401 - as above
+        """Add an option that may be given several times; none is an empty list."""
+        options.setdefault("default", [])
+        options.setdefault("metavar", "SPEC")
+        self.add_argument(
+            option, action="append", help=f"{about}; repeatable", **options
+        )
+
     def error(self, message: str) -> NoReturn:
         """Raise a SettingsError of one line instead of printing the whole usage."""
         raise SettingsError(f"{message} (see --help)")

@@ -1,6 +1,6 @@
 """Compile loops with numba at their first call, and cache them where possible.
 
-Only the private modules of compiled loops import this one, and they are imported at
+Only the private modules of compiled loops import this file, and they are imported at
 first use: importing numba takes longer than a command may take to print its help.
 """
 
@@ -253,6 +253,6 @@ class _CachedLoop:
 def part_of_loop(function: _Loop) -> _Loop:
     """Compile a helper function into the loops of its file that call it.
 
-    It must lie in their file, the only one whose changes the cache notices.
+    It must lie in their file, the only file whose changes the cache notices.
     """
     return cast("_Loop", numba.njit(**_OPTIONS)(function))

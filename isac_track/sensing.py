@@ -30,6 +30,7 @@ from isac_track.types import (
     Ints,
     Scenes,
     Sensed,
+    lengths,
     read_only,
     squared_lengths,
 )
@@ -271,7 +272,7 @@ def draw_channel(
     return Channel(read_only(large_scale), *rest)
 
 
-# The last two tasks' draws are kept for the life of the process, which works on several
+# The last two tasks' draws stay for the life of the process, which works on several
 # pieces of a task in turn.
 @lru_cache(maxsize=2)
 def _draw_batches(
@@ -364,7 +365,7 @@ def _turn_line(error: Floats, rng: Generator) -> Floats:
     """Turn errors on one line onto another line with a drawn direction, (M, 2)."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     line = error[np.abs(error).max(axis=1).argmax()]
-    along = error @ (line / np.hypot(*line))
+    along = error @ (line / lengths(line))
     return np.asarray(along[:, None] * np.array([np.cos(angle), np.sin(angle)]))
 
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final, TypeAlias
 
-from evaluation.api.carding import load_cards
+from evaluation.api.card_checks import load_cards
 from evaluation.estimates.cards import is_control, on_front
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import Card

@@ -30,16 +30,14 @@ from attacks.following.belief import (
     updated_by_states,
 )
 from attacks.following.logs import first_half
-from attacks.following.pieces import PRIOR_STD, Q
+from attacks.following.pieces import States, last_states
 from attacks.following.walk_chain import walk_states
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
-from isac_track.kalman import Batch, kalman_last
-from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Network
 from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
-from isac_track.patrols.knowledge import declared_variance
+from isac_track.patrols.knowledge import Reports, released_reports
 from isac_track.policies.query import Query, View
 from isac_track.policies.samples import WINDOW_S, Ahead
 from isac_track.protocols import Policy
@@ -107,7 +105,7 @@ class _Task:
     epsilon_m: float
     probes_per_s: float
     query_s: Floats  # (Q,) s, instants at which the network can answer.
-    variance: Floats  # (M,) m^2, declared of each sample.
+    reports: Reports  # Samples with their declared errors.
 
     @property
     def power(self) -> float:
@@ -170,7 +168,7 @@ def probe_targets(
         epsilon_m=epsilon_m,
         probes_per_s=probes_per_s,
         query_s=patrol.scan_s[patrol.query_scan],
-        variance=np.maximum(declared_variance(network), MIN_VARIANCE_M2),
+        reports=released_reports(network).floored(),
     )
     is_first = first_half(patrol.people.group)
     crowds = {
@@ -475,20 +473,15 @@ def _sent_states(
             first = min(first, sent_runs[number].first)
         sent_runs[number] = SentRun(first, last, float(t[last]))
     states = [_run_state(task, sent_runs[number]) for number in numbers.tolist()]
-    mean = np.array([state[0] for state in states]).reshape(-1, 2, 2)
-    cov = np.array([state[1] for state in states]).reshape(-1, 2, 2)
-    return SentStates(numbers, is_new, mean, cov)
+    mean = np.array([state.mean[0] for state in states]).reshape(-1, 2, 2)
+    cov = np.array([state.cov[0] for state in states]).reshape(-1, 2, 2)
+    planar = [state.planar[0] for state in states if state.planar is not None]
+    return SentStates(numbers, is_new, mean, cov, np.array(planar) if planar else None)
 
 
-def _run_state(task: _Task, run: SentRun) -> tuple[Floats, Floats]:
-    """Return the Kalman state after a run of samples, mean and covariance."""
-    release, rows = task.network.release, slice(run.first, run.last + 1)
-    batch = Batch(
-        release.t[rows],
-        release.xy[rows],
-        task.variance[rows],
-        np.array([0, run.last + 1 - run.first]),
-        PRIOR_STD,
+def _run_state(task: _Task, run: SentRun) -> States:
+    """Return the Kalman state after a run of samples."""
+    rows = np.arange(run.first, run.last + 1)
+    return last_states(
+        task.network.release.t[rows], task.reports[rows], np.array([0, rows.size])
     )
-    state = kalman_last(batch, q=Q)
-    return state.mean[0], state.cov[0]

@@ -212,7 +212,7 @@ class _Searches:
 
 
 def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
-    """Return a search for each half of the people, or one in which all come back.
+    """Return a search for each half of the people, or a search in which all come back.
 
     Who comes back is linked by an adversary who learns from all other groups.
     """
@@ -229,7 +229,7 @@ def _long_in_both(draft: Draft, needed_s: float) -> list[int]:
     """Return the rows of the people whose tracks last `needed_s` in both sessions."""
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
     counted = f"of {len(tracks)} tracks last {needed_s:g} s"
-    if not draft.task.is_one_walk:
+    if not draft.task.is_single_walk:
         counted = f"people walk for {needed_s:g} s in both sessions"
     # People who are absent from the second session are left out.
     in_second = {later.tracks.source[row] for row in later.lasting(needed_s)}

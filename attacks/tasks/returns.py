@@ -24,6 +24,7 @@ from isac_track.types import (
     Release,
     Tracks,
     end_to_end,
+    lengths,
     read_only,
     sample_runs,
 )
@@ -114,9 +115,9 @@ def passages(
 ) -> Passages:
     """Return the passages of a recording with people and sessions.
 
-    Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`. If
+    Passages shorter than `least_s` are left out; longer are cut to `longest_s`. If
     a linker would have more than `most_scores` scores, people are drawn by `seed`.
-    Circumstances come from whole tracks, those of short ones included. DataError
+    Circumstances come from whole tracks, those of short passages included. DataError
     without people or sessions, if nobody comes back, or for a single person.
     """
     if tracks.person is None or tracks.session is None:
@@ -211,8 +212,8 @@ def _closeness(
         density[here] = _density(begin_s[here], end_s[here])
     for row, run in enumerate(_slices(tracks.offsets, np.arange(n))):
         length_s[row] = end_s[row] - begin_s[row]
-        steps_m = np.hypot(*(tracks.xy[run][-1] - tracks.xy[run][0]))
-        way_m = np.hypot(*np.diff(_every_second(tracks, run), axis=0).T).sum()
+        steps_m = lengths(tracks.xy[run][-1] - tracks.xy[run][0])
+        way_m = lengths(np.diff(_every_second(tracks, run), axis=0)).sum()
         speed[row] = max(steps_m, way_m) / max(length_s[row], 1e-9)
     scalars = {
         "density": np.log(density),

@@ -6,14 +6,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evaluation.api.carding import (
-    Entry,
-    Maker,
-    Seed,
-    card_entry,
-    cross_entries,
-    is_of_this_code,
-)
+from evaluation.api.card_entries import Entry, Seed, card_entry, cross_entries
+from evaluation.api.carding import Maker, is_of_this_code
 from evaluation.estimates.cards import KNOWN
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.reporting import board_page

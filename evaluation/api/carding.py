@@ -1,10 +1,9 @@
-"""Cards of the board: made, verified, and put to new attacks."""
+"""Cards of the board, made: the scores of entries under a protocol and a seed."""
 
 from __future__ import annotations
 
 import hashlib
 import platform
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -15,6 +14,7 @@ from typing import Final
 import numpy as np
 
 import isac_track
+from evaluation.api.card_entries import Entry, Seed, card_entry
 from evaluation.api.rebuilding import limit_threads
 from evaluation.compute.board import (
     attack_scores,
@@ -24,15 +24,8 @@ from evaluation.compute.board import (
 )
 from evaluation.compute.log_attacks import LogAttack, log_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, share_level
-from evaluation.estimates.cards import (
-    Agreement,
-    agreement,
-    card_score,
-    has_own_primary,
-    primary_scores,
-    same_board,
-)
-from evaluation.plan.fingerprint import is_user_plugin, source_digest
+from evaluation.estimates.cards import card_score, primary_scores
+from evaluation.plan.fingerprint import source_digest
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.store.cards import (
     Card,
@@ -43,108 +36,12 @@ from evaluation.store.cards import (
     seed_label,
     write_card,
 )
-from evaluation.store.files import read_regular_file
-from evaluation.store.manifest import read_manifest
 from isac_track import datasets
 from isac_track.errors import DataError, SettingsError
-from isac_track.plugins import Plugin, parse, parse_all
+from isac_track.plugins import Plugin, parse_all
 
 _CODE: Final = ("evaluation.compute.board", "evaluation.estimates.cards")
 """Modules that all numbers of a card come from, beside its plug-ins and robots."""
-_SECRET: Final = re.compile(r"[0-9a-f]{32,128}")
-
-
-@dataclass(frozen=True, slots=True)
-class Seed:
-    """A base seed of all streams, published or secret."""
-
-    value: int
-    is_secret: bool = False
-
-    def commitment(self, protocol: Protocol) -> str:
-        """Return a digest that binds a card to its seed without showing it."""
-        text = f"isac-track protocol {protocol.version} seed {self.value}"
-        return hashlib.sha256(text.encode()).hexdigest()
-
-
-def read_secret_seed(path: Path) -> Seed:
-    """Return the seed of a file: at least 32 hexadecimal digits, so nobody guesses it.
-
-    DataError for a file that is missing or holds anything else.
-    """
-    try:
-        text = read_regular_file(path).decode().strip()
-    except (OSError, ValueError) as error:
-        raise DataError(f"--secret-seed {path} cannot be read: {error}") from None
-    if not _SECRET.fullmatch(text):
-        raise DataError(
-            f"--secret-seed {path} must hold 32 to 128 hexadecimal digits, which"
-            " python -c 'import secrets; print(secrets.token_hex(16))' prints"
-        )
-    return Seed(int(text, 16), is_secret=True)
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """What a card is of: a recording under a law, a mechanism, and a policy."""
-
-    recording: str
-    law: str
-    mechanism: Plugin
-    policy: Plugin
-
-
-def cross_entries(
-    recordings: Iterable[str],
-    laws: Iterable[str],
-    mechanisms: Sequence[str],
-    policies: Sequence[str],
-) -> list[Entry]:
-    """Return an entry for each combination; a sweep is an entry for each level."""
-    shared = parse_all("mechanisms", mechanisms)
-    answering = parse_all("policies", policies)
-    return [
-        Entry(recording, law, mechanism, policy)
-        for recording in dict.fromkeys(recordings)
-        for law in dict.fromkeys(laws)
-        for mechanism in shared
-        for policy in answering
-    ]
-
-
-def protocol_entries(
-    recordings: Sequence[str], laws: Sequence[str], *, protocol: Protocol
-) -> list[Entry]:
-    """Return the entries that the protocol names.
-
-    They are all its mechanisms with `everything`, and raw with all its policies.
-    """
-    entries = cross_entries(recordings, laws, protocol.mechanisms, ["everything"])
-    entries += cross_entries(recordings, laws, ["raw"], protocol.policies)
-    return list(dict.fromkeys(entries))
-
-
-def run_entries(out: Path, *, protocol: Protocol) -> tuple[list[Entry], int]:
-    """Return the entries of a finished run, and its seed.
-
-    DataError if its recording is not the protocol's.
-    """
-    manifest = read_manifest(out)
-    settings, data = manifest["settings"], manifest["dataset"]
-    names = {digest: name for name, digest in protocol.recordings.items()}
-    name = names.get(data.get("sha256", ""))
-    if name is None:
-        raise DataError(
-            f"{out}: its recording {data.get('name', '')!r} is not in protocol"
-            f" {protocol.version} ({', '.join(protocol.recordings)})"
-        )
-    entries = cross_entries(
-        [name],
-        [settings["stages"]["sensing.law"]],
-        settings["mechanisms"],
-        settings["policies"] or ["everything"],
-    )
-    return entries, int(settings["seed"])
 
 
 @dataclass(eq=False, slots=True)
@@ -364,89 +261,3 @@ def _made_before(path: Path, maker: Maker, entry: Entry) -> Card | None:
         and card.attacks == tuple(map(attack_of_card, maker.all_attacks()))
     )
     return card if is_same else None
-
-
-def load_cards(
-    paths: Iterable[Path], *, protocol: Protocol | None = None
-) -> dict[Path, Card]:
-    """Return the cards of files and of folders of cards, checked to fit together.
-
-    DataError, in a line, for a file that is no card of the protocol, and for two cards
-    of one entry.
-    """
-    cards: dict[Path, Card] = {}
-    for path in paths:
-        if path.is_dir():
-            inside = sorted(path.glob("*.json"))
-            if not inside:
-                raise DataError(f"{path} holds no card (*.json)")
-            cards |= {item: read_card(item) for item in inside}
-        else:
-            cards[path] = read_card(path)
-    protocol = protocol or read_protocol()
-    same_board(cards.values(), protocol)
-    for path, card in cards.items():
-        if not has_own_primary(card, protocol):
-            raise DataError(
-                f"{path}: its primary scores do not follow from its scores; the card"
-                " was changed"
-            )
-    first: dict[str, Path] = {}
-    for path, card in cards.items():
-        other = first.setdefault(card.file_name, path)
-        if other != path:
-            raise DataError(
-                f"{other} and {path} are both of {card.label}; leave out either"
-            )
-    return cards
-
-
-def card_entry(card: Card) -> Entry:
-    """Return the entry of a card, with the plug-ins of this machine."""
-    (mechanism,) = parse("mechanisms", card.mechanism.spec)
-    (policy,) = parse("policies", card.policy.spec)
-    return Entry(card.recording, card.law, mechanism, policy)
-
-
-def verify(
-    card: Card, *, seed: Seed | None = None, protocol: Protocol | None = None
-) -> Agreement:
-    """Compute a card again, and return whether it is the same.
-
-    Without a seed it is the card's own. SettingsError if that is secret and was not
-    given, or if a plug-in here is not the card's.
-    """
-    protocol = protocol or read_protocol()
-    same_board([card], protocol)
-    if seed is None:
-        if card.seed is None:
-            raise SettingsError(
-                f"{card.label}: give its seed by --secret-seed FILE, or another seed by"
-                " --seed N"
-            )
-        seed = Seed(card.seed)
-        if seed.commitment(protocol) != card.seed_commitment:
-            return Agreement("differs", "the commitment is not that of its seed")
-    if not has_own_primary(card, protocol):
-        reason = "its primary scores do not follow from its scores"
-        return Agreement("differs", reason)
-    extra = [
-        attack.spec for attack in card.attacks if attack.spec not in protocol.attacks
-    ]
-    maker = Maker(seed, parse_all("attacks", extra), protocol)
-    entry = card_entry(card)
-    _refuse_other_plugins(card, [entry.mechanism, entry.policy, *maker.attacks])
-    return agreement(card, maker.card(entry), protocol)
-
-
-def _refuse_other_plugins(card: Card, plugins: Iterable[Plugin]) -> None:
-    """Raise SettingsError if a user's plug-in here has another source than a card's."""
-    digests = {
-        item.spec: item.digest for item in (card.mechanism, card.policy, *card.attacks)
-    }
-    for plugin in filter(is_user_plugin, plugins):
-        if card_plugin(plugin).digest != digests.get(plugin.spec):
-            raise SettingsError(
-                f"{plugin.spec} here is not the card's: its source has another digest;"
-                " get the plug-in that the card was made with"
-            )

@@ -33,7 +33,7 @@ from isac_track.rng import stream
 from isac_track.types import Floats, Ints
 
 WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
-"""Cohorts without people in groups, who move alike, or without frozen annotations."""
+"""Cohorts without groups, whose members move together, or frozen annotations."""
 SHUFFLES = 999
 AUDIT_SHUFFLES = 1999  # Enough to reject at a hundredth over six tests.
 ESTIMATES: Final = "estimates"

@@ -263,7 +263,7 @@ def _sense_side(
     """Return what the network senses of one side; every window has streams of its own.
 
     The slow part of the channel belongs to the walk and its time: the same before and
-    after a gap, another one when the steps are logged again or people come back.
+    after a gap, another draw when the steps are logged again or people come back.
     """
     windows, task = getattr(sessions, side), sessions.task
     # Names of the streams of each window, and of the lasting parts of its walk.
@@ -274,12 +274,12 @@ def _sense_side(
         own = ("linkage", task.family, side, source)
         # The number of a closed search is a half, which depends on the other people.
         window_keys.append((*own, sessions.searches[search]) if task.is_open else own)
-        walk_keys.append(recorded_walk(source) if task.is_one_time else own)
+        walk_keys.append(recorded_walk(source) if task.is_sensed_once else own)
     walked_m = windows.walked_m
     if walked_m is None:
         walked_m = walked_within(windows.xy, windows.offsets)
     # A slow error goes on along a walk: sides that are two walks have two numbers.
-    ending = () if task.is_one_walk else (side,)
+    ending = () if task.is_single_walk else (side,)
     names = [("person", source, *ending) for source in sessions.source]
     walk_of_person = np.concatenate(
         [walk_numbers(*name, n_walks=1, seed=seed) for name in names]

@@ -66,7 +66,7 @@ from isac_track.protocols import (
     TrainingSet,
 )
 from isac_track.rng import stream
-from isac_track.types import Floats, Knowledge, Release, derived
+from isac_track.types import Floats, Knowledge, Release, derived, lengths
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions, Windows
@@ -417,7 +417,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     if behind is None:
         return level.view_for(shows)
     granted = consumer.granted & declared(behind)
-    # Built-in attacks draw nothing: one without training is the same in both folds.
+    # Built-in attacks draw nothing: without training they are the same in both folds.
     is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
         sharing.OURS
     )
@@ -425,7 +425,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     key = (Knowledge.SIGMA in shows, behind.spec, granted, key_fold)
     if key not in level.views:
         smoothed = _smoothed_view(consumer, behind, level, fold, shows)
-        # The smoother may choose alike in both folds: share the earlier view, so that
+        # The smoother may choose equally in both folds: share the earlier view, so that
         # linkers compute their descriptors of a release once.
         equal_views = (
             view
@@ -598,7 +598,7 @@ def _side_table(level: LinkedLevel, smoothed: _View, side: int) -> pa.Table:
 def _durations_and_speeds(windows: Windows) -> tuple[Floats, Floats]:
     """Return the duration of each window, s, and the speed of its walk, m/s."""
     step_m = np.zeros(windows.t.size)
-    step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
+    step_m[1:] = lengths(np.diff(windows.xy, axis=0))
     step_m[windows.offsets[:-1]] = 0.0  # between windows
     duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])

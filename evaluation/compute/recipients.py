@@ -117,7 +117,7 @@ def strongest(trackers: list[dict[str, Rows]], *, n_blocks: int) -> dict[str, Ro
             followed[name] = np.where(
                 here[FOLLOWED], best[FOLLOWED][name], followed[name]
             )
-    return {ROWS: rows, FOLLOWED: followed}
+    return {**own, ROWS: rows, FOLLOWED: followed}
 
 
 def _is_late(block: Ints, n_blocks: int) -> Bools:

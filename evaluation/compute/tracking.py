@@ -30,6 +30,7 @@ from isac_track.tracking.counts import (
     BlockCounts,
     Blocks,
     RobotCounts,
+    hota_blocks,
     robot_counts,
     track_counts,
 )
@@ -38,6 +39,7 @@ from isac_track.tracking.detections import (
     clutter_density,
     detect_people,
 )
+from isac_track.tracking.hota import HotaScans, hota_scans
 from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
 from isac_track.tracking.methods import track_patrol
 from isac_track.tracking.metrics import GospaScans, gospa_scans
@@ -58,6 +60,7 @@ CountsByHorizon: TypeAlias = "dict[int, RobotCounts]"
 """What robots miss, by horizon in scans."""
 ALARMS: Final = "alarms"  # Further table of a robot's cell.
 FOLLOWED: Final = "followed"  # Further table of a cell of tracks.
+HOTA: Final = "hota"  # Further table of a cell of tracks.
 _LEAST_DENSITY_PER_M2: Final = 0.005  # Of new people, assumed without clutter.
 # A tracker that is certain of a detection ends a track at the first miss.
 _ASSUMED: Final = (0.1, 0.99)
@@ -70,6 +73,7 @@ class TrackedSeed:
 
     tracked: Tracked
     scans: GospaScans
+    hota: HotaScans
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,6 +82,7 @@ class SharedSeed:
 
     shared: SharedTracks
     scans: GospaScans
+    hota: HotaScans
     # The same tracks with the detections as their tracker got them.
     raw: SharedTracks
 
@@ -166,7 +171,7 @@ class TrackingSetup:
             ),
         )
         scans = gospa_scans(self.patrol, tracked, cutoff_m=GOSPA_CUTOFF_M)
-        return TrackedSeed(tracked, scans)
+        return TrackedSeed(tracked, scans, hota_scans(self.patrol, tracked))
 
 
 def _detection(stages: StageSettings) -> DetectionSettings:
@@ -207,7 +212,7 @@ def _share_seed(
     if instance == Raw():
         made = setup.tracks(tracker, seed)
         shared = share_tracks(detected, made.tracked, seed=seed)
-        return SharedSeed(shared, made.scans, raw=shared)
+        return SharedSeed(shared, made.scans, made.hota, raw=shared)
     own = replace(detected, sensed=copy_for_user_plugin(detected.sensed, mechanism))
     if setup.stages.tracking.noise == "before":
         noisy = guarded(
@@ -215,14 +220,14 @@ def _share_seed(
         )
         made = setup.track(tracker, noisy)
         shared = share_tracks(noisy, made.tracked, seed=seed)
-        return SharedSeed(shared, made.scans, raw=shared)
+        return SharedSeed(shared, made.scans, made.hota, raw=shared)
     made = setup.tracks(tracker, seed)
     shared = guarded(
         name,
         lambda: share_tracks(own, made.tracked, seed=seed, mechanism=instance),
     )
     raw = share_tracks(detected, made.tracked, seed=seed)
-    return SharedSeed(shared, made.scans, raw=raw)
+    return SharedSeed(shared, made.scans, made.hota, raw=raw)
 
 
 def release_rows(
@@ -337,19 +342,22 @@ ROBOT_COLUMNS: Final = (
     "allowed",
 )
 ALARM_COLUMNS: Final = (*_PLACE, "step", "alarms", "warned")
+HOTA_COLUMNS: Final = (*_PLACE, "step", "association", "pairs")
 """Columns of the cells of tracks and of robots with tracks.
 
-The table `ALARMS` has a row for each seed, block and alarm distance, the table
-`FOLLOWED` for each seed and person, who counts in the block of the first sample.
+The table `ALARMS` has a row for each seed, block and alarm distance, the table `HOTA`
+for each seed, block and least similarity, the table `FOLLOWED` for each seed and
+person, who counts in the block of the first sample.
 """
 
 
 def track_tables(releases: list[SharedSeed], setup: TrackingSetup) -> dict[str, Rows]:
-    """Return the tables of tracks: `TRACK_COLUMNS`, `FOLLOWED_COLUMNS`."""
+    """Return the tables of tracks: `TRACK_COLUMNS`, `FOLLOWED_COLUMNS`, `HOTA_COLUMNS`."""
     followed = [follow_tracks(setup.patrol, release.shared) for release in releases]
     return {
         ROWS: track_rows(releases, setup) | _rejoined_columns(followed, setup.blocks),
         FOLLOWED: _followed_rows(followed, setup),
+        HOTA: _hota_rows(releases, setup.blocks),
     }
 
 
@@ -362,6 +370,20 @@ def _rejoined_columns(followed: list[TrackFollowing], blocks: Blocks) -> Rows:
         for each in followed
     ]
     return _count_columns("rejoined_share", counts)
+
+
+def _hota_rows(releases: list[SharedSeed], blocks: Blocks) -> Rows:
+    """Return the parts of HOTA by seed, block and level, (S B A,)."""
+    seeds = [hota_blocks(blocks, release.hota) for release in releases]
+    n_levels = len(seeds[0].pairs)
+    rows = {
+        name: np.repeat(column, n_levels)
+        for name, column in place_rows(len(seeds), blocks.n).items()
+    }
+    rows["step"] = np.tile(np.arange(n_levels, dtype=np.int32), len(seeds) * blocks.n)
+    for name in ("association", "pairs"):
+        rows[name] = np.concatenate([getattr(seed, name).T.ravel() for seed in seeds])
+    return rows
 
 
 def _followed_rows(followed: list[TrackFollowing], setup: TrackingSetup) -> Rows:
@@ -469,7 +491,7 @@ def by_seed(rows: Mapping[str, Floats], column: str) -> Floats:
 
 
 def by_distance(alarms: Mapping[str, Floats], column: str) -> Floats:
-    """Return a column of the table `ALARMS`, (1 + D, B, S)."""
+    """Return a column of `ALARMS`, (1 + D, B, S), or of `HOTA`, (A, B, S)."""
     n_seeds, n_steps = (int(alarms[name].max()) + 1 for name in ("seed", "step"))
     return np.asarray(
         np.moveaxis(alarms[column].reshape(n_seeds, -1, n_steps), 0, -1).swapaxes(0, 1)

@@ -133,7 +133,7 @@ def attempt_cells(
         frames = traceback.walk_tb(error.__traceback__)
         places = ((frame.f_globals.get("__name__", ""), line) for frame, line in frames)
         own_places = [place for place in places if place[0].partition(".")[0] in OURS]
-        # The innermost one; at least this function is among them.
+        # The innermost frame; at least this function is among them.
         module, line = own_places[-1]
         report = f"in isac-track's own code, {module}, line {line}: please report this"
         yield Failure(current_cell.names, f"{error_text(error)} ({report})")

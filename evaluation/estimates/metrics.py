@@ -41,7 +41,7 @@ class Metric:
     is_root: bool = False  # Whether the metric is the square root of that ratio.
     # Whether it is among the few metrics tested first where runs are compared.
     is_headline: bool = False
-    # Whether its replicates are biased, so that its intervals are basic ones.
+    # Whether its replicates are biased, so that its intervals are basic intervals.
     is_biased: bool = False
     is_difference: bool = False  # Whether it is a difference, which may be negative.
 
@@ -181,6 +181,7 @@ _ROWS: Final = (
     Metric("confirming_p", "nested p there", "returns", "ratio", digits=3),
     Metric("gospa", "GOSPA", "tracking", "m", digits=2),
     Metric("ospa", "OSPA", "tracking", "m", digits=2),
+    Metric("hota", "HOTA", "tracking", "ratio", digits=2),
     Metric("purity", "purity", "tracking"),
     Metric("id_switches", "switches", "tracking", "1/min", digits=1),
     Metric("fragments", "fragments", "tracking", "1/min", digits=2),

@@ -1,4 +1,4 @@
-"""A user's own plug-ins beside built-in ones: the section `plugins` of `verdict.json`.
+"""A user's own plug-ins beside the built-in: the section `plugins` of `verdict.json`.
 
 An attack, a linker or a predictor is compared with the strongest built-in of its kind
 in the same run: same people, same draws, so that the difference is paired by cluster.

@@ -25,6 +25,8 @@ from evaluation.compute.tracking import (
     ALARMS,
     FOLLOWED,
     FOLLOWED_COLUMNS,
+    HOTA,
+    HOTA_COLUMNS,
     ROBOT_COLUMNS,
     ROBOT_SHARES,
     TRACK_COLUMNS,
@@ -44,6 +46,7 @@ from evaluation.plan.axes import LOG, TRACK_KINDS
 from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.tracking.blocks import (
+    block_hota,
     block_missed_at_equal_alarms,
     block_ratio,
     block_statistic,
@@ -64,6 +67,7 @@ _BESIDE: Final = (
     *FOLLOWED_COLUMNS,
     *ROBOT_COLUMNS,
     *ALARM_COLUMNS,
+    *HOTA_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
 CHANCE: Final = "chance"  # Of rank 1, by guessing.
@@ -99,6 +103,12 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {
         (entry.address, name): _ratio(rows, name, seed=seed) for name in TRACK_METRICS
     }
+    levels = _read(out, entry, HOTA_COLUMNS, table=HOTA)
+    metrics[entry.address, "hota"] = block_hota(
+        association=by_distance(levels, "association"),
+        pairs=by_distance(levels, "pairs"),
+        seed=seed,
+    )
     known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
     best = int(np.argmax([counts.sum() for counts in known]))
     log = replace(entry.address, plugin=LOG, adversary=ORACLE)
@@ -198,7 +208,7 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {(robot, name): _ratio(rows, name, seed=seed) for name in ROBOT_SHARES}
     alarms = _read(out, entry, ALARM_COLUMNS, table=ALARMS)
     metrics[robot, FUTURE_EQUAL_ALARMS] = block_missed_at_equal_alarms(
-        # The last row repeats the one before.
+        # The last row repeats the row before.
         alarms=by_distance(alarms, "alarms")[:-1],
         warned=by_distance(alarms, "warned"),
         allowed=by_seed(rows, "allowed"),

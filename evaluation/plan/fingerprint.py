@@ -83,39 +83,39 @@ def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
     return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
 
 
-def has_user_plugins(crossed: Axes) -> bool:
+def has_user_plugins(run_axes: Axes) -> bool:
     """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
     consumers = (
-        *crossed.consumers,
-        *crossed.patrol_readers(),
-        *crossed.track_readers(),
-        *(link for _, link in crossed.links),
+        *run_axes.consumers,
+        *run_axes.patrol_readers(),
+        *run_axes.track_readers(),
+        *(link for _, link in run_axes.links),
     )
     used = (plugin for consumer in consumers for plugin in consumer.plugins)
-    return any(map(is_user_plugin, (*crossed.mechanisms, *used)))
+    return any(map(is_user_plugin, (*run_axes.mechanisms, *used)))
 
 
-def list_user_plugins(crossed: Axes) -> dict[str, list[str]]:
+def list_user_plugins(run_axes: Axes) -> dict[str, list[str]]:
     """Return the user's plug-ins by axis, by their names in the columns of the results.
 
     Axes without any are left out. Mechanisms have names without the level. A linker
     behind a reconstruction counts as soon as either is a user's.
     """
-    links = dict.fromkeys(link for _, link in crossed.links)
+    links = dict.fromkeys(link for _, link in run_axes.links)
     strange = {
         "mechanisms": [
-            level.name for level in filter(is_user_plugin, crossed.mechanisms)
+            level.name for level in filter(is_user_plugin, run_axes.mechanisms)
         ],
         "predictors": [
-            robot.spec for robot in filter(is_user_plugin, crossed.predictors)
+            robot.spec for robot in filter(is_user_plugin, run_axes.predictors)
         ],
         "policies": [
-            policy.spec for policy in filter(is_user_plugin, crossed.policies)
+            policy.spec for policy in filter(is_user_plugin, run_axes.policies)
         ],
         "trackers": [
-            release.name for release in filter(is_user_plugin, crossed.track_releases)
+            release.name for release in filter(is_user_plugin, run_axes.track_releases)
         ],
-        "attacks": [attack.spec for attack in filter(is_user_plugin, crossed.attacks)],
+        "attacks": [attack.spec for attack in filter(is_user_plugin, run_axes.attacks)],
     }
     strange["attacks"] += [
         link.spec for link in links if any(map(is_user_plugin, link.plugins))
@@ -160,7 +160,7 @@ def source_digest(module: str) -> str:
 
     These are its own top-level package and, unless it was installed, all modules in the
     same folder as that; the project's own packages count as a single one. Imports are
-    read, not run, the lazy ones too. Imports for types alone do not count, and imports
+    read, not run, lazy imports too. Imports for types alone do not count, and imports
     that are composed at run time are not seen. A module without a file, such as
     `__main__`, has the digest of no bytes.
     """

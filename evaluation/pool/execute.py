@@ -55,11 +55,11 @@ def execute(
 ) -> None:
     """Compute the cells that a run's folder lacks; the caller holds the folder's lock.
 
-    The walks of a few people are kept to be drawn, unless `keeps_walks` is false or the
+    The walks of a few people stay to be drawn, unless `keeps_walks` is false or the
     recording's licence forbids to pass them on.
 
     `progress` is called with cells finished, cells to do, and the cell under way.
-    Raises IsacTrackError for anything that a user can mend; finished cells are kept.
+    Raises IsacTrackError for anything that a user can mend; finished cells stay.
     """
     started, out = time.monotonic(), plan.out
     untried = try_plugins(plan)

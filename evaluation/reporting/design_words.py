@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from evaluation.estimates.families import families_in
+from evaluation.estimates.families import entry_families
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -31,7 +31,7 @@ from evaluation.reporting.names import (
     mechanism_name,
     short_mechanism_name,
 )
-from evaluation.reporting.noise_plan import plan_lines
+from evaluation.reporting.noise_plan import short_lines
 from evaluation.reporting.notices import few_people
 from evaluation.reporting.patrol_advice import (
     PatrolAnswer,
@@ -101,7 +101,7 @@ def answer_question(
         limits,
         robot=question.robot,
         horizon_s=question.criterion.horizon_s,
-        families=families_in(manifest["cells"]),
+        families=entry_families(manifest["cells"]),
     )
     if not (advice.proposals or advice.refused or on_patrol.proposal):
         raise SettingsError(
@@ -265,8 +265,8 @@ def _closed_form_notes(answer: Answer) -> list[str]:
         return []
     epsilon_m = words.epsilon_m(answer.manifest)
     dt_s = float(answer.manifest["history"]["interval_s"])
-    lines = plan_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
-    text = " ".join(line.strip() for line in lines[:2])
+    lines = short_lines(plr=limit, epsilon_m=epsilon_m, q=steady.Q_M2_PER_S3, dt_s=dt_s)
+    text = " ".join(line.strip() for line in lines)
     return [f"Closed forms alone, without a run: {text}"]
 
 
@@ -364,7 +364,7 @@ def _full_parts(answer: Answer) -> list[Part]:
         parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
     parts += ["", answer.on_patrol.text]
     if options := answer.on_patrol.options:
-        parts += [patrol_table(options, families_in(manifest["cells"]))]
+        parts += [patrol_table(options, entry_families(manifest["cells"]))]
     if remarks := [f"Note: {note}" for note in notes(answer)]:
         parts += ["", *remarks]
     return parts

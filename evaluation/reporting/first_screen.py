@@ -258,7 +258,7 @@ def first_table(run: Results) -> Table:
 def short_table(table: Headline) -> Table:
     """Return the first table for the README: `34 ±4`, shares and half-widths in %.
 
-    Without the run at hand, its robot is the one that misses least.
+    Without the run at hand, its robot is that which misses least.
     """
     robot = min(table.future or table.robots, key=partial(_mean_missed, table))
     columns = _flat_columns(screen_columns(table, robot))

@@ -280,7 +280,7 @@ class Results:
 
     @property
     def _n_scenes(self) -> tuple[int, int]:
-        """Numbers of scenes: attacked ones, and ones with robots."""
+        """Numbers of scenes: attacked, and with robots."""
         identity = self.manifest["identity"]
         return identity["scenes"], identity.get("scenes_utility", identity["scenes"])
 

@@ -96,8 +96,8 @@ def _notes(
     )
     readers = (
         f"Known: stated within {stages['privacy.epsilon_m']:g} m, of all person-time, by"
-        " an adversary who knows to whom each track belongs. Followed: by one who joins"
-        " tracks by predicted places; rejoined: breaks of a track that it mends."
+        " an adversary who knows to whom each track belongs. Followed: by an attack"
+        " that joins tracks by predicted places; rejoined: breaks of a track that it mends."
     )
     notes = [sensing, readers]
     if robot:

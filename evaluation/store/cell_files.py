@@ -361,7 +361,7 @@ def readable(path: Path) -> Iterator[None]:
 
 
 def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
-    """Write sample tracks into a run folder; without parts remove earlier ones."""
+    """Write sample tracks into a run folder; without parts remove earlier tracks."""
     if not parts:
         (out / GALLERY_FILE).unlink(missing_ok=True)
         return

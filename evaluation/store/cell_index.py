@@ -107,7 +107,7 @@ def read_index(content: bytes | Path) -> FileIndex | None:
 def sound_files(
     out: Path, names: Sequence[str] = ()
 ) -> tuple[dict[str, FileIndex], list[str]]:
-    """Return the indices of sound files by name, and the names of damaged ones.
+    """Return the indices of sound files by name, and the names of damaged files.
 
     They are looked for among `names` and the checksums.
     """

@@ -211,7 +211,7 @@ def remove_figures(out: Path) -> None:
             path.unlink(missing_ok=True)
         except OSError as error:
             message = f"cannot replace {path}: {error.strerror}"
-            raise DataError(f"{message}; finished cells are kept") from None
+            raise DataError(f"{message}; finished cells stay") from None
 
 
 def _figures(out: Path, manifest: Mapping[str, Any]) -> list[Path]:

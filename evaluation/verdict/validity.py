@@ -329,7 +329,7 @@ def _why_not(tested: Tested, wide: Widths) -> str:
             f"{FEWEST_EFFECTIVE} are needed"
         )
     if own.fall_error < rules.NO_SPREAD:
-        return "all people fare alike: that says nothing of others"
+        return "all people fare the same: that says nothing of others"
     raw = panel.task.levels[panel.fixed[-1]]
     links, guess = (
         float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance)

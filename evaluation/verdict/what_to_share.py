@@ -107,7 +107,7 @@ class Question:
     criterion: Criterion = Criterion()
     robot: str = ""  # Predictor; empty: the best robot of the run, cross-fitted.
     adding: tuple[str, ...] = ADDING_RULES  # All of them must hold.
-    only: tuple[str, ...] = ()  # Families; empty: every one.
+    only: tuple[str, ...] = ()  # Families; empty: all.
     as_shared: bool = False  # Descriptors are limited as shared, not as reconstructed.
 
     def __post_init__(self) -> None:

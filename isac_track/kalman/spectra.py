@@ -98,15 +98,47 @@ def smoothed_rms_m(
     instant of a walk in view for `seen_s`, and the mean is over all positions. The
     smoother knows the endless past and future.
     """
+    plain, anchored = _smoothed_m2(density, world, releases)
+    return math.sqrt(plain), math.sqrt(_mean_over_lags(anchored, world))
+
+
+def known_shares(
+    density: Floats,
+    *,
+    epsilon_m: float,
+    world: World = WORLD,
+    releases: int | None = None,
+) -> tuple[float, float]:
+    """Return the expected PLR of that smoother, 0..1: without and with an anchor.
+
+    Its errors are Gaussian; a position counts as known within `epsilon_m`. Otherwise as
+    `smoothed_rms_m`.
+    """
+    plain, anchored = _smoothed_m2(density, world, releases)
+    shares = -np.expm1(-(epsilon_m**2) / (2.0 * np.append(plain, anchored)))
+    return float(shares[0]), _mean_over_lags(shares[1:], world)
+
+
+def _smoothed_m2(
+    density: Floats, world: World, releases: int | None
+) -> tuple[float, Floats]:
+    """Return a smoothed position's variance per axis, m^2: without an anchor, and (L,).
+
+    The anchor lies at each lag from 0 to the time in view.
+    """
     n = world.releases if releases is None else releases
     walk = world.q / _FREQUENCY**4
     noise = (density + world.raw_m**2 * world.dt_s) / n
     covariance = _lag_covariance(walk * noise / (walk + noise), world.seen_s)
     known = np.square(covariance) / (covariance[0] + _ANCHOR_M2)
+    return float(covariance[0]), covariance[0] - known
+
+
+def _mean_over_lags(values: Floats, world: World) -> float:
+    """Return the mean of values at lags, (L,), over positions and a random anchor."""
     lag_s = np.linspace(0.0, world.seen_s, _N_LAGS)
     chance = 2.0 * (world.seen_s - lag_s) / world.seen_s**2
-    anchored = float(np.trapezoid(chance * (covariance[0] - known), lag_s))
-    return float(np.sqrt(covariance[0])), math.sqrt(anchored)
+    return float(np.trapezoid(chance * values, lag_s))
 
 
 def floor_m(density: Floats, *, world: World = WORLD) -> float:
@@ -123,10 +155,10 @@ def predicted_rms_m(density: Floats, *, world: World = WORLD) -> float:
     n_steps = round(world.seen_s / world.step_s) + 1
     lags = _lag_covariance(density, world.seen_s, n_steps)
     white = world.raw_m**2 * world.dt_s / world.step_s
-    walk, with_future, future = _walk_covariance(world, n_steps)
-    seen = walk + toeplitz(lags) + white * np.eye(n_steps)
-    solved = cho_solve(cho_factor(seen), with_future)
-    return math.sqrt(future - float(with_future @ solved))
+    walk = _walk_covariance(world, n_steps)
+    seen = walk.past + toeplitz(lags) + white * np.eye(n_steps)
+    solved = cho_solve(cho_factor(seen), walk.with_future)
+    return math.sqrt(walk.future - float(walk.with_future @ solved))
 
 
 def scaled_to(density: Floats, *, floor: float, world: World = WORLD) -> Floats:
@@ -168,14 +200,25 @@ def _cosines(longest_s: float, n: int) -> Floats:
     return np.asarray(np.cos(np.outer(lag_s, _FREQUENCY)) * width / np.pi)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _WalkCovariance:
+    """Prior covariance of a walk's positions, m^2 per axis."""
+
+    past: Floats  # (n, n), at n instants
+    with_future: Floats  # (n,), between these and the future instant
+    future: float  # At the future instant.
+
+
 # Covariances of a few worlds, for the process.
 @cache
-def _walk_covariance(world: World, n_steps: int) -> tuple[Floats, Floats, float]:
-    """Return a walk's covariance at n instants, (n, n), with and at the future one."""
+def _walk_covariance(world: World, n_steps: int) -> _WalkCovariance:
+    """Return the covariance at `n_steps` seen instants and the future instant."""
     t = np.append(
         np.linspace(0.0, world.seen_s, n_steps), world.seen_s + world.horizon_s
     )
     early, late = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
     covariance = _PRIOR_STD[0] ** 2 + _PRIOR_STD[1] ** 2 * np.outer(t, t)
     covariance += world.q * early**2 * (3.0 * late - early) / 6.0
-    return covariance[:-1, :-1], covariance[:-1, -1], float(covariance[-1, -1])
+    return _WalkCovariance(
+        covariance[:-1, :-1], covariance[:-1, -1], float(covariance[-1, -1])
+    )

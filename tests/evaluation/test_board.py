@@ -8,9 +8,11 @@ import pytest
 from helpers.cards import SMALL, made_up_card, small_card
 
 from evaluation import board as command
-from evaluation.api import boarding, carding
+from evaluation.api import boarding, card_checks
 from evaluation.api.boarding import attack_cards, join_mechanisms, write_board
-from evaluation.api.carding import Maker, Seed, cross_entries, load_cards, verify
+from evaluation.api.card_checks import load_cards, verify
+from evaluation.api.card_entries import Seed, cross_entries
+from evaluation.api.carding import Maker
 from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.board_page import make_board, render
 from evaluation.store.cards import card_text, read_card, write_card
@@ -172,7 +174,7 @@ class TestMechanism:
 class TestCommand:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch):
-        for module in (boarding, carding):
+        for module in (boarding, card_checks):
             monkeypatch.setattr(module, "read_protocol", lambda: SMALL)
         for card in (small_card("raw"), small_card(WATERMARK)):
             write_card(card, tmp_path / "cards")

@@ -10,8 +10,10 @@ import pytest
 from helpers.cards import SMALL, made_up_card, small_card, small_maker
 
 from evaluation import card as command
-from evaluation.api import carding
-from evaluation.api.carding import Maker, Seed, cross_entries, make_cards, verify
+from evaluation.api import card_checks, card_entries
+from evaluation.api.card_checks import verify
+from evaluation.api.card_entries import Seed, cross_entries
+from evaluation.api.carding import Maker, make_cards
 from evaluation.store.cards import card_text, read_card, write_card
 from isac_track.errors import DataError, SettingsError
 from isac_track.plugins import parse_all
@@ -94,7 +96,7 @@ class TestMaking:
             small_maker().check(entries("window:2"))
 
     def test_the_protocol_names_enough_for_a_board(self):
-        named = carding.protocol_entries(["plaza"], ["radial"], protocol=SMALL)
+        named = card_entries.protocol_entries(["plaza"], ["radial"], protocol=SMALL)
         assert len({(e.mechanism.spec, e.policy.spec) for e in named}) == len(named)
         assert len(named) >= 20
         small_maker().check(named)
@@ -130,7 +132,7 @@ class TestVerifying:
     def test_a_secret_seed_is_bound_but_not_shown(self, tmp_path):
         path = tmp_path / "seed.txt"
         path.write_text("0123456789abcdef0123456789abcdef\n", encoding="utf-8")
-        seed = carding.read_secret_seed(path)
+        seed = card_entries.read_secret_seed(path)
         card = Maker(seed, (), SMALL).card(*entries("raw"))
         assert card.seed is None
         assert str(seed.value) not in card_text(card)
@@ -143,7 +145,7 @@ class TestVerifying:
         path = tmp_path / "seed.txt"
         path.write_text(text, encoding="utf-8")
         with pytest.raises(DataError, match="32 to 128 hexadecimal digits"):
-            carding.read_secret_seed(path)
+            card_entries.read_secret_seed(path)
 
 
 def test_an_attack_joins_a_card_without_changing_its_numbers():
@@ -158,7 +160,7 @@ def test_an_attack_joins_a_card_without_changing_its_numbers():
 
 class TestCommand:
     def test_a_changed_card_ends_with_code_1(self, tmp_path, capsys, monkeypatch):
-        monkeypatch.setattr(carding, "read_protocol", lambda: SMALL)
+        monkeypatch.setattr(card_checks, "read_protocol", lambda: SMALL)
         path = write_card(small_card(), tmp_path)
         assert command.main(["--verify", str(path)]) == 0
         assert "equal: all numbers are equal bit for bit" in capsys.readouterr().out
@@ -194,11 +196,11 @@ class TestCommand:
                          "mechanisms": ["raw", "fid:1"], "policies": ["state"]},
             "dataset": {"name": "mine", "sha256": "0" * 64},
         }  # fmt: skip
-        monkeypatch.setattr(carding, "read_manifest", lambda _: run)
+        monkeypatch.setattr(card_entries, "read_manifest", lambda _: run)
         with pytest.raises(DataError, match="'mine' is not in protocol 1"):
-            carding.run_entries(tmp_path, protocol=SMALL)
+            card_entries.run_entries(tmp_path, protocol=SMALL)
         run["dataset"]["sha256"] = SMALL.recordings["zara01"]
-        found, seed = carding.run_entries(tmp_path, protocol=SMALL)
+        found, seed = card_entries.run_entries(tmp_path, protocol=SMALL)
         assert [(e.recording, e.mechanism.spec, e.policy.spec) for e in found] == [
             ("zara01", "raw", "state"),
             ("zara01", "fid:1", "state"),

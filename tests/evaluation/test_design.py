@@ -1,6 +1,7 @@
 """The command that chooses a level: exit codes and messages."""
 
 import json
+import re
 from functools import partial
 
 import pytest
@@ -18,6 +19,8 @@ from helpers.summaries import (
 )
 
 from evaluation import design
+from isac_track.kalman import spectra
+from isac_track.mechanisms.shaped import Shaped
 
 
 @pytest.fixture
@@ -47,6 +50,12 @@ class TestExitCode:
             " Limits: 50 %"
         )
         assert (said.code, " ".join(said.out.split())[: len(message)]) == (0, message)
+
+    def test_shaped_noise_is_named_where_a_run_has_it(self, made, ran):
+        shaped = changed(mechanism="shaped", level=0.2)
+        said = ran(design, made((RAW, BAD, shaped)), "--json")
+        assert json.loads(said.out)["met"]
+        assert "shaped" in said.out
 
     def test_is_1_if_a_control_alone_would(self, made, ran):
         said = ran(design, made((RAW, BAD, SHIFTED)), *IND)
@@ -273,7 +282,7 @@ class TestOnPatrol:
             for policy, missed, known in (("everything", 0.3, 0.9), ("near:3", 0.3, 0))
         ]
         said = ran(design, "--max-known", "0.5", made(options=few))
-        expected = "no limit is kept: add --set patrol.fleets=20."
+        expected = "no limit holds: add --set patrol.fleets=20."
         assert (said.code, expected in " ".join(said.out.split())) == (1, True)
 
     def test_a_run_of_policies_alone_is_answered(self, made, ran):
@@ -304,6 +313,30 @@ class TestPlan:
         # 0.3 sqrt(8 / (-4 ln 0.8)) = 0.8981, no less
         assert any("--mechanism ou:0.90 " in line for line in rest)
         assert max(map(len, rest)) <= 80
+
+    def test_names_the_lowest_level_of_shaped_that_keeps_the_limit(self, ran):
+        said = ran(design, "--plan", "--max-plr", "0.2").out
+        (level,) = re.findall(r"--mechanism shaped:(\S+)", said)
+        known = {
+            floor: spectra.known_shares(
+                spectra.matern_density(
+                    std_m=Shaped(floor).std_m,
+                    theta_s=0.5 * Shaped(floor).tau_s,
+                    order=spectra.SMOOTH_ORDER,
+                ),
+                epsilon_m=0.3,
+                releases=1,
+            )[0]
+            for floor in (float(level), float(level) - 0.01)
+        }
+        within, beyond = known.values()
+        assert within <= 0.2 < beyond
+        assert f"A smoother knows {within:.1%} of positions" in said
+
+    def test_says_that_no_level_of_shaped_is_large_enough(self, ran):
+        said = ran(design, "--plan", "--max-plr", "0.001").out
+        assert "No level of shaped is that large (1.2 m at most)." in said
+        assert "--mechanism shaped" not in said
 
     def test_of_missed_conflicts_nothing_can_be_said(self, ran):
         said = ran(design, "--plan", "--max-plr", "0.2", "--max-missed", "0.15")

@@ -3,7 +3,8 @@
 from dataclasses import replace
 from functools import cache
 
-from evaluation.api.carding import Maker, Seed, cross_entries
+from evaluation.api.card_entries import Seed, cross_entries
+from evaluation.api.carding import Maker
 from evaluation.estimates.cards import primary_scores
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import Card, CardPlugin, CardScore

@@ -8,7 +8,7 @@ import pytest
 from helpers.cards import SMALL, small_card, small_maker
 
 from attacks.following.logs import first_half
-from evaluation.api.carding import cross_entries
+from evaluation.api.card_entries import cross_entries
 from evaluation.compute.board import attack_scores, hidden_message
 from evaluation.compute.log_attacks import log_attack
 from isac_track.errors import PluginError, SettingsError

@@ -334,6 +334,11 @@ def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
     )
     after = values(made.tracks, "tracks:gnn", "purity")
     assert after.loc[:, "raw"].item() == after.loc[:, "fixed"].item()
+    oracle, gnn = (
+        values(made.tracks, f"tracks:{name}", "hota").loc[:, "raw"].item()
+        for name in ("oracle", "gnn")
+    )
+    assert 0.0 < gnn < oracle < 1.0
     purity = values(noisy.tracks, "tracks:gnn,noise=before", "purity")
     assert purity.loc[:, "fixed"].item() < purity.loc[:, "raw"].item()
     assert purity.loc[:, "raw"].item() == after.loc[:, "raw"].item()

@@ -53,6 +53,11 @@ def test_a_smoothers_error_is_that_of_dense_algebra_with_an_anchor_and_without()
     assert anchored**2 == pytest.approx(np.trapezoid(chance * left, lag_s), rel=0.02)
     alone, _ = spectra.smoothed_rms_m(OU, world=world, releases=1)
     assert alone > plain > anchored
+    # The error of either axis is Gaussian: 1 - exp(-eps^2 / 2 V) within eps.
+    shares = spectra.known_shares(OU, epsilon_m=0.3, world=world)
+    assert shares[0] == pytest.approx(-np.expm1(-0.045 / variance), rel=0.01)
+    inside = -np.expm1(-0.045 / left)
+    assert shares[1] == pytest.approx(np.trapezoid(chance * inside, lag_s), rel=0.02)
 
 
 def test_a_robots_error_is_that_of_the_compiled_filter():
