@@ -109,7 +109,7 @@ class _Task:
 
     @property
     def power(self) -> float:
-        """Weight of an answer: answers within the memory of an error share one."""
+        """Weight of an answer: answers within the memory of an error share it."""
         return min(1.0, 1.0 / max(self.probes_per_s * self.options.memory_s, 1e-9))
 
     @property

@@ -174,7 +174,7 @@ def source_digest(module: str, *, known: ModuleFiles | None = None) -> str:
     """Return the sha256 of a module and of all modules beside it that it imports.
 
     These are its own top-level package and, unless it was installed, all modules in the
-    same folder as that; the project's own packages count as a single one. Imports are
+    same folder as that; the project's own packages count as a folder. Imports are
     read, not run, lazy imports too. Imports for types alone do not count, and imports
     that are composed at run time are not seen. A module without a file, such as
     `__main__`, has the digest of no bytes.

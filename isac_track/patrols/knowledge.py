@@ -68,7 +68,7 @@ class Log:
 
     @property
     def ellipse(self) -> Floats | None:
-        """Shape of the errors, (L, 2, 2) in units of `variance`; None: round ones."""
+        """Shape of the errors, (L, 2, 2) in units of `variance`; None: round errors."""
         return None if self.cov is None else error_ellipses(self.cov)
 
 
@@ -350,7 +350,7 @@ def _variance(network: Network, release: Release) -> Floats:
 def _state_entries(network: Network, sent: Bools) -> tuple[Ints, Reports]:
     """Return the samples at which states give an entry, and the entries.
 
-    Forecasts have a shape if the release declares one.
+    Forecasts have a shape if the release declares it.
     """
     patrol, forecast = network.patrol, network.shared_forecast
     n_samples = patrol.people.t.size
