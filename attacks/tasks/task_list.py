@@ -104,8 +104,6 @@ TASKS: Final[Mapping[str, Task]] = {
         ),
     )
 }
-
-
 """The tasks that link windows of walks: `attacks.tasks.build`."""
 
 NAMED_SESSIONS: Final = (

@@ -4,9 +4,9 @@ A window of a track belongs to the person who has more than half of its samples.
 without such a person belongs to nobody: it is a probe and a candidate without a mate.
 
 A trial is a person who is truly present on both sides of a rotation, as in the handover
-of people (`attacks.tasks.handover`). Her probe and her mate are the windows of hers with
-most of her samples. Without either she cannot be linked: the trial is lost. So a tracker
-that loses everybody has no link, not no trial.
+of people (`attacks.tasks.handover`). Of the person's own windows, those with most of the
+person's samples are probe and mate. Without either nobody can link the person: the trial
+is lost. So a tracker that loses everybody has no link, not no trial.
 """
 
 from dataclasses import dataclass
@@ -230,7 +230,7 @@ def _sessions(
     people, n_people = patrol.people, len(patrol.people)
     group = (*people.group, NOBODY)
     fold = (np.arange(used.size) * N_FOLDS) // used.size
-    # Whoever owns a window is seen, and so is nobody: no adversary learns from those.
+    # The owner of a window is seen, and so is nobody: no adversary learns from those.
     seen = np.ones((used.size, n_people + 1), dtype=bool)
     seen[:, :n_people] = present
     for side in sides:

@@ -432,7 +432,6 @@ def axes(settings: Settings) -> Axes:
     utility = _utility_predictors(settings, predictors)
     policies = plugins.parse_all("policies", names["policies"])
     _check_policies(policies, settings)
-    releases = _track_releases(settings)
     worlds: dict[World, tuple[Plugin, ...]] = {}
     # A user who names mechanisms has asked for these alone.
     if not settings.choice("mechanisms").replaces:
@@ -459,13 +458,9 @@ def axes(settings: Settings) -> Axes:
         patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
         follows_informed=preset.follows_informed,
         links_returns=RETURNS in tasks,
-        track_releases=releases,
-        tracked=_tracked(settings, preset, mechanisms) if releases else (),
-        track_policies=_track_policies(settings) if releases else (),
-        track_tasks=_track_tasks(settings) if releases else (),
     )
     _check_adversaries_used(run_axes, settings)
-    return run_axes
+    return _with_tracks(run_axes, settings, preset)
 
 
 def _axis_names(settings: Settings, preset: Preset) -> dict[str, tuple[Any, ...]]:
@@ -489,6 +484,20 @@ def _utility_predictors(
     named = plugins.parse_all("predictors", settings.choice("predictors").named)
     specs = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
     return frozenset(specs.union(plugin.spec for plugin in named))
+
+
+def _with_tracks(run_axes: Axes, settings: Settings, preset: Preset) -> Axes:
+    """Return axes with the tracks of a run's tracker; as they are without one."""
+    releases = _track_releases(settings)
+    if not releases:
+        return run_axes
+    return replace(
+        run_axes,
+        track_releases=releases,
+        tracked=_tracked(settings, preset, run_axes.mechanisms),
+        track_policies=_track_policies(settings),
+        track_tasks=_track_tasks(settings),
+    )
 
 
 def _skips_oracle(settings: Settings, preset: Preset) -> bool:

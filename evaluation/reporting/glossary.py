@@ -304,6 +304,7 @@ _METRICS: Final = {
     "purity": "Share of samples of tracks that are of the track's main person.",
     "switches": "Changes of the track that holds a person, per minute of presence.",
     "rejoined": "Share of breaks of a track after which the right track is joined.",
+    "linkable": "Share of people with a track of their own on both sides of a silence.",
     "fragments": "Further tracks of a person who has a track, per minute of presence.",
 }
 

@@ -23,6 +23,7 @@ from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Cell, Table, plugin_label
+from isac_track.types import Bools
 
 _TRACKS: Final = (
     (LOG, KNOWN_SHARE),
@@ -59,8 +60,8 @@ def tracking_table(run: Results) -> Table:
             cells.setdefault(key, {})[title] = make.metric_cell(
                 row["metric"], row["value"], row["ci_low"], row["ci_high"]
             )
-    answered = _is_answered(rows).any()
-    about_tracks = [name for _, name in _TRACKS if answered or name != DISCLOSED]
+    is_answered = bool(_are_answered(rows).any())
+    about_tracks = [name for _, name in _TRACKS if is_answered or name != DISCLOSED]
     shown = [*about_tracks, *(_ROBOT if robot else ())]
     return make.build_table(
         "tracking",
@@ -108,20 +109,13 @@ def _notes(
     return notes if rows["ci_low"].notna().any() else [*notes, _FEW]
 
 
-def _is_answered(rows: pd.DataFrame) -> "pd.Series[bool]":
-    """Return whether each row is of a disclosure policy that answers from tracks."""
-    # Without tracks the column is empty, and has no texts.
-    policies = rows["policy"].astype(str)
-    return policies.str.contains(ANSWERED_BY, regex=False)
-
-
 def tracking_sentence(run: Results) -> str:
     """Return what the run's tracker costs and reveals; empty without tracks.
 
     It compares raw tracks of the tracker with those of perfect association.
     """
     rows = run.tracks
-    rows = rows[(rows["mechanism"] == RAW) & ~_is_answered(rows)]
+    rows = rows[(rows["mechanism"] == RAW) & ~_are_answered(rows)]
     releases = [name for name in rows["policy"].unique() if not _is_perfect(name)]
     robot, horizon_s = _best_robot(rows), _farthest_s(rows)
     if not releases or not robot:
@@ -143,6 +137,11 @@ def tracking_sentence(run: Results) -> str:
         f" {robot_subject(robot)} misses {100 * missed[0]:.0f} % of future"
         f" conflicts{ahead_text(horizon_s)} ({100 * missed[1]:.0f} % with it)."
     )
+
+
+def _are_answered(rows: pd.DataFrame) -> Bools:
+    """Return which rows are of a policy's answers from tracks."""
+    return np.array([ANSWERED_BY in str(text) for text in rows["policy"]], dtype=bool)
 
 
 def _value(rows: pd.DataFrame, policy: str, consumer: str, metric: str) -> float:

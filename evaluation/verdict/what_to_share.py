@@ -269,9 +269,10 @@ class Offer:
         An unknown number is 0: it then neither orders levels nor rules one out. A level
         with an unknown limit is never proposed (`met`).
         """
-        left = self.attacked if self.attacked.source else self.shared
+        exposed = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
-        numbers = np.nan_to_num([self.cost.value, left.value(EXPOSURE).value, linked])
+        plr = exposed.value(EXPOSURE).value
+        numbers = np.nan_to_num([self.cost.value, plr, linked])
         cost, plr, rank1 = numbers.tolist()
         return cost, plr, rank1
 

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from evaluation.api.card_checks import load_cards, verify
-from evaluation.api.card_entries import card_entry
+from evaluation.api.card_entries import card_entry, read_secret_seed
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import card_text, read_card
 
@@ -29,6 +29,15 @@ def test_public_cards_make_a_board():
     cards = load_cards([FOLDER]).values()
     assert {card.recording for card in cards} == {"plaza"}
     assert {"raw", "ou:0.4", "shaped:0.2"} <= {card.mechanism.spec for card in cards}
+
+
+def test_the_published_seed_is_that_of_the_cards_made_in_secret():
+    seed = read_secret_seed(FOLDER / "final" / "seed.txt")
+    cards = [read_card(path) for path in (FOLDER / "final").glob("*.json")]
+    assert {card.seed_commitment for card in cards} == {
+        seed.commitment(read_protocol())
+    }
+    assert all(card.seed is None for card in cards)
 
 
 @pytest.mark.slow  # 20 s
