@@ -254,11 +254,11 @@ def _new(name: str, *, kind: str, into: Path) -> int:
 
 
 def _beside(noun: str, name: str) -> str:
-    """Return how a plug-in stands beside the built-in ones in a run."""
+    """Return how a plug-in stands beside the built-in plug-ins in a run."""
     if noun == "tracker":
         return "stands beside perfect association."
     return (
-        "stands beside the built-in ones: `+` adds to them, without it"
+        "stands beside the built-in plug-ins: `+` adds to them, without it"
         f" `{name}` replaces them."
     )
 

@@ -3,7 +3,7 @@
 Several attacks smooth the same release, and several adversaries run one attack:
 `memoised` shares their results. Two notes lead from a release to another: `find_origin`
 from some tracks to the release that they were selected from, `as_shared` from smoothed
-positions to the shared ones. Results and notes live as long as their release; nobody
+positions to those shared. Results and notes live as long as their release; nobody
 has to empty anything.
 """
 
@@ -77,7 +77,7 @@ _SHARED: WeakKeyDictionary[Release, Release] = WeakKeyDictionary()
 
 
 def record_shared(release: Release, shared: Release) -> Release:
-    """Record the shared release behind a reconstructed one; return the latter."""
+    """Record the shared release behind a reconstruction; return the latter."""
     _SHARED[release] = shared
     return release
 
@@ -85,7 +85,7 @@ def record_shared(release: Release, shared: Release) -> Release:
 def as_shared(release: Release) -> Release:
     """Return a release with its positions as shared: itself, if nothing smoothed it.
 
-    An adversary who smooths positions still has the shared ones. Only these show how
+    An adversary who smooths positions still has the shared release. Only this shows how
     much noise was added: a smoother removes it.
     """
     origin, rows = find_origin(release)

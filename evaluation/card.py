@@ -10,7 +10,7 @@ from isac_track.errors import SettingsError
 
 _EPILOG = """\
 exit codes: 0 done, or the card is confirmed; 1 the card is not confirmed; 2 wrong usage or
-data; 130 interrupted (finished cards are kept; the same command continues)
+data; 130 interrupted (finished cards stay; the same command continues)
 
 examples:
   python -m evaluation.card runs/plaza-quick-0
@@ -57,7 +57,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--secret-seed", type=Path, metavar="FILE", help=about)
     about = "folder of the cards (default: OUT/cards, or cards)"
     add("--out", type=Path, metavar="DIR", help=about)
-    interrupted = "interrupted; finished cards are kept, the same command continues"
+    interrupted = "interrupted; finished cards stay, the same command continues"
     return exit_code(
         lambda: _run(command.parse_args(arguments)), interrupted=interrupted
     )

@@ -42,12 +42,13 @@ examples:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
-    given = (sys.argv or [])[1:] if arguments is None else list(arguments)
-    answer = _plan if "--plan" in given else _run
-    return exit_code(lambda: answer(given))
+    words = (sys.argv or [])[1:] if arguments is None else list(arguments)
+    if "--plan" in words:
+        return exit_code(lambda: _answer_from_closed_forms(words))
+    return exit_code(lambda: _answer_from_run(words))
 
 
-def _plan(arguments: Sequence[str]) -> int:
+def _answer_from_closed_forms(arguments: Sequence[str]) -> int:
     """Answer from closed forms, without the imports that take a second."""
     command = Parser(
         prog="python -m evaluation.design --plan",
@@ -81,8 +82,8 @@ def _plan(arguments: Sequence[str]) -> int:
     ):
         help_text = f"{about} (default: {default:g})"
         add(f"--{name}", type=float, default=default, metavar="X", help=help_text)
-    given = command.parse_args(arguments)
-    run_limits = {"missed": given.max_missed, "rank1": given.max_rank1}
+    options = command.parse_args(arguments)
+    run_limits = {"missed": options.max_missed, "rank1": options.max_rank1}
     for name, limit in run_limits.items():
         if limit is not None and not 0.0 <= limit <= 1.0:
             raise SettingsError(
@@ -90,7 +91,10 @@ def _plan(arguments: Sequence[str]) -> int:
             )
     try:
         lines = noise_plan.plan_lines(
-            plr=given.max_plr, epsilon_m=given.epsilon, q=given.q, dt_s=given.dt
+            plr=options.max_plr,
+            epsilon_m=options.epsilon,
+            q=options.q,
+            dt_s=options.dt,
         )
     except ValueError as error:
         raise SettingsError(f"design --plan: {error}") from None
@@ -98,7 +102,7 @@ def _plan(arguments: Sequence[str]) -> int:
     return DONE if {*run_limits.values()} == {None} else LIMIT_NOT_MET
 
 
-def _run(arguments: Sequence[str]) -> int:
+def _answer_from_run(arguments: Sequence[str]) -> int:
     """Answer from a run."""
     from evaluation.reporting.design_words import (  # noqa: PLC0415 - heavy
         answer_question,

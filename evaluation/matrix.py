@@ -30,7 +30,7 @@ _Progress: TypeAlias = Callable[[int, int | None, str], None]
 """Called with the finished cells of a run, all of its cells, and the current step."""
 _EPILOG = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
-130 interrupted (finished cells are kept; the same command continues)
+130 interrupted (finished cells stay; the same command continues)
 
 examples:
   python -m evaluation.matrix
@@ -238,8 +238,7 @@ def _given_values(options: argparse.Namespace) -> dict[str, Any]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code."""
     interrupted = (
-        "interrupted; finished cells are kept, the same command continues (without"
-        " --fresh)"
+        "interrupted; finished cells stay, the same command continues (without --fresh)"
     )
     return exit_code(lambda: _command(arguments), interrupted=interrupted)
 
@@ -358,9 +357,9 @@ def _n_workers(settings: Settings) -> int:
         has_user_plugins,
     )
 
-    crossed = axes(settings)
-    jobs = min(choose_jobs(crossed, settings), most_workers(crossed, settings))
-    has_users = has_user_plugins(crossed)
+    run_axes = axes(settings)
+    jobs = min(choose_jobs(run_axes, settings), most_workers(run_axes, settings))
+    has_users = has_user_plugins(run_axes)
     is_needed = jobs > 1 or has_users or settings.cell_timeout_s is not None
     if not is_needed or settings.scheduler is not None:
         return 0

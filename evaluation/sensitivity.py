@@ -70,8 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--json", action="store_true", help="print one JSON object instead of the table"
     )
     interrupted = (
-        "interrupted; finished cells are kept, the same command continues (without"
-        " --fresh)"
+        "interrupted; finished cells stay, the same command continues (without --fresh)"
     )
     return exit_code(
         lambda: _command(command.parse_args(arguments)), interrupted=interrupted

@@ -22,7 +22,7 @@ LAWS = ("radial", "isotropic")
 _LAW = "sensing.law"
 _EPILOG = """\
 exit codes: 0 done, 2 wrong usage or data, 3 some cells failed (the others are done),
-130 interrupted (finished runs are kept; the same command continues)
+130 interrupted (finished runs stay; the same command continues)
 
 examples:
   python -m evaluation.study --dataset students03 --dataset zara01 --out runs/study
@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = Parser(
         prog="python -m evaluation.study",
         description=(
-            "Run the matrix over several recordings, seeds and laws; answer them as"
-            " one."
+            "Run the matrix over several recordings, seeds and laws; answer them"
+            " together."
         ),
         epilog=_EPILOG,
     )
@@ -75,7 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="as in evaluation.matrix",
     )
     add("--scheduler", metavar="ADDRESS", help="address of the Dask cluster")
-    interrupted = "interrupted; finished runs are kept, the same command continues"
+    interrupted = "interrupted; finished runs stay, the same command continues"
     return exit_code(
         lambda: _study(command.parse_args(arguments)), interrupted=interrupted
     )

@@ -1,6 +1,6 @@
 """Compile loops with numba at their first call, and cache them where possible.
 
-Only the private modules of compiled loops import this one, and they are imported at
+Only the private modules of compiled loops import this file, and they are imported at
 first use: importing numba takes longer than a command may take to print its help.
 """
 
@@ -82,7 +82,7 @@ class Loop:
     """A loop for fixed argument types, compiled when it is first needed.
 
     The loop returns nothing; it writes to its arguments. The machine code comes from
-    numba's cache where there is one. Where no cache can be written, or its disk is
+    numba's cache where it is there. Where no cache can be written, or its disk is
     full, the loop is compiled for this process alone. Damaged code in the cache is
     removed and compiled again.
     """
@@ -253,6 +253,6 @@ class _CachedLoop:
 def part_of_loop(function: _Loop) -> _Loop:
     """Compile a helper function into the loops of its file that call it.
 
-    It must lie in their file, the only one whose changes the cache notices.
+    It must lie in their file, the only file whose changes the cache notices.
     """
     return cast("_Loop", numba.njit(**_OPTIONS)(function))

@@ -220,7 +220,7 @@ class SensingSettings(_Stage):
     # antennas of the uniform linear array that measures the bearing
     n_antennas: int = _number(8, 2, 100_000)
     scaling: Scaling = "trace"
-    """what a range and bearing error shares with the scalar one: `trace`: the mean
+    """what a range and bearing error shares with the scalar error: `trace`: the mean
     squared error, so that only the shape differs; `information`: the mean Fisher
     information of both axes"""
 
@@ -329,8 +329,8 @@ class TrackingSettings(_Stage):
     noise: Literal["after", "before"] = "after"
     """a mechanism acts along tracks, after tracking, or on detections, before it"""
     release: Literal["tracks", "detections"] = "tracks"
-    """what is released: tracks of the network, or unlabelled points of its scans, which
-    their recipient tracks by the same method"""
+    """what is released: tracks of the network, or unlabelled points of its scans. A robot
+    tracks these by the same method, an adversary by the strongest that it knows"""
     # of a person at a scan: a number, or `link`: from the link budget
     detection_probability: float | Literal["link"] = _number(0.9, 0, 1)
     # probability of a false alarm of the detector's threshold; counts with `link` only

@@ -217,7 +217,7 @@ def conflict_probability(
     near = distance_m < radius_m + _REACH_STD * widest_m
     # The disc lies on one side of its tangent, whose half-plane has a probability in
     # closed form: an upper bound. Only steps that might be the likeliest by this bound
-    # are integrated: first the one with the highest bound, which few others beat.
+    # are integrated: first the box with the highest bound, which few others beat.
     x, y = np.moveaxis(gap, -1, 0) / np.maximum(distance_m, _SMALLEST_STD_M)
     variance = (
         x * x * cov[..., 0, 0] + 2.0 * x * y * cov[..., 0, 1] + y * y * cov[..., 1, 1]

@@ -14,7 +14,7 @@ from isac_track.sensing import (
     sigma_from_information,
     walked_within,
 )
-from isac_track.types import Bools, Floats, Ints, Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks, lengths
 
 _LEAST_M = 1e-3  # Least distance from the station.
 _ROUNDING = 1e-9
@@ -36,7 +36,7 @@ def geometry(tracks: Tracks, *, settings: SensingSettings, seed: int) -> Geometr
     The standard deviations are those of the model along every recorded walk.
     """
     station_m = np.array([settings.bs_x_m, settings.bs_y_m])
-    distance_m = np.maximum(np.hypot(*(tracks.xy - station_m).T), _LEAST_M)
+    distance_m = np.maximum(lengths(tracks.xy - station_m), _LEAST_M)
     sizes = np.diff(tracks.offsets)
     walks = [recorded_walk(source) for source in tracks.source]
     channel = draw_walk_channel(

@@ -208,7 +208,7 @@ def cluster_weights(
     return counts.astype(np.float64, order="F")
 
 
-# The last two matrices are kept for the life of the process: to draw thousands of
+# The last two matrices stay for the life of the process: to draw thousands of
 # clusters takes half a second.
 @lru_cache(maxsize=2)
 def _draw_counts(
@@ -239,7 +239,7 @@ def effective_clusters(sizes: Floats) -> float:
 
     Examples
     --------
-    Ten equal clusters count as ten; a large one beside nine small ones as fewer:
+    Ten equal clusters count as ten; nine small beside a large cluster as fewer:
 
     >>> import numpy as np
     >>> from isac_track.intervals import effective_clusters
@@ -264,7 +264,7 @@ def ratio_estimates(
       with the clusters as the sample size.
     - Below `FEW_CLUSTERS` effective clusters the interval is the jackknife's. It does
       not reach below 0 unless a numerator does.
-    - Below `LEAST_CLUSTERS` only a count has an interval, the exact one. A count is a
+    - Below `LEAST_CLUSTERS` only a count has an interval, which is exact. A count is a
       share where all clusters have equally many trials, and the trials of a cluster
       have the same outcome.
       Otherwise the ends are NaN.
@@ -322,7 +322,7 @@ def ratio_estimates(
 def _small_sample_interval(
     numerator: Floats, denominator: Floats, *, effective: float, is_share: bool
 ) -> tuple[float, float]:
-    """Return the jackknife's interval, or the exact one of a count, or NaN."""
+    """Return the jackknife's interval, or the exact of a count, or NaN."""
     contributes = denominator > 0
     hits, trials = numerator[contributes], denominator[contributes]
     if effective >= LEAST_CLUSTERS:

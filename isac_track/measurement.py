@@ -5,6 +5,7 @@ range by its bandwidth and the bearing by its array, so that the error is an ell
 that points to the station.
 """
 
+from importlib import import_module
 from typing import Final
 
 import numpy as np
@@ -21,6 +22,8 @@ walks through its mast.
 SPEED_OF_LIGHT_MPS: Final = 299_792_458.0
 _LEAST_ANTENNAS: Final = 2
 _ANGLES: Final = 64
+_NODES: Final = 48
+_REACH: Final = 8.5  # Standard deviations; nothing lies beyond.
 _LEAST_SHARE: Final = 1e-9  # Variance along a flat axis, of the mean variance.
 
 
@@ -191,6 +194,39 @@ def share_within(cov: Floats, *, epsilon_m: float) -> Floats:
     return np.asarray(share / _ANGLES)
 
 
+def mass_within(away: Floats, cov: Floats, *, radius_m: float) -> Floats:
+    """Return the mass of Gaussians in discs, (...,).
+
+    A disc of `radius_m` lies at `away`, (..., 2) m, from the mean of its Gaussian, whose
+    covariance is `cov`, (..., 2, 2) m^2, positive. Across the longer axis the integral
+    is a sum over Gauss and Legendre's nodes, along it in closed form.
+    """
+    # A filter imports this file, too, and does without SciPy.
+    ndtr = import_module("scipy.special").ndtr
+
+    shape = np.broadcast_shapes(away.shape[:-1], cov.shape[:-2])
+    away = np.broadcast_to(away, (*shape, 2)).reshape(-1, 2)
+    axes, variances = principal_axes(
+        np.broadcast_to(cov, (*shape, 2, 2)).reshape(-1, 2, 2)
+    )
+    along, across = np.einsum("mai,ma->im", axes, away)
+    long, short = np.sqrt(variances).T
+    # The chord at radius * sin(angle) across has the half length radius * cos(angle).
+    low, high = (
+        np.arcsin(np.clip((side * _REACH * short - across) / radius_m, -1.0, 1.0))
+        for side in (-1.0, 1.0)
+    )
+    mass = np.zeros(len(away))
+    for node, weight in zip(*np.polynomial.legendre.leggauss(_NODES), strict=True):
+        angle = (low + high + node * (high - low)) / 2.0
+        half = radius_m * np.cos(angle)
+        place = (across + radius_m * np.sin(angle)) / short
+        density = np.exp(-0.5 * place**2) / (np.sqrt(2.0 * np.pi) * short)
+        chord = ndtr((along + half) / long) - ndtr((along - half) / long)
+        mass += weight * (high - low) / 2.0 * half * density * chord
+    return mass.reshape(shape)
+
+
 def error_ellipses(cov: Floats) -> Floats:
     """Return covariances in units of their mean variance, (M, 2, 2).
 
@@ -205,7 +241,7 @@ def error_ellipses(cov: Floats) -> Floats:
 
 
 def shaped_errors(*, cov: Floats, unit_error: Floats, law: ErrorLaw) -> Floats:
-    """Return errors of covariances `cov`, (M, 2) m, from standardised ones, (M, 2).
+    """Return errors of covariances `cov`, (M, 2) m, from standardised errors, (M, 2).
 
     The factor is Cholesky's, so that a round covariance gives the scalar error.
     """
@@ -236,8 +272,20 @@ def grown_covariance(cov: Floats, added_m: Floats) -> Floats:
     )
 
 
+def covariance_without(
+    cov: Floats, *, std_m: Floats | float, least_m2: float
+) -> Floats:
+    """Return covariances less a round error of `std_m` per axis, (M, 2, 2) m^2.
+
+    At least `least_m2` remains along each principal axis.
+    """
+    axes, variances = principal_axes(cov)
+    rest = np.maximum(variances - np.square(std_m)[..., None], least_m2)
+    return np.asarray(np.einsum("mai,mi,mbi->mab", axes, rest, axes))
+
+
 def round_errors(*, cov: Floats, error: Floats) -> Floats:
-    """Return errors of covariances `cov` turned into round ones, (M, 2) m -> (M, 2).
+    """Return errors of covariances `cov` turned into round errors, (M, 2) m -> (M, 2).
 
     They have the variance 1 along all directions: the inverse of the symmetric square
     root times the error. An error of no size stays 0.

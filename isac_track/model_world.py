@@ -244,7 +244,7 @@ def log_ratios(
     Gaussian errors of known variance, where each release is turned and shifted by
     itself. The likelihood is averaged over the lag of the gallery's start after the
     probe's: one of `lags_s`, (L,), with probability `weight`. Among equally likely
-    candidates the one with the highest ratio is the best guess (Bayes). The prior of
+    candidates that with the highest ratio is the best guess (Bayes). The prior of
     the batches is `START_STD_M` and the motion's speed.
     """
     loops = import_module("isac_track.kalman._pair_loops")

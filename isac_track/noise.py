@@ -21,7 +21,7 @@ def innovation_variance_m2(
     times the earlier, with b the ratio of the two steps. For independent errors of
     variance r and a straight walk an innovation has the variance r (1 + (1 + b)^2 +
     b^2). The mean of its scaled squares over the track estimates r. The innovations of
-    a filter would contain its process noise, and its gate would cut off the large ones.
+    a filter would contain its process noise, and its gate would cut off the largest.
     At ten samples a second an acceleration of 1 m/s^2 adds only a centimetre to these.
 
     If `running`, the estimate at each sample, (M,), uses only the samples up to it.

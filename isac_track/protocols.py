@@ -7,6 +7,7 @@ context that gives an attack the granted knowledge and nothing else.
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
@@ -38,7 +39,7 @@ __all__ = ["ADVERSARIES", "USUAL", "WALK_KNOWLEDGE", "Adversary", "AttackContext
 __all__ += ["LinkageAttack", "LinkageTrainingSet", "Linker", "Mechanism", "Policy"]
 __all__ += ["Predictor", "ReconstructionAttack", "Reconstructor", "Tracker"]
 __all__ += ["TrainingSet"]
-__all__ += ["attack_kind", "grants", "knowing"]
+__all__ += ["attack_kind", "grants", "knowing", "links_same_stretch"]
 
 Reconstructor: TypeAlias = "Callable[[Release], Reconstruction]"
 """Function from a release to its reconstruction, sample for sample."""
@@ -179,7 +180,7 @@ class LinkageAttack(Adversary, Protocol):
     """Interface of an attack that links the releases of the same person.
 
     Class attributes describe it. ``kind = "linkage"`` separates it from a
-    reconstruction attack (`attack_kind`). ``one_stretch = True``: it links releases of
+    reconstruction attack (`attack_kind`). ``same_stretch = True``: it links releases of
     the same steps, and nothing in a task without such releases. ``across_gap = True``:
     it bridges a silence within one walk. It may be given a whole gallery, or with
     `linkage.candidates=K` one probe and K candidates: the score of a pair should not
@@ -192,6 +193,22 @@ class LinkageAttack(Adversary, Protocol):
         A higher score makes the same person likelier. KnowledgeDenied if it reads what
         was not granted.
         """
+
+
+def links_same_stretch(attack: object) -> bool:
+    """Whether a linkage attack links releases of the same steps alone.
+
+    It is the class attribute ``same_stretch``. Its old name, ``one_stretch``, gives a
+    FutureWarning.
+    """
+    if hasattr(attack, "one_stretch") and not hasattr(attack, "same_stretch"):
+        text = (
+            f"{type(attack).__name__}.one_stretch is now called same_stretch; the old"
+            " name works until 0.3"
+        )
+        warnings.warn(text, FutureWarning, stacklevel=2)
+        return bool(attack.one_stretch)
+    return bool(getattr(attack, "same_stretch", False))
 
 
 def attack_kind(attack: object) -> Literal["reconstruction", "linkage"]:
@@ -371,7 +388,7 @@ def grants(
     An attack runs for each adversary that has all of its `requires`. Among adversaries
     with the same granted knowledge only the weakest runs it. A task may grant knowledge
     to `everyone`, and withhold some from all (`nobody`). `asked` names adversaries
-    besides the usual ones.
+    besides the usual.
 
     Examples
     --------

@@ -7,7 +7,7 @@ from typing import Any
 
 
 def renamed(module: str, names: Mapping[str, str]) -> Callable[[str], Any]:
-    """Return the `__getattr__` of a module whose `names` have new ones.
+    """Return the `__getattr__` of a module whose `names` are new.
 
     A renamed object is got by its old name with a FutureWarning, which users see
     without asking for it.

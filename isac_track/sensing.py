@@ -30,6 +30,7 @@ from isac_track.types import (
     Ints,
     Scenes,
     Sensed,
+    lengths,
     read_only,
     squared_lengths,
 )
@@ -162,7 +163,7 @@ def unit_errors(
       needs the `offsets`, (N + 1,).
 
     All laws use the same draws, sample by sample: a shorter batch is a prefix of a
-    longer one. ValueError for an unknown law, or `fixed_direction` without `offsets`.
+    longer batch. ValueError for an unknown law, or `fixed_direction` without `offsets`.
     """
     draws = rng.standard_normal((n_samples, 3))
     if law == "isotropic":
@@ -271,7 +272,7 @@ def draw_channel(
     return Channel(read_only(large_scale), *rest)
 
 
-# The last two tasks' draws are kept for the life of the process, which works on several
+# The last two tasks' draws stay for the life of the process, which works on several
 # pieces of a task in turn.
 @lru_cache(maxsize=2)
 def _draw_batches(
@@ -364,7 +365,7 @@ def _turn_line(error: Floats, rng: Generator) -> Floats:
     """Turn errors on one line onto another line with a drawn direction, (M, 2)."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     line = error[np.abs(error).max(axis=1).argmax()]
-    along = error @ (line / np.hypot(*line))
+    along = error @ (line / lengths(line))
     return np.asarray(along[:, None] * np.array([np.cos(angle), np.sin(angle)]))
 
 

@@ -205,7 +205,7 @@ class Scenes:
     conflict : Bools
         True label c, (S,): eq. conflict_rule on the true future.
     exhausted : Ints
-        Agents whose placement ran out of redraws and kept the last draw, (S,).
+        Agents whose placement ran out of redraws and took the last draw, (S,).
     time_to_conflict_s : Floats
         Time until an agent is inside, (S,) s; 0: now; NaN: no conflict, or unknown.
 
@@ -629,6 +629,11 @@ def end_to_end(values: NDArray[_Scalar], runs: Runs) -> NDArray[_Scalar]:
     # Copying slices takes a fraction of the time of indexing every sample.
     parts = [values[first:end] for first, end in runs]
     return parts[0] if len(parts) == 1 else np.concatenate(parts or [values[:0]])
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Return the lengths (...,) of vectors of the plane, (..., 2), without overflow."""
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
 
 
 def squared_lengths(vectors: Floats) -> Floats:

@@ -16,7 +16,7 @@ from filterpy.common import Q_continuous_white_noise
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from scipy.linalg import block_diag, expm
 
-from isac_track.kalman import MAX_REJECTIONS, Batch, Moods, PlanarState
+from isac_track.kalman import MAX_REJECTIONS, Batch, ImmStates, Moods, PlanarState
 from isac_track.kalman.slow_errors import SlowError
 from isac_track.types import Floats
 
@@ -48,14 +48,13 @@ def planar_states(
     return PlanarState(mean, cov, np.full(n, np.nan))
 
 
-def last_modes(
-    batch: Batch, moods: Moods, *, gate: float
-) -> tuple[Floats, Floats, Floats]:
-    """Return the last modes of an interacting-multiple-model filter of every track.
+def last_modes(batch: Batch, moods: Moods, *, gate: float) -> ImmStates:
+    """Return the last states of an interacting-multiple-model filter of every track.
 
     Every mode is a constant-velocity model with its own q. The modes change as a
     continuous-time Markov chain, so that M belongs to the step that follows. Parameters
-    are those of `isac_track.kalman.imm_last`.
+    are those of `isac_track.kalman.imm_last`. The likelihood is not computed: it is
+    NaN.
     """
     n = len(batch)
     mean, cov = np.empty((n, 2, 2, 2)), np.empty((n, 2, 4, 4))
@@ -64,7 +63,7 @@ def last_modes(
         for number, mode in enumerate(modes):
             mean[track, number], cov[track, number] = mode.x.reshape(2, 2), mode.P
         probability[track] = imm.mu
-    return mean, cov, probability
+    return ImmStates(mean, cov, probability, np.full(n, np.nan))
 
 
 def _run_filters(

@@ -21,7 +21,11 @@ from isac_track.kalman import (
     planar_last,
 )
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
-from isac_track.measurement import error_ellipses, mean_variance
+from isac_track.measurement import (
+    covariance_without,
+    error_ellipses,
+    mean_variance,
+)
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
 from isac_track.types import (
     ErrorLaw,
@@ -35,7 +39,7 @@ from isac_track.types import (
 )
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
-WINDOW = 160  # Samples; earlier ones no longer change the prediction (tested).
+WINDOW = 160  # Samples; earlier samples no longer change the prediction (tested).
 # Least share of the innovations' variance that is not attributed to a slow error.
 LEAST_REST = 0.05
 _LEAST_DECLARED_M2 = 1e-12
@@ -62,8 +66,6 @@ class KalmanCV:
     tau_s: float = 0.0
 
     states: ClassVar[int] = 2
-    # Whether it filters by declared covariances; else by the standard deviations alone.
-    takes_shape: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if type(self) is not KalmanCV and (
@@ -126,7 +128,7 @@ class KalmanCV:
 
     def _last(self, batch: Batch) -> LastState | PlanarState:
         error = self._slow_error
-        if batch.ellipse is not None:
+        if error is None and batch.ellipse is not None:
             return planar_last(batch, q=self.q, gate=self.gate)
         if error is None:
             return kalman_last(batch, q=self.q, gate=self.gate)
@@ -166,10 +168,14 @@ class KalmanCV:
         if self.noise == "declared":
             assert release.sigma is not None  # granted because it is required
             variance = self._declared_variance(end_to_end(release.sigma, runs))
-            if self.takes_shape and error is None and release.cov is not None:
+            if release.cov is not None:
                 cov = end_to_end(release.cov, runs)
+                if error is not None:
+                    cov = covariance_without(
+                        cov, std_m=self.added_std_m, least_m2=MIN_VARIANCE_M2
+                    )
                 variance = np.maximum(mean_variance(cov), _LEAST_DECLARED_M2)
-                ellipse = None if is_causal else error_ellipses(cov)
+                ellipse = error_ellipses(cov)
         else:
             level = self._estimated_level(t, xy, offsets, is_causal=is_causal)
             variance = level if is_causal else np.repeat(level, sizes)
@@ -216,8 +222,6 @@ class KalmanIMM(KalmanCV):
     walk_s: float = 4.0
     turn_s: float = 1.5
 
-    takes_shape: ClassVar[bool] = False
-
     def __post_init__(self) -> None:
         KalmanCV.__post_init__(self)
         if not (self.q_turn > 0 and self.walk_s > 0 and self.turn_s > 0):
@@ -237,18 +241,16 @@ class KalmanIMM(KalmanCV):
         if self.engine == "filterpy":
             from predictors import filterpy_engine  # noqa: PLC0415 - only where it runs
 
-            mean, cov, probability = filterpy_engine.last_modes(
-                batch, self.moods, gate=self.gate
-            )
+            last = filterpy_engine.last_modes(batch, self.moods, gate=self.gate)
         else:
             last = imm_last(batch, self.moods, gate=self.gate)
-            mean, cov, probability = last.mean, last.cov, last.probability
         mean, cov = _extrapolate(
-            mean,
-            cov.reshape(*cov.shape[:2], 2, 2, 2, 2),
+            last.mean,
+            last.cov.reshape(len(batch), 2, 2, 2, 2, 2),
             q=np.array(self.moods.q)[:, None],
             elapsed_s=(t_future - release.t[release.offsets[1:] - 1, None])[:, None],
         )
+        probability = last.probability
         mixed = np.einsum("nj,njha->nha", probability, mean)
         gap = mean - mixed[:, None]
         spread = cov + gap[..., :, None] * gap[..., None, :]

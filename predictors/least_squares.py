@@ -34,7 +34,7 @@ class LeastSquares:
         t, xy = release.t[sample], release.xy[sample]  # (N, q), (N, q, 2) m
         t_mean = (weight * t).sum(axis=1, keepdims=True) / count
         xy_mean = (weight[..., None] * xy).sum(axis=1, keepdims=True) / count[..., None]
-        # Centred times: absolute ones would cancel badly late in a recording.
+        # Centred times: absolute times would cancel badly late in a recording.
         centred = weight * (t - t_mean)
         spread = (centred * (t - t_mean)).sum(axis=1)
         moment = (centred[..., None] * (xy - xy_mean)).sum(axis=1)

@@ -21,7 +21,7 @@ from isac_track.mechanisms.protections import Ou
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import Network, share_patrol
-from isac_track.patrols.knowledge import declared_variance
+from isac_track.patrols.knowledge import released_reports
 from isac_track.place import placed
 from predictors.kalman import KalmanCV
 
@@ -62,7 +62,8 @@ def _run(options: argparse.Namespace) -> int:
 def known_with(network: Network, error: SlowError, *, epsilon_m: float) -> float:
     """Return the share of grid instants that a smoother with this error knows."""
     people, grid = network.patrol.people, network.patrol.grid
-    rest = declared_variance(network) - float(np.asarray(error.std_m)) ** 2
+    declared_m2 = released_reports(network).variance
+    rest = declared_m2 - float(np.asarray(error.std_m)) ** 2
     batch = Batch(
         t=people.t,
         xy=network.release.xy,

@@ -24,17 +24,11 @@ REFUSED = {
 """The words of the style page: none is a name, or a part of a name that hides it."""
 # Within a longer name these may be plain: `one_to_one`, `sum_of_squares`.
 PLAIN_WITHIN = {"one", "of", "what"}
-ALLOWED = {
-    "one_stretch": "an option in users' SPECs",
-    "_of_independent_samples": "ends the names of two checks that users select",
-}
 
 
 def hides_meaning(name):
     """Whether a name is a refused word, or begins or ends as `told_of` and `one_row`."""
     parts = name.lower().strip("_").split("_")
-    if name in ALLOWED:
-        return False
     if len(parts) == 1:
         return parts[0] in REFUSED
     is_dangling = "of" in (parts[0], parts[-1])
@@ -75,13 +69,3 @@ def test_names_in_the_sources_say_what_they_are():
         if hides_meaning(name)
     ]
     assert not hidden
-
-
-@pytest.mark.parametrize("name", ALLOWED)
-def test_each_exception_is_still_in_use(name):
-    assert any(
-        name == bound
-        for package in PACKAGES
-        for path in (ROOT / package).rglob("*.py")
-        for bound, _ in bound_names(ast.parse(path.read_text("utf-8")))
-    )

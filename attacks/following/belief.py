@@ -82,10 +82,17 @@ class SentStates:
     person: Ints  # (J,)
     is_new: Bools  # (J,) whether the adversary meets the person for the first time.
     mean: Floats  # (J, 2, 2) m and m/s: per axis position and velocity.
-    cov: Floats  # (J, 2, 2) m^2, m^2/s, m^2/s^2
+    cov: Floats  # (J, 2, 2) m^2, m^2/s, m^2/s^2, of an axis; the mean of both axes.
+    # (J, 2, 2, 2, 2), of both axes, behind errors with a shape.
+    planar: Floats | None = None
 
     def draw(self, row: int, n: int, rng: Generator) -> tuple[Floats, Floats]:
         """Draw places and velocities of a person, (n, 2) each."""
+        if self.planar is not None:
+            cov = self.planar[row].reshape(4, 4) + 1e-12 * np.eye(4)
+            draws = rng.standard_normal((n, 4)) @ np.linalg.cholesky(cov).T
+            both = draws.reshape(n, 2, 2) + self.mean[row]
+            return both[..., 0], both[..., 1]
         root = np.linalg.cholesky(self.cov[row] + 1e-12 * np.eye(2))
         draws = rng.standard_normal((n, 2, 2)) @ root.T + self.mean[row]
         return draws[..., 0], draws[..., 1]
@@ -232,10 +239,17 @@ def _association(belief: Belief, sent: SentStates, new: Ints, crowd: Crowd) -> F
     place, speed = sent.mean[new, :, 0], sent.mean[new, :, 1]
     variance = sent.cov[new, 0, 0] + _BLUR[0] ** 2
     speed_variance = sent.cov[new, 1, 1] + _BLUR[1] ** 2
-    square = squared_lengths(place[:, None] - belief.xy) / variance[:, None]
-    square += (
-        squared_lengths(speed[:, None] - belief.velocity_mps) / speed_variance[:, None]
-    )
-    scale = 4.0 * np.pi**2 * variance * speed_variance
+    gaps = place[:, None] - belief.xy, speed[:, None] - belief.velocity_mps
+    if sent.planar is None:
+        square = squared_lengths(gaps[0]) / variance[:, None]
+        square += squared_lengths(gaps[1]) / speed_variance[:, None]
+        scale = 4.0 * np.pi**2 * variance * speed_variance
+    else:
+        square, scale = np.zeros(gaps[0].shape[:2]), np.full(new.size, 4.0 * np.pi**2)
+        for number, gap in enumerate(gaps):
+            cov = sent.planar[new][:, :, number, :, number]
+            cov = cov + _BLUR[number] ** 2 * np.eye(2)
+            square += np.einsum("jka,jab,jkb->jk", gap, np.linalg.inv(cov), gap)
+            scale *= np.sqrt(np.linalg.det(cov))
     clutter = crowd.at(crowd.density, place) / (np.pi * _FASTEST_MPS**2)
     return np.asarray(np.exp(-0.5 * square) / (scale * clutter)[:, None])

@@ -1,7 +1,7 @@
 """Join pieces of a log to chains, by the most probable assignment.
 
 Every piece has at most one successor and at most one predecessor. Among all such sets
-of links the assignment takes the one with the largest product of odds. The odds of a
+of links the assignment takes the set with the largest product of odds. The odds of a
 link are its probability over the probability that the piece is the last of its person.
 The algorithm is Jonker and Volgenant's on the sparse graph of candidates.
 """

@@ -14,8 +14,8 @@ from scipy.special import chndtr, ndtr
 
 from attacks.following.chain_smoother import smooth_chain
 from attacks.following.walk_chain import Chain, ChainOptions
-from isac_track.kalman import Batch, smooth_positions
-from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.measurement import mass_within, scalar_covariance
+from isac_track.patrols.knowledge import Reports, smooth_reports
 from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 _PRIOR_STD: Final = (100.0, 1.4)  # m and m/s
@@ -23,6 +23,9 @@ _UNINFORMATIVE_M2: Final = 1e12
 _APART_S: Final = 1e-6  # Added to an instant, so that an entry at the time comes first.
 _PASSES, _ANNEAL = 5, 0.15  # Options of the radial smoother, as in `known_places`.
 _SLACK_M: Final = 0.05  # Walks curve within a step.
+_PARTS: Final = (
+    4  # Of a cell, in each of which a conditional law stands for its middle.
+)
 _LEAST_FOR_VELOCITY: Final = 3  # Entries within a step.
 _LEAST_LIKELIHOOD: Final = 1e-9  # No state is impossible.
 # Times to the nearest entry at which the bins of experts' weights change.
@@ -55,6 +58,18 @@ class Entries:
     t: Floats  # (L,) s
     xy: Floats  # (L, 2) m
     variance: Floats  # (L,) m^2 per axis.
+    # (L, 2, 2) m^2, of declared errors with a shape; `variance` is their mean then.
+    cov: Floats | None = None
+
+    def __getitem__(self, rows: slice) -> "Entries":
+        """Return some of the entries."""
+        cov = None if self.cov is None else self.cov[rows]
+        return Entries(self.t[rows], self.xy[rows], self.variance[rows], cov)
+
+    @property
+    def reports(self) -> Reports:
+        """The entries without their times."""
+        return Reports(self.xy, self.variance, self.cov)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,10 +85,11 @@ class Opinions:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Gaussians:
-    """Round Gaussians of several smoothers at K instants."""
+    """Gaussians of several smoothers at K instants; round without a shape."""
 
     mean: Floats  # (X, K, 2) m
-    variance: Floats  # (X, K) m^2 per axis.
+    variance: Floats  # (X, K) m^2, the mean of both axes.
+    cov: Floats | None = None  # (X, K, 2, 2) m^2
 
 
 def smooth_gaussians(
@@ -86,23 +102,23 @@ def smooth_gaussians(
     """
     plain = [_smooth_instants(entries, t, q=q) for q in options.q]
     middle = options.q[len(options.q) // 2]
-    batch = Batch(
-        entries.t,
-        entries.xy,
-        entries.variance,
-        np.array([0, entries.t.size]),
-        _PRIOR_STD,
+    offsets = np.array([0, entries.t.size])
+    batch = entries.reports.batch(entries.t, offsets, prior_std=_PRIOR_STD)
+    closer = smooth_reports(batch, q=middle, passes=_PASSES, anneal=_ANNEAL)
+    near = _smooth_instants(
+        Entries(entries.t, closer.xy, closer.variance, closer.cov), t, q=middle
     )
-    xy, variance = smooth_positions(batch, q=middle, passes=_PASSES, anneal=_ANNEAL)
-    closer = Entries(entries.t, xy, np.maximum(variance, MIN_VARIANCE_M2))
-    mean, variance = _smooth_instants(closer, t, q=middle)
-    radial = [(mean, factor * variance) for factor in options.radial_factors]
-    means, variances = zip(*plain, *radial, strict=True)
-    return Gaussians(np.stack(means), np.stack(variances))
+    parts = [*plain, *(near.inflated(factor) for factor in options.radial_factors)]
+    covs = [part.cov for part in parts if part.cov is not None]
+    return Gaussians(
+        np.stack([part.xy for part in parts]),
+        np.stack([part.variance for part in parts]),
+        np.stack(covs) if covs else None,
+    )
 
 
-def _smooth_instants(entries: Entries, t: Floats, *, q: float) -> tuple[Floats, Floats]:
-    """Return mean, (K, 2) m, and variance per axis, (K,) m^2, at instants.
+def _smooth_instants(entries: Entries, t: Floats, *, q: float) -> Reports:
+    """Return positions at instants, (K,) s, with their posterior variances.
 
     The instants are added as measurements that carry no information.
     """
@@ -110,16 +126,15 @@ def _smooth_instants(entries: Entries, t: Floats, *, q: float) -> tuple[Floats, 
     order = np.argsort(times, kind="stable")
     xy = np.concatenate([entries.xy, np.repeat(entries.xy[:1], t.size, axis=0)])
     nothing = np.full(t.size, _UNINFORMATIVE_M2)
-    batch = Batch(
-        t=times[order],
-        xy=xy[order],
-        variance=np.concatenate([entries.variance, nothing])[order],
-        offsets=np.array([0, times.size]),
-        prior_std=_PRIOR_STD,
+    cov = entries.cov
+    if cov is not None:
+        cov = np.concatenate([cov, scalar_covariance(nothing)])[order]
+    variance = np.concatenate([entries.variance, nothing])
+    batch = Reports(xy[order], variance[order], cov).batch(
+        times[order], np.array([0, times.size]), prior_std=_PRIOR_STD
     )
-    mean, variance = smooth_positions(batch, q=q)
     rows = np.flatnonzero(order >= entries.t.size)  # Instants rise, too.
-    return mean[rows], np.maximum(variance[rows], MIN_VARIANCE_M2)
+    return smooth_reports(batch, q=q)[rows]
 
 
 def entry_likelihood(chain: Chain, entries: Entries, *, step_s: float) -> Floats:
@@ -135,22 +150,61 @@ def entry_likelihood(chain: Chain, entries: Entries, *, step_s: float) -> Floats
     mean_xy = weight @ entries.xy / total
     target = mean_xy - mean_late_s * chain.velocity_mps
     variance = 1.0 / total + (chain.spread_mps * mean_late_s) ** 2 + _SLACK_M**2
-    std = np.sqrt(variance)[:, None]
-    sides = []
-    for axis in range(2):
-        edges = chain.low_m[axis] + chain.cell_m * np.arange(chain.shape[axis] + 1.0)
-        below = ndtr((edges - target[:, axis, None]) / std)
-        sides.append(np.diff(below, axis=1))
-    likelihood = sides[0][:, :, None] * sides[1][:, None, :]
+    spread = None
+    if entries.cov is not None:
+        spread = np.einsum("l,lab->ab", (weight / total) ** 2, entries.cov)
+        spread = spread + scalar_covariance(variance - 1.0 / total)
+    likelihood = _cell_shares(chain, target, variance, spread)
     spread_s2 = float(weight @ (late_s - mean_late_s) ** 2)
     if late_s.size >= _LEAST_FOR_VELOCITY and spread_s2 > 0.0:
-        slope = (weight * (late_s - mean_late_s)) @ entries.xy / spread_s2
+        apart = weight * (late_s - mean_late_s)
+        slope = apart @ entries.xy / spread_s2
         slope_variance = 1.0 / spread_s2 + chain.spread_mps**2
-        square = squared_lengths(chain.velocity_mps - slope) / slope_variance
-        fit = np.exp(-0.5 * (square - square.min())) / slope_variance
+        scale, gap = slope_variance, chain.velocity_mps - slope
+        square = squared_lengths(gap) / slope_variance
+        if entries.cov is not None:
+            tilt = np.einsum("l,lab->ab", (apart / spread_s2) ** 2, entries.cov)
+            cov = tilt + scalar_covariance(chain.spread_mps**2)
+            square = (gap * np.linalg.solve(cov, gap[:, :, None])[:, :, 0]).sum(axis=1)
+            scale = np.sqrt(np.linalg.det(cov))
+        fit = np.exp(-0.5 * (square - square.min())) / scale
         likelihood = likelihood * (fit / fit.max())[:, None, None]
     flat = likelihood.ravel()
     return np.asarray(np.maximum(flat / max(flat.max(), 1e-300), _LEAST_LIKELIHOOD))
+
+
+def _cell_shares(
+    chain: Chain, target: Floats, variance: Floats, cov: Floats | None
+) -> Floats:
+    """Return the probability of each cell by class, (C, X, Y), of Gaussians.
+
+    They lie about `target`, (C, 2) m, with a `variance`, (C,) m^2, or with covariances,
+    (C, 2, 2) m^2. Of these the second coordinate is conditional on the first, which
+    stands for the middle of a quarter of a cell.
+    """
+    if cov is None:
+        std = np.sqrt(variance)[:, None]
+        sides = []
+        for axis in range(2):
+            below = ndtr((_edges(chain, axis) - target[:, axis, None]) / std)
+            sides.append(np.diff(below, axis=1))
+        return np.asarray(sides[0][:, :, None] * sides[1][:, None, :])
+    fine = _edges(chain, 0, parts=_PARTS)
+    middle = (fine[1:] + fine[:-1]) / 2.0 - target[:, :1]
+    std = np.sqrt(cov[:, 0, 0])[:, None]
+    share = np.diff(ndtr((fine - target[:, :1]) / std), axis=1)
+    slope = (cov[:, 0, 1] / cov[:, 0, 0])[:, None]
+    rest = np.sqrt(cov[:, 1, 1, None] - slope * cov[:, 0, 1, None])
+    away = _edges(chain, 1) - (target[:, 1:] + slope * middle)[:, :, None]
+    along = np.diff(ndtr(away / rest[:, :, None]), axis=2)
+    parts = (share[:, :, None] * along).reshape(len(target), chain.shape[0], _PARTS, -1)
+    return np.asarray(parts.sum(axis=2))
+
+
+def _edges(chain: Chain, axis: int, *, parts: int = 1) -> Floats:
+    """Return the edges of cells, or of equal parts of them, along an axis, m."""
+    number = np.arange(chain.shape[axis] * parts + 1.0)
+    return np.asarray(chain.low_m[axis] + chain.cell_m / parts * number)
 
 
 def gap_bins(t: Floats, entry_s: Floats) -> Ints:
@@ -206,7 +260,7 @@ def chain_densities(
     likelihoods: list[Floats | float] = []
     for number, step_s in enumerate(clock.step_s.tolist()):
         part = slice(rows[number], rows[number + 1])
-        own = Entries(entries.t[part], entries.xy[part], entries.variance[part])
+        own = entries[part]
         likelihoods.append(
             entry_likelihood(chain, own, step_s=step_s) if own.t.size else 1.0
         )
@@ -285,6 +339,16 @@ def _add_gaussians(
     for number, (mean, variance) in enumerate(
         zip(gaussians.mean, gaussians.variance, strict=True)
     ):
+        if gaussians.cov is not None:
+            cov, gap = gaussians.cov[number], true_xy - mean
+            square = (gap * np.linalg.solve(cov, gap[:, :, None])[:, :, 0]).sum(axis=1)
+            log_density[:, number] = -0.5 * (
+                square + np.log(np.linalg.det(cov))
+            ) - np.log(2.0 * np.pi)
+            mass[:, :, number] = mass_within(
+                candidates - mean[:, None], cov[:, None], radius_m=epsilon_m
+            )
+            continue
         square = squared_lengths(true_xy - mean)
         log_density[:, number] = -0.5 * square / variance - np.log(
             2.0 * np.pi * variance

@@ -18,13 +18,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize
 
 from attacks.following.pieces import Pieces, Q
 from isac_track.types import Bools, Floats, Ints, stretches
 
 LONGEST_GAP_S: Final = 30.0  # A last state predicts nothing after a longer gap.
-MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest ones, of thousands.
+MOST_CANDIDATES: Final = 50  # Of a piece: the likeliest successors, of thousands.
 _TAIL: Final = 5.0  # Degrees of freedom.
 # Keeps weights finite where training pieces are separable without error.
 _RIDGE: Final = 1e-3
@@ -60,7 +59,7 @@ def candidate_links(pieces: Pieces, *, begins: Ints | None = None) -> Links:
     Each earlier piece keeps the `MOST_CANDIDATES` of largest density.
 
     `begins`, (K,), is the piece whose first state stands at the start of each piece:
-    the piece itself by default, another one in the shuffled control.
+    the piece itself by default, another piece in the shuffled control.
     """
     n_pieces = len(pieces)
     begins = np.arange(n_pieces) if begins is None else begins
@@ -101,13 +100,51 @@ def _log_density(
 ) -> tuple[Floats, Floats]:
     """Return the log density of each pair up to a constant, and its gap, s, (C,)."""
     gap_s = pieces.start.t[after] - pieces.end.t[before]
-    mean, cov = pieces.end.mean[before], pieces.end.cov[before]
-    moved = mean[..., 0] + gap_s[:, None] * mean[..., 1]
-    difference = pieces.start.mean[begins[after]] - np.stack(
-        [moved, mean[..., 1]], axis=-1
+    end, start = pieces.end[before], pieces.start[begins[after]]
+    moved = end.mean[..., 0] + gap_s[:, None] * end.mean[..., 1]
+    difference = start.mean - np.stack([moved, end.mean[..., 1]], axis=-1)
+    if end.planar is not None and start.planar is not None:
+        square, determinant = _planar_surprise(
+            difference, end.planar, start.planar, gap_s
+        )
+    else:
+        square, determinant = _axis_surprise(difference, end.cov, start.cov, gap_s)
+    dimensions = 4.0  # Position and velocity on two axes.
+    density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(
+        determinant
     )
+    return np.asarray(density), np.asarray(gap_s)
+
+
+def _planar_surprise(
+    difference: Floats, cov: Floats, other: Floats, gap_s: Floats
+) -> tuple[Floats, Floats]:
+    """Return what `_axis_surprise` does for coupled axes, (C, 2, 2, 2, 2)."""
+    move = np.zeros((gap_s.size, 4, 4))
+    move[:] = np.eye(4)
+    move[:, 0, 1] = move[:, 2, 3] = gap_s
+    noise = np.zeros((gap_s.size, 4, 4))
+    for first in (0, 2):
+        noise[:, first, first] = Q * gap_s**3 / 3.0
+        noise[:, first, first + 1] = noise[:, first + 1, first] = Q * gap_s**2 / 2.0
+        noise[:, first + 1, first + 1] = Q * gap_s
+    total = move @ cov.reshape(-1, 4, 4) @ move.swapaxes(1, 2) + noise
+    total += other.reshape(-1, 4, 4)
+    apart = difference.reshape(-1, 4, 1)
+    square = (apart * np.linalg.solve(total, apart)).sum(axis=(1, 2))
+    return np.asarray(square), np.asarray(np.sqrt(np.linalg.det(total)))
+
+
+def _axis_surprise(
+    difference: Floats, cov: Floats, other: Floats, gap_s: Floats
+) -> tuple[Floats, Floats]:
+    """Return the normalised square of differences and a determinant, (C,).
+
+    The determinant is that of either axis, the root of that of both. States after a gap
+    are `difference`, (C, 2, 2), from the predicted; `cov` and `other` are the
+    covariances before and after the gap.
+    """
     # F P F' + Q + P' of constant velocity, of either axis.
-    other = pieces.start.cov[begins[after]]
     velocity = cov[:, 1, 1] + Q * gap_s + other[:, 1, 1]
     cross = cov[:, 0, 1] + gap_s * cov[:, 1, 1] + Q * gap_s**2 / 2.0 + other[:, 0, 1]
     position = (
@@ -123,11 +160,7 @@ def _log_density(
         - 2.0 * cross[:, None] * difference[..., 0] * difference[..., 1]
         + position[:, None] * difference[..., 1] ** 2
     ).sum(axis=1) / determinant
-    dimensions = 4.0  # Position and velocity on two axes.
-    density = -0.5 * (_TAIL + dimensions) * np.log1p(square / _TAIL) - np.log(
-        determinant
-    )
-    return np.asarray(density), np.asarray(gap_s)
+    return np.asarray(square), np.asarray(determinant)
 
 
 def true_links(pieces: Pieces, links: Links) -> Bools:
@@ -152,6 +185,8 @@ def learn_weights(links: Links, is_next: Bools, *, learn_from: Bools) -> Floats:
     They maximise the likelihood of the next piece, or of having none. Without a true
     link among `learn_from` every link gets probability 0.
     """
+    from scipy.optimize import minimize  # noqa: PLC0415 - heavy to import
+
     n_features = links.features.shape[1]
     rows = learn_from[links.before]
     if not is_next[rows].any():

@@ -12,7 +12,6 @@ from attacks.following.absence import contradictions
 from attacks.following.chains import Chains, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
 from attacks.following.pieces import Pieces, Pseudonyms, collect_pieces
-from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Disclosure, Network
 from isac_track.patrols.knowledge import Log, average_draws, state_positions
@@ -287,19 +286,19 @@ def _chain_log(network: Network, pieces: Pieces, chain: Ints) -> Log:
     label = np.repeat(chain, sizes)
     # Chains may hold several draws of a sample.
     n_samples = network.patrol.people.t.size
-    key, xy, variance = average_draws(
-        label * n_samples + pieces.sample, pieces.xy, pieces.variance
-    )
+    key, reports = average_draws(label * n_samples + pieces.sample, pieces.reports)
     label, sample = np.divmod(key, n_samples)
     t = network.patrol.people.t[sample]
     # A chain may hold another person, whose samples have numbers of their own.
     order = np.lexsort((t, label))
+    reports = reports[order].floored()
     return Log(
         sample=sample[order],
         t=t[order],
-        xy=xy[order],
-        variance=np.maximum(variance[order], MIN_VARIANCE_M2),
+        xy=reports.xy,
+        variance=reports.variance,
         offsets=np.searchsorted(label, np.arange(int(chain.max()) + 2)),
+        cov=reports.cov,
     )
 
 

@@ -1,6 +1,6 @@
 """Pieces of walks in a log: answers that repeat a sample belong to one person.
 
-Pseudonyms are fresh in every answer, or kept for an encounter. Errors are continuous,
+Pseudonyms are fresh in every answer, or last for an encounter. Errors are continuous,
 so no two people share a sample: an adversary joins two answers with a common sample
 without doubt. A window longer than the time between two queries therefore yields a
 chain by itself.
@@ -13,10 +13,14 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from isac_track.kalman import Batch, kalman_last
-from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.kalman import kalman_last, planar_last
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.knowledge import average_draws, sent_samples, sent_variance
+from isac_track.patrols.knowledge import (
+    Reports,
+    average_draws,
+    sent_reports,
+    sent_samples,
+)
 from isac_track.types import Floats, Ints, stretches
 
 Pseudonyms: TypeAlias = Literal["query", "encounter"]
@@ -27,15 +31,21 @@ PRIOR_STD: Final = (100.0, 1.4)  # m around the first sample and m/s around rest
 
 @dataclass(frozen=True, eq=False, slots=True)
 class States:
-    """Kalman states of K pieces at one of their ends; both axes share a covariance."""
+    """Kalman states of K pieces at one of their ends.
+
+    Both axes share a covariance, unless the errors have a shape.
+    """
 
     t: Floats  # (K,) s
     mean: Floats  # (K, 2, 2) m and m/s: per axis position and velocity.
-    cov: Floats  # (K, 2, 2) m^2, m^2/s, m^2/s^2
+    cov: Floats  # (K, 2, 2) m^2, m^2/s, m^2/s^2, of an axis; the mean of both axes.
+    # (K, 2, 2, 2, 2), of both axes, behind errors with a shape.
+    planar: Floats | None = None
 
     def __getitem__(self, rows: Ints) -> "States":
         """Return some of the states."""
-        return States(self.t[rows], self.mean[rows], self.cov[rows])
+        planar = None if self.planar is None else self.planar[rows]
+        return States(self.t[rows], self.mean[rows], self.cov[rows], planar)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,8 +57,7 @@ class Pieces:
 
     person: Ints  # (K,) row of the true person.
     sample: Ints  # (L,) samples of the patrol, rising within a piece.
-    xy: Floats  # (L, 2) m, positions of the samples in the log, or of states.
-    variance: Floats  # (L,) m^2 per axis.
+    reports: Reports  # Positions of the samples in the log, or of states.
     offsets: Ints  # (K + 1,) piece k owns the samples ``offsets[k]:offsets[k + 1]``.
     start: States  # States at the first sample, from the samples after it.
     end: States  # States at the last sample, from the samples before it.
@@ -69,7 +78,7 @@ def collect_pieces(
 
     A `flag` has no pieces. A `state` is a piece of its own at the instant of its query:
     no later state repeats it. With errors that are drawn anew at every query no two
-    answers share a sample. `pseudonyms` kept for an encounter join the answers to
+    answers share a sample. `pseudonyms` that last for an encounter join the answers to
     queries of a robot in a row.
     """
     runs = _received_runs(network, disclosure, robots)
@@ -82,7 +91,7 @@ def collect_pieces(
     rows, offsets = stretches(entries.offsets[:-1][order], sizes[order])
     people = network.patrol.people
     begins = entries.offsets[:-1][order]
-    start, end, states = _end_states(
+    states = _piece_states(
         network,
         disclosure,
         entries,
@@ -94,12 +103,18 @@ def collect_pieces(
         person=np.searchsorted(people.offsets, entries.sample[begins], side="right")
         - 1,
         sample=entries.sample[rows],
-        xy=(entries.xy if states is None else states.mean[:, :, 0])[rows],
-        variance=(entries.variance if states is None else states.cov[:, 0, 0])[rows],
+        reports=states.reports[rows],
         offsets=offsets,
-        start=start,
-        end=end,
+        start=states.start,
+        end=states.end,
     )
+
+
+def _state_reports(states: States) -> Reports:
+    """Return the positions of states with their covariances."""
+    planar = states.planar
+    cov = None if planar is None else planar[:, :, 0, :, 0]
+    return Reports(states.mean[:, :, 0], states.cov[:, 0, 0], cov)
 
 
 def _no_pieces() -> Pieces:
@@ -108,8 +123,7 @@ def _no_pieces() -> Pieces:
     return Pieces(
         person=nothing,
         sample=nothing,
-        xy=np.zeros((0, 2)),
-        variance=np.zeros(0),
+        reports=Reports(np.zeros((0, 2)), np.zeros(0), None),
         offsets=np.zeros(1, dtype=np.int64),
         start=states,
         end=states,
@@ -180,8 +194,7 @@ class _Entries:
 
     sample: Ints  # (L,) of the patrol, rising within a piece.
     t: Floats  # (L,) s
-    xy: Floats  # (L, 2) m
-    variance: Floats  # (L,) m^2 per axis.
+    reports: Reports
     row: Ints  # (L,) its latest row in the release that answers are cut from.
     query: Ints  # (L,) first query at which its piece was sent.
     offsets: Ints  # (K + 1,)
@@ -196,8 +209,7 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
     piece, row = np.divmod(np.unique(np.repeat(label, sizes) * n_rows + row), n_rows)
     n_samples = network.patrol.people.t.size
     key = piece * n_samples + sent_samples(network, row)
-    variance = np.maximum(sent_variance(network), MIN_VARIANCE_M2)[row]
-    keys, xy, variance = average_draws(key, network.sent.xy[row], variance)
+    keys, reports = average_draws(key, sent_reports(network).floored()[row])
     latest = np.full(keys.size, -1)
     np.maximum.at(latest, np.searchsorted(keys, key), row)
     piece, sample = np.divmod(keys, n_samples)
@@ -207,8 +219,7 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
     return _Entries(
         sample=sample,
         t=network.patrol.people.t[sample],
-        xy=xy,
-        variance=variance,
+        reports=reports,
         row=latest,
         query=first_query[piece],
         offsets=np.searchsorted(piece, np.arange(n_pieces + 1)),
@@ -216,7 +227,7 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
 
 
 def _first_new(network: Network, entries: _Entries) -> Ints:
-    """Return the entry at which each piece begins for a link to an earlier one, (K,).
+    """Return the entry at which each piece begins for a link to an earlier piece, (K,).
 
     With errors drawn anew at every query answers overlap in time without a common
     sample. A piece then begins after the query before its first; it keeps at least its
@@ -232,7 +243,16 @@ def _first_new(network: Network, entries: _Entries) -> Ints:
     return np.minimum(begins + n_old, ends - 1)
 
 
-def _end_states(
+@dataclass(frozen=True, eq=False, slots=True)
+class _PieceStates:
+    """States of K pieces at both ends, and positions of all M entries."""
+
+    start: States  # (K,)
+    end: States  # (K,)
+    reports: Reports  # (M,)
+
+
+def _piece_states(
     network: Network,
     disclosure: Disclosure,
     entries: _Entries,
@@ -240,56 +260,58 @@ def _end_states(
     starts: Ints,
     begins: Ints,
     ends: Ints,
-) -> tuple[States, States, States | None]:
-    """Return the states at the start and the end of each piece, and of all states.
-
-    The third is None for a log of samples.
-    """
+) -> _PieceStates:
+    """Return the states at the start and the end of each piece."""
     if disclosure.form == "state":
         states = _filtered_states(network, entries.row)
-        return states[starts], states[ends - 1], states
-    t, xy, variance = entries.t, entries.xy, entries.variance
+        return _PieceStates(states[starts], states[ends - 1], _state_reports(states))
+    t, reports = entries.t, entries.reports
     rows, offsets = stretches(begins, ends - begins)
-    end = _last_states(t[rows], xy[rows], variance[rows], offsets)
-    return _first_states(t, xy, variance, starts=starts, ends=ends), end, None
+    end = last_states(t[rows], reports[rows], offsets)
+    start = _first_states(t, reports, starts=starts, ends=ends)
+    return _PieceStates(start, end, reports)
 
 
-def end_states(
-    t: Floats, xy: Floats, variance: Floats, offsets: Ints
-) -> tuple[States, States]:
+def end_states(t: Floats, reports: Reports, offsets: Ints) -> tuple[States, States]:
     """Return the states at the first and the last sample of K runs of samples."""
     if offsets.size == 1:
         nothing = _no_pieces()
         return nothing.start, nothing.end
-    start = _first_states(t, xy, variance, starts=offsets[:-1], ends=offsets[1:])
-    return start, _last_states(t, xy, variance, offsets)
+    start = _first_states(t, reports, starts=offsets[:-1], ends=offsets[1:])
+    return start, last_states(t, reports, offsets)
 
 
-def _first_states(
-    t: Floats, xy: Floats, variance: Floats, *, starts: Ints, ends: Ints
-) -> States:
-    """Return the states at the first samples, filtered back from the last ones."""
+def _first_states(t: Floats, reports: Reports, *, starts: Ints, ends: Ints) -> States:
+    """Return the states at the first samples, filtered back from the last."""
     sizes = ends - starts
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     turned = np.repeat(ends + offsets[:-1] - 1, sizes) - np.arange(offsets[-1])
-    back = _last_states(-t[turned], xy[turned], variance[turned], offsets)
-    flip = np.array([1.0, -1.0])  # A velocity back in time is the opposite one.
-    return States(-back.t, back.mean * flip, back.cov * np.outer(flip, flip))
+    back = last_states(-t[turned], reports[turned], offsets)
+    flip = np.array([1.0, -1.0])  # Back in time a velocity is the opposite.
+    both, planar = np.outer(flip, flip), back.planar
+    return States(
+        -back.t,
+        back.mean * flip,
+        back.cov * both,
+        None if planar is None else planar * both[:, None, :],
+    )
 
 
 def _filtered_states(network: Network, row: Ints) -> States:
     """Return the network's filter over a person's whole shared history, (L,) states."""
-    release, variance = network.sent, sent_variance(network)
+    release, reports = network.sent, sent_reports(network).floored()
     begins = release.offsets[np.searchsorted(release.offsets, row, side="right") - 1]
     history, within = stretches(begins, row + 1 - begins)
-    return _last_states(
-        release.t[history],
-        release.xy[history],
-        np.maximum(variance, MIN_VARIANCE_M2)[history],
-        within,
-    )
+    return last_states(release.t[history], reports[history], within)
 
 
-def _last_states(t: Floats, xy: Floats, variance: Floats, offsets: Ints) -> States:
-    state = kalman_last(Batch(t, xy, variance, offsets, PRIOR_STD), q=Q)
-    return States(t[offsets[1:] - 1], state.mean, state.cov)
+def last_states(t: Floats, reports: Reports, offsets: Ints) -> States:
+    """Return the states at the last samples of K runs of samples."""
+    batch = reports.batch(t, offsets, prior_std=PRIOR_STD)
+    last_s = t[offsets[1:] - 1]
+    if batch.ellipse is None:
+        state = kalman_last(batch, q=Q)
+        return States(last_s, state.mean, state.cov)
+    shaped = planar_last(batch, q=Q)
+    mean_cov = np.einsum("kaiaj->kij", shaped.cov) / 2.0
+    return States(last_s, shaped.mean, mean_cov, shaped.cov)

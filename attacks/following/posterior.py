@@ -115,7 +115,7 @@ def posterior_scores(
                 rows=~half[patrol.presences.person],
             )
             evidence = _Evidence(answers.positive, levels, rates)
-        for target, number, opinion in _opinions_on(
+        for result in _opinions_on(
             network,
             disclosure,
             chain,
@@ -124,9 +124,10 @@ def posterior_scores(
             epsilon_m=epsilon_m,
             options=options,
         ):
-            person.append(np.full(opinion.gap.size, target))
-            fleet.append(np.full(opinion.gap.size, number))
-            opinions.append(opinion)
+            n = result.opinions.gap.size
+            person.append(np.full(n, result.target))
+            fleet.append(np.full(n, result.fleet))
+            opinions.append(result.opinions)
     owner, joined = np.concatenate(person), _join_opinions(opinions)
     blind, informed = (
         _score_pool(
@@ -151,6 +152,15 @@ def chain_from(patrol: Patrol, *, people: Bools, options: PosteriorOptions) -> C
         raise DataError(f"the posterior adversary cannot learn: {error}") from error
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _FleetOpinions:
+    """The opinions about a person from a fleet's log."""
+
+    target: int
+    fleet: int
+    opinions: Opinions
+
+
 def _opinions_on(
     network: Network,
     disclosure: Disclosure,
@@ -160,8 +170,8 @@ def _opinions_on(
     targets: Ints,
     epsilon_m: float,
     options: PosteriorOptions,
-) -> Iterator[tuple[int, int, Opinions]]:
-    """Yield each target, fleet, and the opinions about her from its log."""
+) -> Iterator[_FleetOpinions]:
+    """Yield the opinions about each target from each fleet's log."""
     patrol = network.patrol
     grid = patrol.grid
     # Of each target: opinions by log, for this call alone. Fleets hold equal logs often.
@@ -193,14 +203,15 @@ def _opinions_on(
                     epsilon_m=epsilon_m,
                     options=options,
                 )
-            yield target, fleet, by_log[key]
+            yield _FleetOpinions(target, fleet, by_log[key])
             if evidence is not None:
                 by_log.clear()
 
 
 def _person_entries(log: Log, person: int) -> Entries:
     rows = slice(log.offsets[person], log.offsets[person + 1])
-    return Entries(log.t[rows], log.xy[rows], log.variance[rows])
+    cov = None if log.cov is None else log.cov[rows]
+    return Entries(log.t[rows], log.xy[rows], log.variance[rows], cov)
 
 
 def _likelihood_of_answers(

@@ -11,7 +11,7 @@ so that the adversary can only continue a route. A *limit* refuses queries above
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -30,16 +30,14 @@ from attacks.following.belief import (
     updated_by_states,
 )
 from attacks.following.logs import first_half
-from attacks.following.pieces import PRIOR_STD, Q
+from attacks.following.pieces import States, last_states
 from attacks.following.walk_chain import walk_states
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
-from isac_track.kalman import Batch, kalman_last
-from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Network
 from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
-from isac_track.patrols.knowledge import declared_variance
+from isac_track.patrols.knowledge import Reports, released_reports
 from isac_track.policies.query import Query, View
 from isac_track.policies.samples import WINDOW_S, Ahead
 from isac_track.protocols import Policy
@@ -107,11 +105,11 @@ class _Task:
     epsilon_m: float
     probes_per_s: float
     query_s: Floats  # (Q,) s, instants at which the network can answer.
-    variance: Floats  # (M,) m^2, declared of each sample.
+    reports: Reports  # Samples with their declared errors.
 
     @property
     def power(self) -> float:
-        """Weight of an answer: answers within the memory of an error share one."""
+        """Weight of an answer: answers within the memory of an error share it."""
         return min(1.0, 1.0 / max(self.probes_per_s * self.options.memory_s, 1e-9))
 
     @property
@@ -170,7 +168,7 @@ def probe_targets(
         epsilon_m=epsilon_m,
         probes_per_s=probes_per_s,
         query_s=patrol.scan_s[patrol.query_scan],
-        variance=np.maximum(declared_variance(network), MIN_VARIANCE_M2),
+        reports=released_reports(network).floored(),
     )
     is_first = first_half(patrol.people.group)
     crowds = {
@@ -186,12 +184,11 @@ def probe_targets(
         )
         for target in targets.tolist()
     ]
-    instants, known, claimed, answered = np.array(results, dtype=np.float64).T
     return Probed(
-        instants.astype(np.int64),
-        known.astype(np.int64),
-        claimed,
-        answered.astype(np.int64),
+        instants=np.array([result.instants for result in results], dtype=np.int64),
+        known=np.array([result.known for result in results], dtype=np.int64),
+        claimed=np.array([result.claimed for result in results], dtype=np.float64),
+        answered=np.array([result.answered for result in results], dtype=np.int64),
     )
 
 
@@ -245,10 +242,19 @@ def _learn_crowd(task: _Task, *, people: Bools, seed: int) -> Crowd:
     )
 
 
+class _ProbedTarget(NamedTuple):
+    """Result of probing a target: the numbers of `Probed`."""
+
+    instants: int
+    known: int
+    claimed: float
+    answered: int
+
+
 def _probe_target(
     task: _Task, target: int, *, crowd: Crowd, rng: Generator
-) -> tuple[float, ...]:
-    """Return instants, known instants, stated probabilities and answers of a target."""
+) -> _ProbedTarget:
+    """Probe a person for `longest_s`, from `_LATE_S` after the first sample."""
     grid, options = task.network.patrol.grid, task.options
     t = grid.t[grid.offsets[target] : grid.offsets[target + 1]]
     xy = grid.xy[grid.offsets[target] : grid.offsets[target + 1]]
@@ -279,7 +285,7 @@ def _probe_target(
         place, share = belief.best_place(task.epsilon_m)
         n_known += bool(squared_lengths(place - xy[row]) < task.epsilon_m**2)
         claimed += share
-    return float(last - start - 1), float(n_known), claimed, float(n_answered)
+    return _ProbedTarget(last - start - 1, n_known, claimed, n_answered)
 
 
 def _probe_times(start_s: float, end_s: float, per_s: float) -> Iterator[float]:
@@ -475,20 +481,15 @@ def _sent_states(
             first = min(first, sent_runs[number].first)
         sent_runs[number] = SentRun(first, last, float(t[last]))
     states = [_run_state(task, sent_runs[number]) for number in numbers.tolist()]
-    mean = np.array([state[0] for state in states]).reshape(-1, 2, 2)
-    cov = np.array([state[1] for state in states]).reshape(-1, 2, 2)
-    return SentStates(numbers, is_new, mean, cov)
+    mean = np.array([state.mean[0] for state in states]).reshape(-1, 2, 2)
+    cov = np.array([state.cov[0] for state in states]).reshape(-1, 2, 2)
+    planar = [state.planar[0] for state in states if state.planar is not None]
+    return SentStates(numbers, is_new, mean, cov, np.array(planar) if planar else None)
 
 
-def _run_state(task: _Task, run: SentRun) -> tuple[Floats, Floats]:
-    """Return the Kalman state after a run of samples, mean and covariance."""
-    release, rows = task.network.release, slice(run.first, run.last + 1)
-    batch = Batch(
-        release.t[rows],
-        release.xy[rows],
-        task.variance[rows],
-        np.array([0, run.last + 1 - run.first]),
-        PRIOR_STD,
+def _run_state(task: _Task, run: SentRun) -> States:
+    """Return the Kalman state after a run of samples."""
+    rows = np.arange(run.first, run.last + 1)
+    return last_states(
+        task.network.release.t[rows], task.reports[rows], np.array([0, rows.size])
     )
-    state = kalman_last(batch, q=Q)
-    return state.mean[0], state.cov[0]

@@ -21,7 +21,7 @@ from attacks.following.links import (
 )
 from attacks.following.logs import CONFUSED_BITS, Ending, first_half
 from attacks.following.pieces import Pieces, end_states
-from isac_track.noise import MIN_VARIANCE_M2
+from isac_track.patrols.knowledge import Reports
 from isac_track.patrols.patrol import Patrol
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
@@ -136,13 +136,12 @@ def _by_start(shared: SharedTracks) -> SharedTracks:
 def _as_pieces(shared: SharedTracks, spans: Spans) -> Pieces:
     """Return tracks as pieces of a log, each with whom it holds at its end."""
     release = shared.release
-    variance = np.maximum(shared.variance, MIN_VARIANCE_M2)
-    start, end = end_states(release.t, release.xy, variance, release.offsets)
+    reports = Reports(release.xy, shared.variance, release.cov).floored()
+    start, end = end_states(release.t, reports, release.offsets)
     return Pieces(
         person=spans.person[spans.is_last],
         sample=np.arange(release.t.size),
-        xy=release.xy,
-        variance=variance,
+        reports=reports,
         offsets=release.offsets,
         start=start,
         end=end,
@@ -238,7 +237,7 @@ def _longest_s(spans: Spans, chain: Ints, *, n_people: int) -> Floats:
 
 
 def _are_joined(chain: Ints, pieces: Pieces, true_next: Ints) -> Bools:
-    """Return whether each track is joined to its true next one, directly, (K,)."""
+    """Return whether each track is joined to its true successor, directly, (K,)."""
     order = np.lexsort((pieces.start.t, chain))
     joined = np.full(len(pieces), -1)
     same = np.diff(chain[order]) == 0

@@ -224,7 +224,7 @@ def nominal_velocities(options: ChainOptions) -> Floats:
 def _class_velocities(
     velocity_mps: Floats, kind: Ints, options: ChainOptions
 ) -> tuple[Floats, Floats]:
-    """Return mean and spread of each class; of an empty class its nominal ones."""
+    """Return mean and spread of each class; of an empty class its nominal values."""
     mean, spread = nominal_velocities(options), np.full(options.n_classes, 0.2)
     for number in np.unique(kind).tolist():
         own = velocity_mps[kind == number]

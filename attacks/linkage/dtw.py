@@ -96,13 +96,15 @@ def warped_costs(
         Signals(side.values[:, :, ::_STRIDE], -(-side.sizes // _STRIDE))
         for side in (probe, gallery)
     ]
-    for rows, columns, part, other in blocks(*thinned):
-        shorter, longer = sorted((part.shape[1], other.shape[1]))
+    for block in blocks(*thinned):
+        shorter, longer = sorted((block.probe.shape[1], block.gallery.shape[1]))
         reach = round(band * longer)
         # Cells left out at the ends must leave some cells, and lie within the band.
         loose = min(reach, (shorter - 1) // 2)
-        square = np.empty((rows.size, columns.size))
-        load_loops().warp(part, other, reach, loose, penalty**2, square)
+        square = np.empty((block.rows.size, block.columns.size))
+        load_loops().warp(block.probe, block.gallery, reach, loose, penalty**2, square)
         overlap = (FULL_CELLS / _STRIDE / shorter) ** EXPONENT
-        costs[rows[:, None], columns[None, :]] = (square / shorter + floor) * overlap
+        costs[block.rows[:, None], block.columns[None, :]] = (
+            square / shorter + floor
+        ) * overlap
     return costs

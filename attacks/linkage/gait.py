@@ -69,7 +69,7 @@ class Gait:
 
     An informed adversary learns line and metric on other people. The score is minus
     ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated pairs
-    and T over strangers, as in `Behaviour`; a blind one divides by fixed scales.
+    and T over strangers, as in `Behaviour`; a blind adversary divides by fixed scales.
 
     Only times and positions are read: no height, no sex, no declared error.
 
@@ -182,7 +182,8 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     t_s = t_s - t_s[0]
     grid_s = np.arange(0.0, min(float(t_s[-1]), LONGEST_S) + 1e-9, STEP_S)
     x, y = CubicSpline(t_s, xy)(grid_s).T
-    surge, sway, speed = _body_frame(x + 1j * y)
+    body = _body_motion(x + 1j * y)
+    surge, sway, speed = body.surge, body.sway, body.speed
     cells = min(grid_s.size, SEGMENT_CELLS)
     sides, steps = (_amplitudes(x, _harmonics(cells)) for x in (sway, surge))
     side_m2, step_m2 = (np.mean(np.abs(x) ** 2, axis=2) for x in (sides, steps))
@@ -207,21 +208,30 @@ def _passage_features(t_s: Floats, xy: Floats, floor_m2: float) -> Floats:
     )
 
 
-def _body_frame(z: Complexes) -> tuple[Floats, Floats, float]:
-    """Return acceleration along and across the way, (K,) m/s^2, and mean speed, m/s."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _BodyMotion:
+    """How a body moves about its way."""
+
+    surge: Floats  # (K,) m/s^2, acceleration along the way
+    sway: Floats  # (K,) m/s^2, across it
+    speed: float  # m/s, mean
+
+
+def _body_motion(z: Complexes) -> _BodyMotion:
+    """Return the motion of positions x + iy, (K,) m, about their smoothed way."""
     way = gaussian_filter1d(z, _HEADING_S / STEP_S, mode="nearest")
     going = np.gradient(way, STEP_S)
     heading = going / np.maximum(np.abs(going), _SLOWEST_M_S)
     bend = np.gradient(np.gradient(z - way, STEP_S), STEP_S) * np.conj(heading)
     speed = max(float(np.abs(z[-1] - z[0])) / ((z.size - 1) * STEP_S), _SLOWEST_M_S)
-    return bend.real, bend.imag, speed
+    return _BodyMotion(bend.real, bend.imag, speed)
 
 
 def _amplitudes(signal: Floats, waves: Complexes) -> Complexes:
     """Return amplitudes of the motion behind an acceleration, (B, H, S) m.
 
     There are S segments of the waves' length, which overlap by half (Welch, IEEE Trans.
-    Audio Electroacoustics 15, 1967); a stride drifts too much for longer ones.
+    Audio Electroacoustics 15, 1967); a stride drifts too much for longer segments.
     """
     cells = waves.shape[-1]
     starts = np.arange(0, signal.size - cells + 1, max(cells // 2, 1))

@@ -104,7 +104,7 @@ def count_cells(motion: Signals, *, speeds: int) -> Floats:
 
 
 def _between(values: Floats, centres: Floats) -> tuple[Ints, Floats]:
-    """Return the centre below each value and the share of the one above."""
+    """Return the centre below each value and the share of the next centre."""
     position = np.interp(values, centres, np.arange(centres.size, dtype=np.float64))
     below = np.minimum(position.astype(np.int64), centres.size - 2)
     return below, position - below

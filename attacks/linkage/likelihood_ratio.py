@@ -70,12 +70,12 @@ class LikelihoodRatio:
     shape: bool = False
     """Whether declared ellipses count, for an adversary who is granted SIGMA.
 
-    Both axes then hang together, and the mean over rotations is a numerical one: 1 ms a
+    Both axes then hang together, and the mean over rotations is numerical: 1 ms a
     pair. With round errors the score is the same.
     """
 
     kind: ClassVar[str] = "linkage"
-    one_stretch: ClassVar[bool] = True
+    same_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
 
     @property
@@ -99,7 +99,7 @@ class LikelihoodRatio:
         """Return the linker, which uses the mechanism's error law if it is granted."""
         knows_mechanism = Knowledge.MECHANISM in context.granted
         std_m, tau_s = added_error(context.mechanism) if knows_mechanism else (0.0, 0.0)
-        # A constant error is a shift, a white one shows in the release.
+        # A constant error is a shift, a white error shows in the release.
         slow = (std_m, tau_s) if 0.0 < tau_s < np.inf else (0.0, 0.0)
         # Twice as many passes help where errors are added linearly, and harm elsewhere.
         adding = getattr(context.mechanism, "adding", "") if knows_mechanism else ""

@@ -9,7 +9,7 @@ import numpy as np
 from attacks.linkage.learning import make_linker
 from attacks.parameters import require_positive
 from isac_track.protocols import AttackContext, Linker
-from isac_track.types import Floats, Ints, Knowledge, Release
+from isac_track.types import Floats, Ints, Knowledge, Release, lengths
 
 _FARTHEST_M = 1e6  # The distance of two walks that do not overlap in time.
 
@@ -32,7 +32,7 @@ class MeanDistance:
     least_s: float = 2.0
 
     kind: ClassVar[str] = "linkage"
-    one_stretch: ClassVar[bool] = True
+    same_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.SCENE})
     uses: ClassVar[frozenset[Knowledge]] = frozenset()
 
@@ -49,19 +49,18 @@ def _closeness(
     probe: Release, gallery: Release, step_s: float, least_s: float
 ) -> Floats:
     """Return minus the mean distance of every pair, (P, G) m."""
-    tick, xy, offsets = _on_grid(probe, step_s)
-    other_tick, other_xy, other_offsets = _on_grid(gallery, step_s)
-    row = np.repeat(np.arange(len(gallery)), np.diff(other_offsets))
-    in_time = np.argsort(other_tick, kind="stable")
-    other_tick, other_xy, row = other_tick[in_time], other_xy[in_time], row[in_time]
+    own, other = _on_grid(probe, step_s), _on_grid(gallery, step_s)
+    in_time = np.argsort(other.tick, kind="stable")
+    tick, xy = other.tick[in_time], other.xy[in_time]
+    row = np.repeat(np.arange(len(gallery)), np.diff(other.offsets))[in_time]
     score = np.full((len(probe), len(gallery)), -_FARTHEST_M)
-    for number, (first, last) in enumerate(pairwise(offsets.tolist())):
+    for number, (first, last) in enumerate(pairwise(own.offsets.tolist())):
         if first == last:
             continue
-        overlap = slice(*np.searchsorted(other_tick, (tick[first], tick[last - 1] + 1)))
-        apart_m = np.hypot(
-            *(other_xy[overlap] - xy[first + other_tick[overlap] - tick[first]]).T
-        )
+        start, end = own.tick[first], own.tick[last - 1]
+        overlap = slice(*np.searchsorted(tick, (start, end + 1)))
+        own_xy = own.xy[first + tick[overlap] - start]
+        apart_m = lengths(xy[overlap] - own_xy)
         shared = np.bincount(row[overlap], minlength=len(gallery))
         total_m = np.bincount(row[overlap], weights=apart_m, minlength=len(gallery))
         enough = shared * step_s >= least_s
@@ -69,8 +68,17 @@ def _closeness(
     return score
 
 
-def _on_grid(release: Release, step_s: float) -> tuple[Ints, Floats, Ints]:
-    """Return the steps of a common grid within each walk, positions, and offsets."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _GridWalks:
+    """N walks at the instants of a common grid that lie within them."""
+
+    tick: Ints  # (M,) number of the instant
+    xy: Floats  # (M, 2) m
+    offsets: Ints  # (N + 1,) of the walks
+
+
+def _on_grid(release: Release, step_s: float) -> _GridWalks:
+    """Interpolate walks at the multiples of `step_s`."""
     ticks, places = [], []
     for first, last in pairwise(release.offsets.tolist()):
         t, xy = release.t[first:last], release.xy[first:last]
@@ -80,4 +88,4 @@ def _on_grid(release: Release, step_s: float) -> tuple[Ints, Floats, Ints]:
             np.column_stack([np.interp(tick * step_s, t, axis) for axis in xy.T])
         )
     offsets = np.cumsum([0, *map(len, ticks)])
-    return np.concatenate(ticks), np.concatenate(places), offsets
+    return _GridWalks(np.concatenate(ticks), np.concatenate(places), offsets)

@@ -23,10 +23,10 @@ _LONGEST_S: Final = 60.0  # A sample that is farther away counts as this far.
 _RELATIVE_VARIANCE: Final = 3.0
 """Variance of the log of a mean of n squared innovations, times n.
 
-It exceeds that of independent ones, since neighbours share samples. It is 3 for radial
-errors and 1.9 for Gaussian ones (tested).
+It exceeds that without overlap, since neighbours share samples. It is 3 for radial
+errors and 1.9 for Gaussian errors (tested).
 """
-# Variance of the log level of a track that is too short to have one.
+# Variance of the log level of a track that is too short for a level.
 _UNKNOWN: Final = 1e6
 # (1 cm)^2: below it innovations show how people accelerate, not noise.
 _LEAST_M2: Final = 1e-4

@@ -1,6 +1,7 @@
 """Walks on a common grid, their motion, and the best lag of two: for all linkers."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module
 from types import ModuleType
@@ -21,7 +22,7 @@ _CLOCK_S = 1e-6
 SLOW_M_S = 0.4  # Below it a walk hardly has a direction; its turning rate is damped.
 _WIDTH_S = 3.0  # Of smoothing at errors of 1 m: tuned on the bundled crowd.
 WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
-"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that many walks share one."""
+"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that many walks share a width."""
 # Factors of the widths that an informed adversary tries, the default first.
 _FACTORS = (1.0, 0.5, 2.0)
 FULL_CELLS = 48.0  # 12 s: an overlap of this length keeps its cost.
@@ -126,7 +127,7 @@ def widths_s(release: Release, factor: float = 1.0) -> Floats:
 
 
 def width_factors(context: AttackContext, given: float | None) -> tuple[float, ...]:
-    """Return the factors of the widths to try: the given one, or the default first.
+    """Return the factors of the widths to try: the given factor, or the default first.
 
     A factor is left out if it gives all walks of the training set the same widths as an
     earlier factor.
@@ -176,13 +177,13 @@ def aligned_costs(
     basis, begin = polynomials(most, rank, int(rotated))
     weight = (FULL_CELLS / np.arange(1, most + 1)) ** EXPONENT
     reach = round(reach_s / STEP_S)
-    for rows, columns, part, other in blocks(probe, gallery):
-        block = np.empty((levels.size, rows.size, columns.size))
+    for block in blocks(probe, gallery):
+        costs = np.empty((levels.size, block.rows.size, block.columns.size))
         lags = (reach, LEAST_OVERLAP, int(rotated))
         load_loops().least_costs(
-            (part, other), (basis, levels, weight), begin, lags, block
+            (block.probe, block.gallery), (basis, levels, weight), begin, lags, costs
         )
-        out[:, rows[:, None], columns[None, :]] = block
+        out[:, block.rows[:, None], block.columns[None, :]] = costs
     return out if np.ndim(floors) else out[0]
 
 
@@ -204,18 +205,22 @@ def polynomials(most: int, rank: int, first: int) -> tuple[Floats, Ints]:
     return read_only(np.concatenate(parts)), read_only(begin)
 
 
-def blocks(
-    probe: Signals, gallery: Signals
-) -> Iterator[tuple[Ints, Ints, Floats, Floats]]:
-    """Yield rows, columns and signals of blocks of at most `_NEAR` x `_NEAR` pairs.
+@dataclass(frozen=True, eq=False, slots=True)
+class Block:
+    """R x C pairs of probes of the same length and gallery walks of the same length."""
 
-    All probes of a block have one length, and so have all its gallery walks. Signals
-    come as (C, P, K) and (C, G, K), and go as (C, cells, rows) and (C, cells, columns).
-    """
+    rows: Ints  # (R,) probes
+    columns: Ints  # (C,) gallery walks
+    probe: Floats  # (channels, cells, R)
+    gallery: Floats  # (channels, cells, C), of another number of cells
+
+
+def blocks(probe: Signals, gallery: Signals) -> Iterator[Block]:
+    """Cut all pairs into blocks of at most `_NEAR` x `_NEAR`."""
     gallery_parts = _parts_by_length(gallery)
     for rows, part in _parts_by_length(probe):
         for columns, other in gallery_parts:
-            yield rows, columns, part, other
+            yield Block(rows, columns, part, other)
 
 
 def _parts_by_length(signals: Signals) -> list[tuple[Ints, Floats]]:

@@ -166,7 +166,7 @@ def _sample_features(
 
     The heading is a complex number of length 1, or less where nobody moves. Features in
     its frame, over each of the stretches about a sample, are the means of the
-    smoother's residuals and positions; further ones are the logarithm of the
+    smoother's residuals and positions; further features are the logarithm of the
     information there, speed, time to either end of the walk, noise and claimed std.
     """
     assert smoothed.std is not None

@@ -12,8 +12,9 @@ from attacks.reconstruction.learning import (
     candidates_around,
     make_smoother,
 )
+from isac_track.measurement import error_ellipses, mean_variance
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Knowledge, Reconstruction, Release
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 TREND_STD = (100.0, 10.0)  # m and m/s, of the line: far more than any walk needs.
 
@@ -71,14 +72,13 @@ def smooth(
     """Return the posterior of every track at its samples, by filter and smoother.
 
     Step k of all tracks that have it is taken at once. `variance`, (M,) m^2, is that of
-    the errors per axis, `kernel` length, s, and scale, m.
+    the errors per axis, `kernel` length, s, and scale, m. Errors with a shape have the
+    declared one, and `variance` is the mean of both axes.
     """
+    if release.cov is not None:
+        return _smooth_ellipses(release, variance, error_ellipses(release.cov), kernel)
     first, sizes = release.offsets[:-1], np.diff(release.offsets)
-    step = np.arange(release.t.size) - np.repeat(first, sizes)
-    # Samples by step, the longest tracks first (of equals in their order), and where
-    # steps begin.
-    rows = np.lexsort((np.repeat(-sizes, sizes), step))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(step))])
+    rows, starts = _by_step(release)
     origin = np.repeat(release.xy[first], sizes, axis=0)
     xy, noise = (release.xy - origin)[rows], variance[rows]
     elapsed_s = np.diff(release.t, prepend=release.t[0])
@@ -115,6 +115,71 @@ def smooth(
     place, std = origin.copy(), np.empty(rows.size)
     place[rows] += mean @ measured
     std[rows] = np.sqrt(np.maximum((cov @ measured) @ measured, 0.0))
+    return Reconstruction(place, std)
+
+
+def _by_step(release: Release) -> tuple[Ints, Ints]:
+    """Return the samples by their number in a track, and where numbers begin.
+
+    Of each number the longest tracks are first, of equals in their order.
+    """
+    sizes = np.diff(release.offsets)
+    step = np.arange(release.t.size) - np.repeat(release.offsets[:-1], sizes)
+    rows = np.lexsort((np.repeat(-sizes, sizes), step))
+    return rows, np.concatenate([[0], np.cumsum(np.bincount(step))])
+
+
+def _smooth_ellipses(
+    release: Release, variance: Floats, ellipse: Floats, kernel: tuple[float, float]
+) -> Reconstruction:
+    """Return what `smooth` does where the errors couple both axes.
+
+    The state has the four numbers of either axis, and a measurement is a position.
+    `ellipse`, (M, 2, 2), is in units of `variance`.
+    """
+    first, sizes = release.offsets[:-1], np.diff(release.offsets)
+    rows, starts = _by_step(release)
+    origin = np.repeat(release.xy[first], sizes, axis=0)
+    xy = (release.xy - origin)[rows]
+    noise = (variance[:, None, None] * ellipse)[rows]
+    elapsed_s = np.diff(release.t, prepend=release.t[0])
+    elapsed_s[first] = 0.0  # not since the end of another track
+    prior, move = (
+        np.kron(np.eye(2), part) for part in _model(elapsed_s[rows], kernel=kernel)
+    )
+    measured = np.kron(np.eye(2), np.array([[1.0, 0.0, 1.0, 0.0]]))
+    mean, cov = np.zeros((rows.size, 8)), np.empty((rows.size, 8, 8))
+    ahead_mean, ahead_cov = np.zeros_like(mean), np.empty_like(cov)
+    ahead_cov[: starts[1]] = prior
+    process = prior * np.tile([0.0, 0.0, 1.0, 1.0], 2)  # the line does not move
+    grown = process - move @ process @ move.swapaxes(1, 2)
+    previous = slice(0, 0)
+    for lo, hi in pairwise(starts.tolist()):
+        now = slice(lo, hi)
+        if lo > 0:
+            before = slice(previous.start, previous.start + hi - lo)
+            turned = move[now].swapaxes(1, 2)
+            ahead_mean[now] = np.einsum("nab,nb->na", move[now], mean[before])
+            ahead_cov[now] = move[now] @ cov[before] @ turned + grown[now]
+        towards = ahead_cov[now] @ measured.T
+        gain = np.linalg.solve(
+            measured @ towards + noise[now], towards.swapaxes(1, 2)
+        ).swapaxes(1, 2)
+        innovation = xy[now] - ahead_mean[now] @ measured.T
+        mean[now] = ahead_mean[now] + np.einsum("nab,nb->na", gain, innovation)
+        cov[now] = ahead_cov[now] - gain @ towards.swapaxes(1, 2)
+        previous = now
+    for lo, hi, top in zip(starts[-3::-1], starts[-2:0:-1], starts[:1:-1], strict=True):
+        later, earlier = slice(hi, top), slice(lo, lo + top - hi)
+        # The smoother's gain, transposed.
+        back = np.linalg.solve(ahead_cov[later], move[later] @ cov[earlier])
+        surprise = mean[later] - ahead_mean[later]
+        mean[earlier] += np.einsum("nba,nb->na", back, surprise)
+        cov[earlier] += back.swapaxes(1, 2) @ (cov[later] - ahead_cov[later]) @ back
+    place, std = origin.copy(), np.empty(rows.size)
+    place[rows] += mean @ measured.T
+    spread = mean_variance(measured @ cov @ measured.T)
+    std[rows] = np.sqrt(np.maximum(spread, 0.0))
     return Reconstruction(place, std)
 
 

@@ -28,7 +28,7 @@ from isac_track.types import Floats, Knowledge, Reconstruction, Release
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk, below which errors are radial.
 
-Gaussian errors have -zeta(3) / 4 = -0.30. Radial ones have -2.10 about the walk itself,
+Gaussian errors have -zeta(3) / 4 = -0.30. Radial errors: -2.10 about the walk itself,
 and -0.40 to -0.59 about the smoothed walk.
 """
 _LEAST_M = 1e-9

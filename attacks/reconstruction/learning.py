@@ -4,7 +4,7 @@ A blind adversary estimates one level of noise for each track from its innovatio
 the declared standard deviations (the oracle) only the error law is unknown. Under
 FID-controlled sharing, an adversary who knows the rule is in between: a sample gets
 error if its information per second, ``(gap / sigma_raw)^2 / interval``, exceeds the
-public threshold. The raw standard deviation of each track is the one under which the
+public threshold. The raw standard deviation of each track is that under which the
 rule explains best how errors differ between short and long intervals. The gap of the
 network's estimator is a constant, learnt from other people.
 """
@@ -90,8 +90,8 @@ def make_smoother(
 
     `smooth` takes a release, the error variance per axis, (M,) m^2, and a choice. The
     choice is the candidate that reconstructs the training set best, of equals the
-    first. Without a training set it is the middle one, as of `candidates_around`.
-    `refine` makes further candidates from the best one.
+    first. Without a training set it is the middle candidate, as of `candidates_around`.
+    `refine` makes further candidates from the best.
     """
     variance = learn_variance(context)
 
@@ -178,7 +178,7 @@ def _learn_fid(train: TrainingSet, rule: Fid) -> Callable[[Release], Floats]:
         """Return log likelihoods of tracks under raw errors, (N, S), times a factor.
 
         `errors`, (2, N, B), are counts and sums of squares by sampling interval. The
-        length of a radial error is |N(0, sigma)|; an isotropic one has twice its log
+        length of a radial error is |N(0, sigma)|; an isotropic error has twice its log
         likelihood.
         """
         square_m2 = _total_m2(sigmas_m[:, None], middle_s, gap=gap, rule=rule)

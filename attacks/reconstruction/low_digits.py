@@ -34,7 +34,7 @@ docs/protocol.md has the shares that built-in mechanisms show.
 """
 _VALUES: Final = 100  # Of a pair of digits.
 _FEWEST: Final = 200  # Samples to learn from.
-_LEAST_MORE: Final = 0.02  # Of what is left, that a further pair explains.
+_LEAST_MORE: Final = 0.02  # Of the remaining variance, that a further pair explains.
 _MOST_PAIRS: Final = 4
 
 
@@ -42,7 +42,7 @@ class Pair(NamedTuple):
     """What a pair of digits says about positions, beyond the pairs before it."""
 
     place: int  # Decimals before the pair.
-    table: Floats  # (100, 2) mean of what is left of the target, m, by the pair.
+    table: Floats  # (100, 2) mean of the target's residual, m, by the pair.
 
 
 class Message(NamedTuple):
@@ -145,7 +145,7 @@ def _message(target: Target, wanted: Floats, xy: Floats, is_learnt: Bools) -> Me
 
 
 def _squares(values: Floats, is_learnt: Bools) -> float:
-    """Return the squares of the judged values about the mean of the learnt ones."""
+    """Return the squares of the judged values about the mean of the learnt values."""
     return float(((values[~is_learnt] - values[is_learnt].mean(axis=0)) ** 2).sum())
 
 

@@ -21,7 +21,7 @@ class MovingAverage:
 
     The mean over a window of width h of a walk of acceleration a is off by a h^2 / 24:
     the best window is ``width_s * (s / 0.5 m)^(2/5)`` (`half_windows`). Near the ends
-    of a track both sides are as short as the shorter one: a lopsided mean would lag
+    of a track both sides are as short as the shorter side: a lopsided mean would lag
     behind the walk.
     """
 

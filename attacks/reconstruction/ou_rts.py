@@ -35,6 +35,11 @@ from isac_track.kalman.slow_errors import (
     filter_tracks,
     smooth_tracks,
 )
+from isac_track.measurement import (
+    covariance_without,
+    error_ellipses,
+    mean_variance,
+)
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.protocols import WALK_KNOWLEDGE, AttackContext, Reconstructor
 from isac_track.types import Floats, Knowledge, Reconstruction, Release, derived
@@ -226,12 +231,14 @@ def smooth(
 ) -> Reconstruction:
     """Return smoothed positions; the white error is as declared, or from innovations.
 
+    Of declared covariances the slow error is round, and the white one has the rest.
+
     `anchor` has a true position of each track. ValueError if a position lies outside
     its track.
     """
     error = SlowError(choice.std_m, choice.tau_s)
     t, xy, offsets = release.t, release.xy, release.offsets
-    rest_m2 = _rest_m2(release, error)
+    rest_m2, ellipse = _white_rest(release, error)
     std_m = np.broadcast_to(error.std_m, t.shape)
     known = np.zeros(0, dtype=np.int64)
     if anchor is not None:
@@ -248,8 +255,10 @@ def smooth(
         t, xy = np.insert(t, known, anchor.t), np.insert(xy, known, anchor.xy, axis=0)
         rest_m2 = np.insert(rest_m2, known, _KNOWN_M2)
         std_m = np.insert(std_m, known, 0.0)
+        if ellipse is not None:
+            ellipse = np.insert(ellipse, known, np.eye(2), axis=0)
         offsets = offsets + np.arange(offsets.size)
-    batch = Batch(t, xy, rest_m2, offsets, PRIOR_STD)
+    batch = Batch(t, xy, rest_m2, offsets, PRIOR_STD, ellipse)
     error = SlowError(std_m, choice.tau_s)
     passes, anneal = choice.passes, RadialRTS().anneal
     if choice.q is None:
@@ -265,6 +274,14 @@ def smooth(
     position = np.delete(position, inserted, axis=0)
     variance = np.delete(spread, inserted)
     return Reconstruction(position, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _white_rest(release: Release, error: SlowError) -> tuple[Floats, Floats | None]:
+    """Return mean variance, (M,) m^2, and ellipses of the white error, if declared."""
+    if release.cov is None:
+        return _rest_m2(release, error), None
+    rest = covariance_without(release.cov, std_m=error.std_m, least_m2=MIN_VARIANCE_M2)
+    return mean_variance(rest), error_ellipses(rest)
 
 
 def _rest_m2(release: Release, error: SlowError) -> Floats:

@@ -3,7 +3,7 @@
 A smoother with a single motion assumes that people who stand are as restless as people
 who turn. Here every track is smoothed under several motions, and the results are mixed
 by the probability of each: its likelihood, times its share among people. People who
-stand have slow velocities that change soon; people who walk on have fast ones that
+stand have slow velocities that change soon; those of people who walk on are fast and
 last. As a kernel over time the mixture is one of integrated Ornstein-Uhlenbeck
 processes.
 
@@ -42,7 +42,7 @@ MOTIONS = Motions.with_speeds(
 
 Behind a slow error, a person who stands still is at the mean of the track: hence two
 motions for standing. Twice as many motions gain at most another half point of PLR. The
-bank has no motion that is both fast and smoother than the last one: for a walk that
+bank has no motion that is both fast and smoother than the last: for a walk that
 sways, its likelihood would attribute errors to the sway.
 """
 SHARES = (0.05, 0.05, 0.1, 0.15, 0.05, 0.15, 0.45)

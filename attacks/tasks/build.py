@@ -65,7 +65,7 @@ def make_sessions(
 
 
 def _crowd(trait_strength: float) -> tuple[Tracks, Tracks]:
-    """Return the two sessions of the crowd: the bundled ones, or simulated anew."""
+    """Return the two sessions of the crowd: the bundled files, or simulated anew."""
     if trait_strength == 1.0:
         return load("plaza").tracks, load("plaza-session2").tracks
     from isac_track.datasets.crowd import (  # noqa: PLC0415 - seldom needed

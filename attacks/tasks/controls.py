@@ -60,7 +60,7 @@ class Control:
 
     def audits(self, task: Task) -> bool:
         """Whether success in a task reveals a shortcut, which invalidates the task."""
-        return self.is_audit and not (self.is_evidence_live and task.is_one_time)
+        return self.is_audit and not (self.is_evidence_live and task.is_sensed_once)
 
     def scorer(self, task: Task) -> Score | None:
         """Return the score function for a task."""

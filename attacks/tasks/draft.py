@@ -159,9 +159,24 @@ class Draft:
         )
 
     def sessions(
-        self, rows: Ints, *, group: tuple[str, ...], may_teach: Bools, **fields: object
+        self,
+        rows: Ints,
+        *,
+        group: tuple[str, ...],
+        may_teach: Bools,
+        probe: Windows,
+        gallery: Windows,
+        mate: Ints,
+        fold: Ints,
+        searches: tuple[str, ...],
+        too_short: int,
+        not_drawn: int,
     ) -> Sessions:
-        """Return the sessions of the people of some tracks, with further `fields`."""
+        """Return the sessions of the people of some tracks.
+
+        `may_teach`, (2, K), are the people from whom the adversary of either fold may
+        learn; all others are fields of `Sessions`.
+        """
         learns, calibrates = may_teach, np.zeros_like(may_teach)
         if not self.task.comes_back:
             learns, calibrates = roles(
@@ -176,14 +191,22 @@ class Draft:
             )
             alone &= sizes[cluster][session_rows] == 1
             moving &= _moving(tracks)[session_rows]
-        fields |= {
-            "learns": learns,
-            "calibrates": calibrates,
-            "alone": alone,
-            "moving": moving,
-        }
-        # mypy cannot check `fields`; each task names them where it builds its sessions.
-        return Sessions(task=self.task, source=source, group=group, **fields)  # type: ignore[arg-type]
+        return Sessions(
+            task=self.task,
+            source=source,
+            group=group,
+            alone=alone,
+            moving=moving,
+            probe=probe,
+            gallery=gallery,
+            mate=mate,
+            fold=fold,
+            searches=searches,
+            learns=learns,
+            calibrates=calibrates,
+            too_short=too_short,
+            not_drawn=not_drawn,
+        )
 
 
 def track_rows(tracks: Tracks, source: Sequence[str]) -> Ints:

@@ -8,6 +8,7 @@ import numpy as np
 from attacks.tasks.draft import CLOCK_S, Draft
 from attacks.tasks.sessions import N_FOLDS, Sessions, Windows
 from attacks.tasks.task_list import TASKS
+from isac_track.config import LinkageSettings
 from isac_track.errors import DataError
 from isac_track.types import Bools, Floats, Ints
 
@@ -19,13 +20,13 @@ def handover(draft: Draft) -> Sessions:
     """
     tracks, settings, gap_s = draft.tracks, draft.settings.linkage, draft.task.gap_s
     # The same instants whatever the gap, so that the gaps can be compared.
-    longest_gap_s = max(task.gap_s for task in TASKS.values())
-    at_s = _rotation_times(draft, longest_gap_s)
+    first_s, last_s = float(tracks.t.min()), float(tracks.t.max())
+    at_s = rotation_times(first_s, last_s, settings=settings)
     before, after = _presence(draft, at_s)
     # An instant at which nobody can be linked has no search.
     used = np.flatnonzero((before & after).any(axis=1))
     n_everybody = int((before | after)[used].any(axis=0).sum())
-    used = np.intersect1d(used, _draw_instants(draft, at_s, longest_gap_s))
+    used = np.intersect1d(used, _draw_instants(draft, at_s, longest_gap_s()))
     present = (before | after)[used]
     rows = np.flatnonzero(present.any(axis=0))
     draft.require_people(rows.size, "people are there when pseudonyms rotate")
@@ -51,7 +52,7 @@ def handover(draft: Draft) -> Sessions:
     return draft.sessions(
         rows,
         group=group,
-        may_teach=_seen_in_other_half(present[:, rows], fold=fold, group=group),
+        may_teach=seen_in_other_half(present[:, rows], fold=fold, group=group),
         probe=probe,
         gallery=gallery,
         mate=gallery_row[probe.search, probe.person],
@@ -92,11 +93,16 @@ def _rotation_windows(
     return stretches.windows(np.searchsorted(rows, row), search)
 
 
-def _rotation_times(draft: Draft, longest_gap_s: float) -> Floats:
+def longest_gap_s() -> float:
+    """Return the longest silence of all tasks: they have the same instants."""
+    return max(task.gap_s for task in TASKS.values())
+
+
+def rotation_times(
+    first_s: float, last_s: float, *, settings: LinkageSettings
+) -> Floats:
     """Return all instants at which pseudonyms rotate, (S,) s, evenly spaced."""
-    settings = draft.settings.linkage
-    first_s, last_s = float(draft.tracks.t.min()), float(draft.tracks.t.max())
-    lasting_s = last_s - first_s - longest_gap_s - settings.handover_least_s
+    lasting_s = last_s - first_s - longest_gap_s() - settings.handover_least_s
     count = int(lasting_s / settings.handover_period_s)
     every_s = settings.handover_period_s * max(1.0, count / settings.handover_instants)
     n_instants = min(count, settings.handover_instants)
@@ -113,7 +119,7 @@ def _presence(draft: Draft, at_s: Floats) -> tuple[Bools, Bools]:
     return before, after
 
 
-def _seen_in_other_half(present: Bools, *, fold: Ints, group: tuple[str, ...]) -> Bools:
+def seen_in_other_half(present: Bools, *, fold: Ints, group: tuple[str, ...]) -> Bools:
     """Return the people from whom the adversary of either half may learn, (2, K).
 
     They, and all people who walk with them, are present in the other half only.

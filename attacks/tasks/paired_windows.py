@@ -126,7 +126,7 @@ def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
 def samples_at_shares(shares: Floats, tracks: Tracks) -> Ints:
     """Return the samples at shares, (N,) in [0, 1), of the time that people were seen.
 
-    A sample stands for the time to the next one of its track, the last for that before
+    A sample stands for the time to the next of its track, the last for that before
     it. No sample stands for more than the usual step of the slowest track: otherwise a
     gap would be drawn too often. If all samples stand for equal times, each is as
     likely as another.
@@ -212,7 +212,7 @@ class _Searches:
 
 
 def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
-    """Return a search for each half of the people, or one in which all come back.
+    """Return a search for each half of the people, or a search in which all come back.
 
     Who comes back is linked by an adversary who learns from all other groups.
     """
@@ -229,7 +229,7 @@ def _long_in_both(draft: Draft, needed_s: float) -> list[int]:
     """Return the rows of the people whose tracks last `needed_s` in both sessions."""
     tracks, later = draft.tracks, replace(draft, tracks=draft.later)
     counted = f"of {len(tracks)} tracks last {needed_s:g} s"
-    if not draft.task.is_one_walk:
+    if not draft.task.is_single_walk:
         counted = f"people walk for {needed_s:g} s in both sessions"
     # People who are absent from the second session are left out.
     in_second = {later.tracks.source[row] for row in later.lasting(needed_s)}

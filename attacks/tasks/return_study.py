@@ -23,6 +23,7 @@ from isac_track.linkability.return_rule import (
     decide_return,
 )
 from isac_track.linkability.returns import (
+    NodeScores,
     OpenSet,
     PersonScores,
     Probe,
@@ -113,7 +114,7 @@ class _Scored:
         return self.circumstances if name == TOGETHER else (name,)
 
     def law(self, name: str) -> Floats:
-        """Return how scores are fused; a single one stays as it is."""
+        """Return how scores are fused; a single score stays as it is."""
         single = np.tile([1.0, 0.0], (self.returning.people.size + 1, 1))
         return self.laws.get(name, single)
 
@@ -122,8 +123,8 @@ class _Scored:
         scores = [self.scores[member] for member in self.members(name)]
         return fuse(scores, self.law(name), self.returning, weights)
 
-    def nodes(self, name: str) -> tuple[Floats, Ints, Ints]:
-        """Return its scores between people in runs, and the nodes."""
+    def nodes(self, name: str) -> NodeScores:
+        """Return its scores between people in runs."""
         scores = [self.scores[member] for member in self.members(name)]
         return node_scores(scores, self.law(name), self.returning)
 
@@ -149,22 +150,20 @@ def study_returns(
     aside = -1 if confirming is None else passages.sessions.index(confirming)
     scored = _score(passages, release, passages.session != aside, linkers, seed)
     cells = _cells(scored, seed, enrolled)
-    evidence, regression, opened = _primary(
-        scored, cells[FUSION, None], seed, n_permutations, None
-    )
-    decision, second = decide_return(evidence), None
-    if confirming is not None and awaits_confirmation(evidence):
+    primary = _primary(scored, cells[FUSION, None], seed, n_permutations, None)
+    decision, second = decide_return(primary.evidence), None
+    if confirming is not None and awaits_confirmation(primary.evidence):
         everything = np.ones(len(passages), dtype=bool)
         again = _score(passages, release, everything, linkers, seed)
         cell = _closed(again, [FUSION], session=aside, seed=seed)[FUSION]
-        second = _primary(again, cell, seed, n_permutations, aside)[0]
-        decision = decide_return(evidence, confirming=second)
+        second = _primary(again, cell, seed, n_permutations, aside).evidence
+        decision = decide_return(primary.evidence, confirming=second)
     return ReturnStudy(
         cells=cells,
         controls=_closed(scored, (*scored.circumstances, TOGETHER), seed=seed),
         same_run=_same_run(scored, seed),
-        opened=opened,
-        regression=regression,
+        opened=primary.opened,
+        regression=primary.regression,
         decision=decision,
         confirming=second,
     )
@@ -253,21 +252,31 @@ def _same_run(scored: _Scored, seed: int) -> ReturnCell | None:
     return _closed(scored, [FUSION], probe="same run", seed=seed)[FUSION]
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Primary:
+    """Results of the cell that decides."""
+
+    evidence: ReturnEvidence
+    regression: Regression
+    opened: OpenSet
+
+
 def _primary(
     scored: _Scored,
     cell: ReturnCell,
     seed: int,
     n_permutations: int,
     session: int | None,
-) -> tuple[ReturnEvidence, Regression, OpenSet]:
+) -> _Primary:
     """Return the evidence of the primary cell, its test and its open set."""
-    response, person, run = scored.nodes(FUSION)
-    controls = np.stack([scored.nodes(name)[0] for name in scored.circumstances])
+    nodes = scored.nodes(FUSION)
+    person, run = nodes.person, nodes.session
+    controls = np.stack([scored.nodes(name).values for name in scored.circumstances])
     counts = run[:, None] != run
     if session is not None:
         counts &= (run == session)[:, None]
     regression = nested_permutation(
-        response,
+        nodes.values,
         (person[:, None] == person).astype(float),
         controls,
         counts=counts,
@@ -277,7 +286,7 @@ def _primary(
     )
     fused = scored.fused(FUSION, enrolment(scored.returning, seed=seed))
     evidence = ReturnEvidence(cell.gain, regression.p_value)
-    return evidence, regression, open_set(fused, scored.returning)
+    return _Primary(evidence, regression, open_set(fused, scored.returning))
 
 
 def share_passages(

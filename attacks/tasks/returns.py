@@ -24,6 +24,7 @@ from isac_track.types import (
     Release,
     Tracks,
     end_to_end,
+    lengths,
     read_only,
     sample_runs,
 )
@@ -114,9 +115,9 @@ def passages(
 ) -> Passages:
     """Return the passages of a recording with people and sessions.
 
-    Passages shorter than `least_s` are left out; longer ones are cut to `longest_s`. If
+    Passages shorter than `least_s` are left out; longer are cut to `longest_s`. If
     a linker would have more than `most_scores` scores, people are drawn by `seed`.
-    Circumstances come from whole tracks, those of short ones included. DataError
+    Circumstances come from whole tracks, those of short passages included. DataError
     without people or sessions, if nobody comes back, or for a single person.
     """
     if tracks.person is None or tracks.session is None:
@@ -189,10 +190,18 @@ def _slices(offsets: Ints, rows: Ints) -> list[slice]:
     return [slice(int(offsets[row]), int(offsets[row + 1])) for row in rows.tolist()]
 
 
-def _closeness(
-    tracks: Tracks, person: Ints, session: Ints, rows: Ints
-) -> dict[str, Floats]:
-    """Return the closeness of chosen tracks by each circumstance, (N, N) each."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Circumstances:
+    """How each of T tracks was walked, apart from the person."""
+
+    place: Floats  # (T,) place in the queue of its session, 0 to 1
+    ahead: Ints  # (T,) person in front in the queue, or -1
+    behind: Ints  # (T,)
+    scalars: Mapping[str, Floats]  # (T,) by name: logarithms, and a time in s.
+
+
+def _circumstances(tracks: Tracks, person: Ints, session: Ints) -> _Circumstances:
+    """Measure the circumstances of all tracks, session by session."""
     n = len(tracks)
     place, ahead, behind = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
     density, speed, length_s, time_s = np.empty((4, n))
@@ -211,8 +220,8 @@ def _closeness(
         density[here] = _density(begin_s[here], end_s[here])
     for row, run in enumerate(_slices(tracks.offsets, np.arange(n))):
         length_s[row] = end_s[row] - begin_s[row]
-        steps_m = np.hypot(*(tracks.xy[run][-1] - tracks.xy[run][0]))
-        way_m = np.hypot(*np.diff(_every_second(tracks, run), axis=0).T).sum()
+        steps_m = lengths(tracks.xy[run][-1] - tracks.xy[run][0])
+        way_m = lengths(np.diff(_every_second(tracks, run), axis=0)).sum()
         speed[row] = max(steps_m, way_m) / max(length_s[row], 1e-9)
     scalars = {
         "density": np.log(density),
@@ -220,14 +229,23 @@ def _closeness(
         "length": np.log(np.maximum(length_s, 1e-3)),
         "time of day": time_s,
     }
-    apart = np.abs(place[rows][:, None] - place[rows])
-    shared = (ahead[rows][:, None] == ahead[rows]) & (ahead[rows] >= 0)
-    next_shared = (behind[rows][:, None] == behind[rows]) & (behind[rows] >= 0)
+    return _Circumstances(place, ahead, behind, scalars)
+
+
+def _closeness(
+    tracks: Tracks, person: Ints, session: Ints, rows: Ints
+) -> dict[str, Floats]:
+    """Return the closeness of chosen tracks by each circumstance, (N, N) each."""
+    walked = _circumstances(tracks, person, session)
+    place, ahead, behind = walked.place[rows], walked.ahead[rows], walked.behind[rows]
+    apart = np.abs(place[:, None] - place)
+    shared = (ahead[:, None] == ahead) & (ahead >= 0)
+    next_shared = (behind[:, None] == behind) & (behind >= 0)
     closeness = {
         "queue place": -np.minimum(apart, 1.0 - apart),
         "neighbours": shared.astype(float) + next_shared,
     }
-    for name, values in scalars.items():
+    for name, values in walked.scalars.items():
         chosen = values[rows]
         scale = float(chosen.std()) or 1.0
         closeness[name] = -np.abs(chosen[:, None] - chosen) / scale

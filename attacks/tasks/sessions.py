@@ -119,7 +119,7 @@ def roles(
     calibrates = np.zeros_like(may_teach)
     for fold, teachers in enumerate(may_teach):
         clusters = rng.permutation(np.unique(cluster[teachers]))
-        # At least one group calibrates, if another one remains to learn from.
+        # At least one group calibrates, if another group remains to learn from.
         few = min(max(round(CALIBRATING_SHARE * clusters.size), 1), clusters.size - 1)
         calibrates[fold] = teachers & np.isin(cluster, clusters[: max(few, 0)])
     return may_teach & ~calibrates, calibrates

@@ -26,10 +26,10 @@ class Task:
     # Whether the releases come in the true frame and on the true clock.
     shows_scene: bool = False
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    # Whether it is of the few people in two sessions: to learn, one is left out.
+    # Whether it is of the few people in two sessions: to learn, a person is left out.
     comes_back: bool = False
     # Whether both sides show the same steps, at least in part.
-    is_one_stretch: bool = False
+    is_same_stretch: bool = False
     # Whether it needs the two-session crowd instead of a recording.
     simulated: bool = False
 
@@ -47,14 +47,14 @@ class Task:
         return self.gap_s > 0.0
 
     @property
-    def is_one_walk(self) -> bool:
+    def is_single_walk(self) -> bool:
         """Whether probe and gallery show one walk of one session."""
         return not (self.simulated or self.comes_back)
 
     @property
-    def is_one_time(self) -> bool:
+    def is_sensed_once(self) -> bool:
         """Whether that walk is sensed once, each side at times of its own."""
-        return self.is_one_walk and not self.is_one_stretch
+        return self.is_single_walk and not self.is_same_stretch
 
     @property
     def everyone(self) -> frozenset[Knowledge]:
@@ -73,14 +73,14 @@ TASKS: Final[Mapping[str, Task]] = {
         Task(
             "rerelease",
             "two logs of the same steps, without frame or clock",
-            is_one_stretch=True,
+            is_same_stretch=True,
         ),
         Task(
             "rerelease-framed",
             "two logs of the same steps, in the true frame and on the true clock: the"
             " bound",
             shows_scene=True,
-            is_one_stretch=True,
+            is_same_stretch=True,
         ),
         Task(
             "split",
@@ -104,8 +104,6 @@ TASKS: Final[Mapping[str, Task]] = {
         ),
     )
 }
-
-
 """The tasks that link windows of walks: `attacks.tasks.build`."""
 
 NAMED_SESSIONS: Final = (

@@ -26,7 +26,12 @@ from attacks.testing._checks import Row
 from attacks.testing._releases import copied
 from isac_track import plugins, protocols
 from isac_track.errors import PluginError, SettingsError
-from isac_track.protocols import ADVERSARIES, attack_kind, grants
+from isac_track.protocols import (
+    ADVERSARIES,
+    attack_kind,
+    grants,
+    links_same_stretch,
+)
 from isac_track.renamed import renamed
 from isac_track.testing import engine
 from isac_track.testing.engine import Check
@@ -81,14 +86,14 @@ def _in_every_row(body: engine.Body, subject: Hashable) -> None:
 # Of the newest plug-ins; the 17th makes the oldest go.
 @lru_cache(maxsize=16)
 def _rows(subject: Hashable) -> list[Row]:
-    """Return the rows of a plug-in, weakest adversary first, for all checks but one.
+    """Return the rows of a plug-in, weakest adversary first, for nearly all checks.
 
     The exception is `only_granted_knowledge_is_touched`.
     """
     case_type = _CASE_TYPES[_kind(subject)]
     rows = []
     for granted, adversary in _granted(subject).items():
-        same_steps = bool(getattr(subject, "one_stretch", False))
+        same_steps = links_same_stretch(subject)
         ordinary, another = case_type.ordinary_and_another(
             granted, same_steps=same_steps
         )

@@ -26,6 +26,7 @@ from isac_track.types import (
     Knowledge,
     Reconstruction,
     Release,
+    lengths,
 )
 
 N_TRACKS = 24  # And as many people.
@@ -111,8 +112,8 @@ class ReconstructionCase(made.Case):
         low = np.minimum.reduceat(self.release.xy, first)
         high = np.maximum.reduceat(self.release.xy, first)
         middle = np.repeat((low + high) / 2, sizes, axis=0)
-        away_m = np.maximum.reduceat(np.hypot(*(answer[:, :2] - middle).T), first)
-        limit_m = EXTENTS * np.hypot(*(high - low).T) + EXTRA_M
+        away_m = np.maximum.reduceat(lengths(answer[:, :2] - middle), first)
+        limit_m = EXTENTS * lengths(high - low) + EXTRA_M
         if (away_m <= limit_m).all():
             return ""
         worst = int(np.argmax(away_m / limit_m))
@@ -150,7 +151,7 @@ class ReconstructionCase(made.Case):
     def ordinary_and_another(
         _granted: object, **_shown: bool
     ) -> tuple[ReconstructionCase, ReconstructionCase]:
-        """Return a small ordinary case, and one with another release of its walks."""
+        """Return a small ordinary case, and another release of its walks."""
         sizes = tuple(20 + 4 * row for row in range(8))
         case = made_up("ordinary", about="8 walks, noise of 0.3 m", sizes=sizes)
         other = replace(case.repeats[0], pseudonym=case.release.pseudonym)
@@ -286,7 +287,7 @@ class LinkageCase(made.Case):
     same_steps: bool = False
 
     @property
-    def everything(self) -> frozenset[Knowledge]:  # type: ignore[override]  # a class variable elsewhere
+    def everything(self) -> frozenset[Knowledge]:
         """All knowledge that can be granted: repeats of a walk are linked already."""
         everything = frozenset(Knowledge) - WALK_KNOWLEDGE
         return everything if self.scene else everything - {Knowledge.SCENE}

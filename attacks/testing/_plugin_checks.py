@@ -31,7 +31,7 @@ from isac_track.types import (
 SHORT = (1, 2, 3, 40)  # Samples of the tracks of the odd cases.
 HORIZON_S, N_STEPS = 3.0, 16
 SIGMA_ERRORS, SIGMA_ROOM = 4.0, 0.02
-"""Room of a variance about the declared one: standard errors, and a share of it."""
+"""Room about a declared variance: standard errors, and a share of it."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,7 +72,7 @@ class MechanismCase(made.Case):
         return self.match_samples(release)[1]
 
     def match_samples(self, release: Release) -> tuple[Ints, str]:
-        """Return the sensed sample of each shared one, and the fault if any."""
+        """Return the sensed sample of each shared sample, and the fault if any."""
         shared, known = _track_and_time(release), _track_and_time(self.sensed)
         rows = np.minimum(np.searchsorted(known, shared), known.size - 1)
         strange = shared[known[rows] != shared]

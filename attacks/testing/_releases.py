@@ -130,12 +130,15 @@ class Case:
     """Inputs of a plug-in, for checks of several kinds; the defaults suit attacks."""
 
     asked: ClassVar[tuple[str, ...]]  # Names of the arguments of its call.
-    # All knowledge that can be granted.
-    everything: ClassVar[frozenset[Knowledge]] = frozenset(Knowledge)
     compared: ClassVar[str]  # The parts of an answer, in words.
     unit: ClassVar[str]
 
     about: str  # For messages.
+
+    @property
+    def everything(self) -> frozenset[Knowledge]:
+        """All knowledge that can be granted."""
+        return frozenset(Knowledge)
 
     def prepared(
         self,

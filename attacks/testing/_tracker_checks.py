@@ -157,7 +157,7 @@ def later_scans_do_not_matter(row: common.Row) -> None:
             row.fail(
                 case.until(n_scans),
                 f"{len(part)} states, and {len(expected)} up to that scan if later"
-                " scans follow, or other ones; a robot gets tracks as they grow: use"
+                " scans follow, or other scans; a robot gets tracks as they grow: use"
                 " no later scan",
             )
 

@@ -97,7 +97,7 @@ def run(
     scenes : int, optional
         All scenes, which are all attacked.
     utility_scenes : int, optional
-        All scenes; the attacked ones stay the preset's first.
+        All scenes; the attacked scenes stay the preset's first.
     precision : float, optional
         Half-width of the missed-conflict rates' intervals: finds the number of scenes.
     pilot_half_width : float, optional
@@ -143,7 +143,7 @@ def run(
     Raises
     ------
     IsacTrackError
-        For anything that a user can mend; finished cells are kept.
+        For anything that a user can mend; finished cells stay.
 
     Examples
     --------

@@ -113,7 +113,7 @@ def sensed_sessions(
     numbers = np.unique(sessions.fold).tolist()
     if task.comes_back:
         numbers = list(range(len(sessions.learns)))
-    folds = tuple(_prepare_fold(sessions, fold) for fold in numbers)
+    folds = tuple(prepare_fold(sessions, fold) for fold in numbers)
     frames: tuple[Frame, ...] = ()
     if not task.shows_scene:
         frames = tuple(_draw_frames(sessions, side, seed=seed) for side in SIDES)
@@ -124,7 +124,7 @@ def sensed_sessions(
         ),
         frames=frames,
         folds=folds,
-        searches=_whole_searches(fold.searches for fold in folds),
+        searches=whole_searches(fold.searches for fold in folds),
         drawn_as=drawn_as,
         n_groups=len(groups),
         weights=linkage_weights(
@@ -169,7 +169,7 @@ def _walk_by_model(setup: SensedSessions, motion: Motion) -> SensedSessions:
     return replace(setup, sessions=sessions, sensed=sensed)
 
 
-def _whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing]:
+def whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing]:
     """Return every search with all of its probes, which the folds may have split."""
     searches: dict[int, Pairing] = {}
     for number, piece in chain.from_iterable(part.items() for part in parts):
@@ -182,7 +182,7 @@ def _whole_searches(parts: Iterable[Mapping[int, Pairing]]) -> dict[int, Pairing
     return searches
 
 
-def _prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
+def prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
     """Return the windows of a fold, from its own searches and those of other folds."""
     own = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
@@ -263,7 +263,7 @@ def _sense_side(
     """Return what the network senses of one side; every window has streams of its own.
 
     The slow part of the channel belongs to the walk and its time: the same before and
-    after a gap, another one when the steps are logged again or people come back.
+    after a gap, another draw when the steps are logged again or people come back.
     """
     windows, task = getattr(sessions, side), sessions.task
     # Names of the streams of each window, and of the lasting parts of its walk.
@@ -274,12 +274,12 @@ def _sense_side(
         own = ("linkage", task.family, side, source)
         # The number of a closed search is a half, which depends on the other people.
         window_keys.append((*own, sessions.searches[search]) if task.is_open else own)
-        walk_keys.append(recorded_walk(source) if task.is_one_time else own)
+        walk_keys.append(recorded_walk(source) if task.is_sensed_once else own)
     walked_m = windows.walked_m
     if walked_m is None:
         walked_m = walked_within(windows.xy, windows.offsets)
     # A slow error goes on along a walk: sides that are two walks have two numbers.
-    ending = () if task.is_one_walk else (side,)
+    ending = () if task.is_single_walk else (side,)
     names = [("person", source, *ending) for source in sessions.source]
     walk_of_person = np.concatenate(
         [walk_numbers(*name, n_walks=1, seed=seed) for name in names]

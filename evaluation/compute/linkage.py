@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
+from numpy.random import Generator
 
 from attacks.linkage.alignment import Shape
 from attacks.remembered import record_shared, select_tracks
-from attacks.tasks.controls import CONTROLS, closeness
+from attacks.tasks.controls import CONTROLS, Control, closeness
 from evaluation.compute import sharing
 from evaluation.compute.candidates import (
     AT_ONCE,
@@ -32,7 +33,12 @@ from evaluation.compute.link_scores import (
     match_pairs,
     score_links,
 )
-from evaluation.compute.link_setup import SIDES, Pairing, SensedSessions
+from evaluation.compute.link_setup import (
+    SIDES,
+    FoldPairings,
+    Pairing,
+    SensedSessions,
+)
 from evaluation.compute.sharing import (
     declared,
     hide_sigma,
@@ -60,7 +66,7 @@ from isac_track.protocols import (
     TrainingSet,
 )
 from isac_track.rng import stream
-from isac_track.types import Floats, Knowledge, Release, derived
+from isac_track.types import Floats, Knowledge, Release, derived, lengths
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions, Windows
@@ -177,6 +183,20 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
     )
 
 
+def level_of_releases(
+    mechanism: Plugin, setup: SensedSessions, releases: tuple[Release, ...]
+) -> LinkedLevel:
+    """Return a level whose releases of both sessions are made already, in their frames."""
+    return LinkedLevel(
+        mechanism=mechanism,
+        full_setup=setup,
+        setup=setup,
+        shared=releases,
+        blind=_View(tuple(release.without_sigma() for release in releases)),
+        seen=_View(releases),
+    )
+
+
 def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
     """Whether a control has the same result at all levels that leave out no sample."""
     is_control = (
@@ -208,10 +228,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     matched: dict[int, Floats] = {}
     for fold, pairings in enumerate(setup.folds):
         score, view = _fitted_linker(consumer, level, fold)
-        for number, pairing in pairings.searches.items():
-            fold_scores = score(*view.pair_windows(pairing))
-            earlier = scores.get(number, fold_scores[:0])
-            scores[number] = np.concatenate([earlier, fold_scores])
+        _add_scores(scores, score, view, pairings)
         calibrating = [
             (score(*view.pair_windows(pairing)), pairing)
             for pairing in pairings.calibrates
@@ -232,6 +249,31 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
         matched=matched,
         drawn_from=(consumer.spec, consumer.knowledge),
     )
+
+
+def search_scores(consumer: Consumer, level: LinkedLevel) -> dict[int, Floats]:
+    """Return the scores of an attack or control in every search, (P, G) each."""
+    if consumer.control:
+        rng = _control_stream(consumer, level)
+        return _control_scores(CONTROLS[consumer.control], level, rng)
+    scores: dict[int, Floats] = {}
+    for fold, pairings in enumerate(level.setup.folds):
+        score, view = _fitted_linker(consumer, level, fold)
+        _add_scores(scores, score, view, pairings)
+    return scores
+
+
+def _add_scores(
+    scores: dict[int, Floats],
+    score: Callable[[Release, Release], Floats],
+    view: _View,
+    pairings: FoldPairings,
+) -> None:
+    """Add a fold's scores to those of its searches, which folds may have split."""
+    for number, pairing in pairings.searches.items():
+        fold_scores = score(*view.pair_windows(pairing))
+        earlier = scores.get(number, fold_scores[:0])
+        scores[number] = np.concatenate([earlier, fold_scores])
 
 
 def bound(level: LinkedLevel, motion: Motion | None) -> LinkResult:
@@ -327,9 +369,24 @@ def _score_untrained(
 
 def _link_control(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return what a control links: it learns nothing and knows what is declared."""
-    setup, control = level.setup, CONTROLS[consumer.control]
-    key = () if control.sees_times_only else (level.mechanism.spec,)
-    rng = stream(setup.seed, "controls", consumer.spec, *key)
+    control, rng = CONTROLS[consumer.control], _control_stream(consumer, level)
+    scores = _control_scores(control, level, rng)
+    return score_links(
+        scores, setup=level.setup, drawn_from=rng, is_audit=control.is_audit
+    )
+
+
+def _control_stream(consumer: Consumer, level: LinkedLevel) -> Generator:
+    sees_times_only = CONTROLS[consumer.control].sees_times_only
+    key = () if sees_times_only else (level.mechanism.spec,)
+    return stream(level.setup.seed, "controls", consumer.spec, *key)
+
+
+def _control_scores(
+    control: Control, level: LinkedLevel, rng: Generator
+) -> dict[int, Floats]:
+    """Return a control's scores in every search, (P, G) each."""
+    setup = level.setup
     task, scores = setup.sessions.task, dict[int, Floats]()
     score = control.scorer(task)
     probe_about = setup.sessions.probe.about
@@ -349,7 +406,7 @@ def _link_control(consumer: Consumer, level: LinkedLevel) -> LinkResult:
                 attack = first_stage(task)
             real = _score_untrained(attack, level, level.blind, pairing)
             scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
-    return score_links(scores, setup=setup, drawn_from=rng, is_audit=control.is_audit)
+    return scores
 
 
 def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
@@ -360,7 +417,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     if behind is None:
         return level.view_for(shows)
     granted = consumer.granted & declared(behind)
-    # Built-in attacks draw nothing: one without training is the same in both folds.
+    # Built-in attacks draw nothing: without training they are the same in both folds.
     is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
         sharing.OURS
     )
@@ -368,7 +425,7 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     key = (Knowledge.SIGMA in shows, behind.spec, granted, key_fold)
     if key not in level.views:
         smoothed = _smoothed_view(consumer, behind, level, fold, shows)
-        # The smoother may choose alike in both folds: share the earlier view, so that
+        # The smoother may choose equally in both folds: share the earlier view, so that
         # linkers compute their descriptors of a release once.
         equal_views = (
             view
@@ -541,7 +598,7 @@ def _side_table(level: LinkedLevel, smoothed: _View, side: int) -> pa.Table:
 def _durations_and_speeds(windows: Windows) -> tuple[Floats, Floats]:
     """Return the duration of each window, s, and the speed of its walk, m/s."""
     step_m = np.zeros(windows.t.size)
-    step_m[1:] = np.hypot(*np.diff(windows.xy, axis=0).T)
+    step_m[1:] = lengths(np.diff(windows.xy, axis=0))
     step_m[windows.offsets[:-1]] = 0.0  # between windows
     duration_s = windows.t[windows.offsets[1:] - 1] - windows.t[windows.offsets[:-1]]
     path_m = np.add.reduceat(step_m, windows.offsets[:-1])

@@ -20,6 +20,7 @@ from evaluation.compute.sharing import (
     reconstructed,
 )
 from isac_track.errors import SettingsError
+from isac_track.measurement import scalar_covariance
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols.knowledge import Log, fleet_log, state_positions
 from isac_track.protocols import (
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
 READINGS: Final = ("interpolate", "smooth")
-"""Estimators between the reconstructed entries; the one that knows more counts."""
+"""Estimators between the reconstructed entries; that which knows more counts."""
 _EVERYONE: Final = frozenset({Knowledge.SCENE, Knowledge.SIGMA})
 _ORACLE: Final = "oracle"
 
@@ -64,7 +65,7 @@ class LogAttack:
 def log_attack(plugin: Plugin) -> LogAttack:
     """Return an attack with all knowledge that it takes and an adversary can have.
 
-    SettingsError for a linkage attack, and for one that needs more than a log offers.
+    SettingsError for a linkage attack, or if an attack needs more than a log offers.
     """
     if attack_kind(plugin.instance) == "linkage":
         raise SettingsError(
@@ -110,7 +111,7 @@ class Logs:
 def known_by_attack(logs: Logs, attack: LogAttack) -> Ints:
     """Count the instants that each fleet's log reveals through an attack, (N, F).
 
-    The reading between entries is the one of `READINGS` that knows more over all people
+    The reading between entries is that of `READINGS` which knows more over all people
     and fleets. PluginError names an attack that fails.
     """
     patrol = logs.network.patrol
@@ -181,10 +182,13 @@ def _attacked(
         name=f"attack {plugin.spec!r}",
     )
     xy, variance = log.xy.copy(), log.variance.copy()
+    cov = None if log.cov is None else log.cov.copy()
     xy[rows] = rebuilt.xy
     if rebuilt.std is not None:
         variance[rows] = np.maximum(rebuilt.std**2, MIN_VARIANCE_M2)
-    return replace(log, xy=xy, variance=variance)
+        if cov is not None:
+            cov[rows] = scalar_covariance(variance[rows])
+    return replace(log, xy=xy, variance=variance, cov=cov)
 
 
 def _entries(log: Log, people: Bools) -> tuple[Ints, Ints]:
@@ -203,6 +207,7 @@ def _as_release(network: Network, log: Log, rows: Ints, offsets: Ints) -> Releas
         sigma=np.sqrt(log.variance[rows] / per_axis),
         offsets=offsets,
         pseudonym=tuple(map(str, range(offsets.size - 1))),
+        cov=None if log.cov is None else log.cov[rows],
     )
 
 

@@ -40,6 +40,14 @@ _SCORECARD: Final = tuple(
         "add_shuffles",
     )
 )
+_SMOOTHED: Final = ("isac_track.kalman._linear_loops:smooth_positions", *_FILTER)
+_BY_KIND: Final = {
+    "log": _SMOOTHED,
+    "tracks": _SMOOTHED,
+    "track_log": _SMOOTHED,
+    "track_link": ("attacks.linkage._lag_loop:continuation_densities", *_FILTER),
+}
+"""Loops of an adversary that no plug-in stands for, by the kind of the consumer."""
 _BEHIND_SLOW_ERROR: Final = {
     "mechanism": ("isac_track.kalman._error_loops:recursion",),
     "predictor": ("isac_track.kalman._error_loops:filter_tracks",),
@@ -111,6 +119,7 @@ def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
         yield from _DESCRIPTORS
     if consumer.kind in {"linkage", "control"}:
         yield from _SCORECARD
+    yield from _BY_KIND.get(consumer.kind, ())
     for plugin in consumer.plugins:
         yield from _PLUGIN_LOOPS.get(plugin.name.partition(":")[0], ())
         if is_slow and consumer.kind != "predictor":

@@ -88,7 +88,7 @@ class AttackedBlock:
     passes: Ints
     training: tuple[TrainingWalks | None, ...]
     """For each half people of the other half, each once; None if there are none."""
-    is_model: bool  # Whether walks of a model replace the recorded ones.
+    is_model: bool  # Whether walks of a model replace the recorded walks.
     tracks: Cut
     sensed_again: tuple[Sensed, ...]  # The walks of the block sensed anew, for REPEATS.
     stages: StageSettings

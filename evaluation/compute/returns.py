@@ -92,7 +92,7 @@ def shared_passages(mechanism: Plugin, setup: ReturnSetup) -> Release:
 def return_tables(mechanism: Plugin, setup: ReturnSetup) -> Tables:
     """Return the table of a cell, `COLUMNS`: all passages enrolled, another run.
 
-    Only the level without error has a nested p-value that decides; the others have one
+    Only the level without error has a nested p-value that decides; the others' is
     to be looked at. Raises PluginError as `shared_passages` does.
     """
     study = study_returns(

@@ -100,7 +100,7 @@ def copied(batch: _Batch) -> _Batch:
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
     """Return the release of a mechanism, checked, with fresh pseudonyms.
 
-    `key` names the stream. Every mechanism gets the same one: common random numbers.
+    `key` names the stream. Every mechanism gets the same stream: common random numbers.
     Raises PluginError if the mechanism raises or breaks its contract; the message names
     it.
     """
@@ -132,7 +132,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
             fault = f"above {limit}, the limit"
         raise PluginError(f"{name} declared a sigma {fault}")
     release = _with_covariance(release, restricted(sensed, shared))
-    # A stream for every release: from the common one all mechanisms would draw alike.
+    # A stream for every release: from a common stream all would draw the same.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     return derived(release, pseudonym=split_pseudonyms(drawn))
 

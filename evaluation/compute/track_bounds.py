@@ -87,7 +87,7 @@ def benchmark(
     law = getattr(mechanism.instance, "law", None) or sensed.law
     assert release.sigma is not None  # `share` refuses a release without
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
-    # A mechanism that reduces the error scales the raw one; an added error has the law
+    # A mechanism that reduces the raw error scales it; an added error has the law
     # of the mechanism. An error of standard deviation 1 has this variance per axis.
     variance = _axis_variance(sensed.law) * np.minimum(shared_m2, raw_m2)
     variance += _axis_variance(law) * np.maximum(shared_m2 - raw_m2, 0.0)

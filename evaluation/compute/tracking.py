@@ -30,6 +30,7 @@ from isac_track.tracking.counts import (
     BlockCounts,
     Blocks,
     RobotCounts,
+    hota_blocks,
     robot_counts,
     track_counts,
 )
@@ -38,11 +39,12 @@ from isac_track.tracking.detections import (
     clutter_density,
     detect_people,
 )
+from isac_track.tracking.hota import HotaScans, hota_scans
 from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
 from isac_track.tracking.methods import track_patrol
 from isac_track.tracking.metrics import GospaScans, gospa_scans
 from isac_track.tracking.sharing import SharedTracks, perturb_detections, share_tracks
-from isac_track.tracking.utility import foresee_from_tracks
+from isac_track.tracking.utility import Foresight, foresee_from_tracks
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
@@ -58,6 +60,7 @@ CountsByHorizon: TypeAlias = "dict[int, RobotCounts]"
 """What robots miss, by horizon in scans."""
 ALARMS: Final = "alarms"  # Further table of a robot's cell.
 FOLLOWED: Final = "followed"  # Further table of a cell of tracks.
+HOTA: Final = "hota"  # Further table of a cell of tracks.
 _LEAST_DENSITY_PER_M2: Final = 0.005  # Of new people, assumed without clutter.
 # A tracker that is certain of a detection ends a track at the first miss.
 _ASSUMED: Final = (0.1, 0.99)
@@ -70,6 +73,7 @@ class TrackedSeed:
 
     tracked: Tracked
     scans: GospaScans
+    hota: HotaScans
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,6 +82,9 @@ class SharedSeed:
 
     shared: SharedTracks
     scans: GospaScans
+    hota: HotaScans
+    # The same tracks with the detections as their tracker got them.
+    raw: SharedTracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,7 +171,7 @@ class TrackingSetup:
             ),
         )
         scans = gospa_scans(self.patrol, tracked, cutoff_m=GOSPA_CUTOFF_M)
-        return TrackedSeed(tracked, scans)
+        return TrackedSeed(tracked, scans, hota_scans(self.patrol, tracked))
 
 
 def _detection(stages: StageSettings) -> DetectionSettings:
@@ -205,7 +212,7 @@ def _share_seed(
     if instance == Raw():
         made = setup.tracks(tracker, seed)
         shared = share_tracks(detected, made.tracked, seed=seed)
-        return SharedSeed(shared, made.scans)
+        return SharedSeed(shared, made.scans, made.hota, raw=shared)
     own = replace(detected, sensed=copy_for_user_plugin(detected.sensed, mechanism))
     if setup.stages.tracking.noise == "before":
         noisy = guarded(
@@ -213,13 +220,14 @@ def _share_seed(
         )
         made = setup.track(tracker, noisy)
         shared = share_tracks(noisy, made.tracked, seed=seed)
-    else:
-        made = setup.tracks(tracker, seed)
-        shared = guarded(
-            name,
-            lambda: share_tracks(own, made.tracked, seed=seed, mechanism=instance),
-        )
-    return SharedSeed(shared, made.scans)
+        return SharedSeed(shared, made.scans, made.hota, raw=shared)
+    made = setup.tracks(tracker, seed)
+    shared = guarded(
+        name,
+        lambda: share_tracks(own, made.tracked, seed=seed, mechanism=instance),
+    )
+    raw = share_tracks(detected, made.tracked, seed=seed)
+    return SharedSeed(shared, made.scans, made.hota, raw=raw)
 
 
 def release_rows(
@@ -245,10 +253,7 @@ def release_rows(
                 _robot_seed(robot, release.shared, setup, mechanism=mechanism)
                 for release in releases
             ]
-        horizon = _horizon(consumer, setup.stages)
-        counts = [by_horizon[horizon] for by_horizon in by_robot[robot.spec]]
-        reference = [by_horizon[horizon] for by_horizon in _reference(robot, setup)]
-        yield consumer, robot_tables(counts, reference)
+        yield consumer, robot_tables(consumer, by_robot[robot.spec], setup)
 
 
 def _reference(robot: Plugin, setup: TrackingSetup) -> list[CountsByHorizon]:
@@ -278,18 +283,21 @@ def _robot_seed(
     robot: Plugin, shared: SharedTracks, setup: TrackingSetup, *, mechanism: Plugin
 ) -> CountsByHorizon:
     """Return what robots miss, by horizon; PluginError names a predictor that fails."""
-    stages = setup.stages
-    horizons = horizon_scans(stages)
     foresight = guarded(
         f"predictor {robot.spec!r}",
         lambda: foresee_from_tracks(
             setup.patrol,
             shared,
             predictor=knowing(robot.instance, mechanism.instance),
-            safety_radius_m=stages.conflict.safety_radius_m,
-            horizons=horizons,
+            safety_radius_m=setup.stages.conflict.safety_radius_m,
+            horizons=horizon_scans(setup.stages),
         ),
     )
+    return count_horizons(foresight, setup)
+
+
+def count_horizons(foresight: Foresight, setup: TrackingSetup) -> CountsByHorizon:
+    """Return what robots miss of what they foresee, by horizon in scans."""
     return {
         horizon: robot_counts(
             setup.blocks,
@@ -297,9 +305,9 @@ def _robot_seed(
             actual=setup.actual,
             entries=setup.entries,
             horizon=horizon,
-            query_scans=query_scans(stages.patrol),
+            query_scans=query_scans(setup.stages.patrol),
         )
-        for horizon in horizons
+        for horizon in horizon_scans(setup.stages)
     }
 
 
@@ -334,19 +342,22 @@ ROBOT_COLUMNS: Final = (
     "allowed",
 )
 ALARM_COLUMNS: Final = (*_PLACE, "step", "alarms", "warned")
+HOTA_COLUMNS: Final = (*_PLACE, "step", "association", "pairs")
 """Columns of the cells of tracks and of robots with tracks.
 
-The table `ALARMS` has a row for each seed, block and alarm distance, the table
-`FOLLOWED` for each seed and person, who counts in the block of the first sample.
+The table `ALARMS` has a row for each seed, block and alarm distance, the table `HOTA`
+for each seed, block and least similarity, the table `FOLLOWED` for each seed and
+person, who counts in the block of the first sample.
 """
 
 
 def track_tables(releases: list[SharedSeed], setup: TrackingSetup) -> dict[str, Rows]:
-    """Return the tables of tracks: `TRACK_COLUMNS`, `FOLLOWED_COLUMNS`."""
+    """Return the tables of tracks: `TRACK_COLUMNS`, `FOLLOWED_COLUMNS`, `HOTA_COLUMNS`."""
     followed = [follow_tracks(setup.patrol, release.shared) for release in releases]
     return {
         ROWS: track_rows(releases, setup) | _rejoined_columns(followed, setup.blocks),
         FOLLOWED: _followed_rows(followed, setup),
+        HOTA: _hota_rows(releases, setup.blocks),
     }
 
 
@@ -359,6 +370,20 @@ def _rejoined_columns(followed: list[TrackFollowing], blocks: Blocks) -> Rows:
         for each in followed
     ]
     return _count_columns("rejoined_share", counts)
+
+
+def _hota_rows(releases: list[SharedSeed], blocks: Blocks) -> Rows:
+    """Return the parts of HOTA by seed, block and level, (S B A,)."""
+    seeds = [hota_blocks(blocks, release.hota) for release in releases]
+    n_levels = len(seeds[0].pairs)
+    rows = {
+        name: np.repeat(column, n_levels)
+        for name, column in place_rows(len(seeds), blocks.n).items()
+    }
+    rows["step"] = np.tile(np.arange(n_levels, dtype=np.int32), len(seeds) * blocks.n)
+    for name in ("association", "pairs"):
+        rows[name] = np.concatenate([getattr(seed, name).T.ravel() for seed in seeds])
+    return rows
 
 
 def _followed_rows(followed: list[TrackFollowing], setup: TrackingSetup) -> Rows:
@@ -380,7 +405,7 @@ def _followed_rows(followed: list[TrackFollowing], setup: TrackingSetup) -> Rows
 def track_rows(releases: list[SharedSeed], setup: TrackingSetup) -> Rows:
     """Return the counts of tracks by seed and block, (S B,)."""
     blocks, grid = setup.blocks, setup.patrol.grid
-    rows = _place_rows(len(releases), blocks.n)
+    rows = place_rows(len(releases), blocks.n)
     counts = [
         track_counts(blocks, release.shared, release.scans) for release in releases
     ]
@@ -405,14 +430,21 @@ def track_rows(releases: list[SharedSeed], setup: TrackingSetup) -> Rows:
 
 
 def robot_tables(
-    counts: list[RobotCounts], reference: list[RobotCounts]
+    consumer: Consumer, seeds: list[CountsByHorizon], setup: TrackingSetup
 ) -> dict[str, Rows]:
-    """Return the tables of robots by seed and block: `ROBOT_COLUMNS`, `ALARM_COLUMNS`.
+    """Return the tables of a robot by seed and block: `ROBOT_COLUMNS`, `ALARM_COLUMNS`.
 
-    `reference` has the false alarms at which robots are compared.
+    Its horizon is that of the consumer's world. Robots are compared at the false alarms
+    that they have with raw tracks of the oracle.
     """
+    assert consumer.plugin is not None
+    horizon = _horizon(consumer, setup.stages)
+    counts = [by_horizon[horizon] for by_horizon in seeds]
+    reference = [
+        by_horizon[horizon] for by_horizon in _reference(consumer.plugin, setup)
+    ]
     n_steps, n_blocks = counts[0].by_distance.warned.shape
-    rows = _place_rows(len(counts), n_blocks)
+    rows = place_rows(len(counts), n_blocks)
     for name in ROBOT_SHARES:
         rows |= _count_columns(name, [seed.shares[name] for seed in counts])
     rows |= _count_columns("false_alarms", [seed.false_alarms for seed in counts])
@@ -421,7 +453,7 @@ def robot_tables(
     )
     alarms = {
         name: np.repeat(column, n_steps)
-        for name, column in _place_rows(len(counts), n_blocks).items()
+        for name, column in place_rows(len(counts), n_blocks).items()
     }
     alarms["step"] = np.tile(np.arange(n_steps, dtype=np.int32), rows["seed"].size)
     # Beyond the largest distance nothing more alarms: its row repeats the last.
@@ -436,7 +468,7 @@ def robot_tables(
     return {ROWS: rows, ALARMS: alarms}
 
 
-def _place_rows(n_seeds: int, n_blocks: int) -> Rows:
+def place_rows(n_seeds: int, n_blocks: int) -> Rows:
     """Return the columns that identify a seed and a block, (S B,)."""
     return {
         "seed": np.repeat(np.arange(n_seeds, dtype=np.int32), n_blocks),
@@ -459,7 +491,7 @@ def by_seed(rows: Mapping[str, Floats], column: str) -> Floats:
 
 
 def by_distance(alarms: Mapping[str, Floats], column: str) -> Floats:
-    """Return a column of the table `ALARMS`, (1 + D, B, S)."""
+    """Return a column of `ALARMS`, (1 + D, B, S), or of `HOTA`, (A, B, S)."""
     n_seeds, n_steps = (int(alarms[name].max()) + 1 for name in ("seed", "step"))
     return np.asarray(
         np.moveaxis(alarms[column].reshape(n_seeds, -1, n_steps), 0, -1).swapaxes(0, 1)

@@ -16,15 +16,18 @@ from evaluation.compute import (
     linkage,
     model_walks,
     patrols,
+    recipients,
     reconstruction,
     sharing,
+    track_links,
+    track_policies,
     tracking,
 )
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
-from evaluation.compute.tables import ROWS, Tables, rows_table, table
+from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
 from evaluation.plan.fingerprint import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
@@ -130,7 +133,7 @@ def attempt_cells(
         frames = traceback.walk_tb(error.__traceback__)
         places = ((frame.f_globals.get("__name__", ""), line) for frame, line in frames)
         own_places = [place for place in places if place[0].partition(".")[0] in OURS]
-        # The innermost one; at least this function is among them.
+        # The innermost frame; at least this function is among them.
         module, line = own_places[-1]
         report = f"in isac-track's own code, {module}, line {line}: please report this"
         yield Failure(current_cell.names, f"{error_text(error)} ({report})")
@@ -217,13 +220,41 @@ def _tracking_cells(
 ) -> Iterator[FinishedCell]:
     setup = tracking.tracking_setup(work.recorded, stages=stages, seed=seed)
     for mechanism, consumers in work.levels:
+        # By the tracker: policies answer from the same tracks.
+        shared: dict[str, list[tracking.SharedSeed]] = {}
         for tracker, own in _readers_by_policy(consumers):
             note_cell(mechanism.spec, own[0].label)
-            releases = tracking.share_tracked(mechanism, tracker, setup)
-            made = tracking.release_rows(own, releases, setup, mechanism=mechanism)
-            for consumer, rows_by_table in made:
+            if tracker.name not in shared:
+                shared[tracker.name] = tracking.share_tracked(mechanism, tracker, setup)
+            releases = shared[tracker.name]
+            for consumer, rows_by_table in _read_tracks(
+                own, releases, setup, mechanism=mechanism
+            ):
                 tables = {name: table(rows) for name, rows in rows_by_table.items()}
                 yield FinishedCell(0, mechanism, consumer, tables)
+
+
+def _read_tracks(
+    consumers: list[Consumer],
+    releases: list[tracking.SharedSeed],
+    setup: tracking.TrackingSetup,
+    *,
+    mechanism: Plugin,
+) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
+    """Yield the readers of a tracker's release, each with the rows of its tables.
+
+    They get all tracks, or a policy's answers from them, or link them.
+    """
+    linkers = [reader for reader in consumers if reader.kind == "track_link"]
+    others = [reader for reader in consumers if reader.kind != "track_link"]
+    if consumers[0].answers is not None:
+        read = track_policies.answer_rows
+    elif setup.stages.tracking.release == "detections":
+        read = recipients.recipient_rows
+    else:
+        read = tracking.release_rows
+    yield from read(others, releases, setup, mechanism=mechanism)
+    yield from track_links.link_rows(linkers, releases, setup, mechanism=mechanism)
 
 
 def _linkage_cells(

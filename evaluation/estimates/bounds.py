@@ -64,7 +64,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     """Return the closest attack, short of the oracle's, at each level of model worlds.
 
     Reconstructions come first, then linkers. With few tracks an attack may seem closer
-    than it is: the closest attack is the one with the lowest upper end of its gap.
+    than it is: the closest attack is that with the lowest upper end of its gap.
     """
     world = row_worlds(summary)
     is_model = world.map(lambda row_world: row_world.is_model).astype(bool)

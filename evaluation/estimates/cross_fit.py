@@ -1,6 +1,6 @@
 """Success of the best of many rivals without the bias of its choice (cross-fitting).
 
-The highest of many noisy numbers is one that chance has raised. Here two halves of the
+Chance has raised the highest of many noisy numbers. Here two halves of the
 clusters choose for each other: the rival chosen on one half is scored on the other.
 Every replicate of an interval repeats the choice, so that the interval contains the
 uncertainty of the choice.

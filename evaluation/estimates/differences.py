@@ -26,8 +26,11 @@ from evaluation.estimates.metrics import (
     SUCCESS,
     SUCCESS_OF_100,
 )
+from evaluation.estimates.patrols import patrol_numbers
+from evaluation.estimates.returns import return_numbers
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
+from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address, Where, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
@@ -41,6 +44,7 @@ from isac_track.types import Floats
 
 Manifest = Mapping[str, Any]
 Apart = dict[str, tuple[Any, Any]]
+"""Values in run A and in run B, by name."""
 
 # Findings of a row.
 IDENTICAL: Final = "identical"
@@ -58,6 +62,10 @@ _ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
 _DECIDED = ("conflict.decision", "conflict.probability_threshold")
 _KEEP_DRAWS = ("dataset", "privacy.", "sensing.", *_DECIDED)
 _CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
+# Settings of patrols and tracks, which a run may change without a new folder.
+_WALK_SETTINGS = ("patrol.", "tracking.")
+# What people and blocks of patrols and tracks depend on.
+_CHANGE_WALKS = ("sha256", "resample.", *_WALK_SETTINGS)
 COLUMNS = [
     "mechanism",
     "level",
@@ -78,8 +86,11 @@ COLUMNS = [
     "p_holm",
     "finding",
     "world",
+    "policy",
 ]
-"""`world` is a further horizon, as in data sets' names; empty for the run's own."""
+"""`world` is a further horizon, as in data sets' names; empty for the run's own.
+`policy` says which queries are answered, or names release and tracker; empty in scenes
+and in linkage."""
 
 
 class Difference(NamedTuple):
@@ -142,7 +153,7 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
     if first is second:
         runs = runs[:1]
     elif first["identity"]["sha256"] == second["identity"]["sha256"]:
-        # A run's draws depend on its seed and its list of groups: use the same ones.
+        # A run's draws depend on its seed and its list of groups: use the same draws.
         groups = sorted({*first["groups"], *second["groups"]})
         seed = first["identity"]["seed"]
         runs = [(out, _redrawn(run, groups, seed)) for out, run in runs]
@@ -160,7 +171,11 @@ def compare(out_a: Path, out_b: Path) -> Comparison:
     rows = _rows(
         {number: (in_a[number], in_b[number]) for number in shared}, first, second
     )
-    own = {address: in_a[address] for address in shared if not address.world}
+    own = {
+        address: in_a[address]
+        for address in shared
+        if not address.world and not address.policy
+    }
     return Comparison(
         a=about(out_a, first),
         b=about(out_b, second),
@@ -180,12 +195,14 @@ def _redrawn(manifest: Manifest, groups: Sequence[str], seed: int) -> dict[str, 
 
 
 def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
-    """Return every number of a run, including robots' numbers at further horizons."""
-    own = {
+    """Return every number of a run: of scenes at all horizons, linkage, whole walks."""
+    numbers = {
         **scene_numbers(out, manifest).estimates,
         **linkage_estimates(cards(out, manifest)),
+        **return_numbers(out, manifest).estimates,
     }
-    numbers = own
+    walked_through = [*patrol_numbers(out, manifest), *track_numbers(out, manifest)]
+    numbers |= {number.address: number.estimate for number in walked_through}
     for horizon_s in horizons_in(manifest["cells"]):
         world = World(horizon_s=horizon_s)
         ahead = scene_numbers(out, manifest, world=world).estimates
@@ -203,27 +220,46 @@ def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Differ
     no spread (a share of exactly 0 or 1), both intervals are combined as of independent
     estimates (Newcombe 1998; Zou and Donner 2008). The p-value is Student's, with one
     degree of freedom less than the smaller number of clusters: replicates alone give
-    none below 0.002, and Holm needs smaller ones. With fewer than two clusters, or
-    without replicates, there is neither interval nor p-value.
+    none below 0.002, and Holm needs smaller p-values.
+    With fewer than two clusters, or
+    without an interval of either, there is neither interval nor p-value. Numbers of
+    people who come back have intervals of a jackknife, and no replicates.
     """
     value, n_clusters = b.value - a.value, min(a.n, b.n)
+    if n_clusters <= 1 or math.isnan(value):
+        return Difference(value)
+    if a.replicates.size == b.replicates.size == 0:
+        return _independent_difference(a, b)
     n_rows = min(a.replicates.size, b.replicates.size)
     drawn_a, drawn_b = (run.replicates[:n_rows].astype(np.float64) for run in (a, b))
     drawn: Floats = drawn_b - drawn_a
-    if n_clusters <= 1 or math.isnan(value) or np.isnan(drawn).all():
+    if np.isnan(drawn).all():
         return Difference(value)
     has_spread = all(np.nanmin(rows) < np.nanmax(rows) for rows in (drawn_a, drawn_b))
-    if paired and has_spread:
-        low, high = percentile_interval(drawn)
-        if METRICS[metric].is_biased:
-            low, high = 2.0 * value - high, 2.0 * value - low
-        error = float(np.nanstd(drawn, ddof=1))
-    else:
-        low = value - math.hypot(b.value - b.ci_low, a.ci_high - a.value)
-        high = value + math.hypot(b.ci_high - b.value, a.value - a.ci_low)
-        # The standard error on the side of no difference counts.
-        half = value - low if value > 0.0 else high - value
-        error = half / float(ndtri(0.5 + CONFIDENCE / 2.0))
+    if not (paired and has_spread):
+        return _independent_difference(a, b)
+    low, high = percentile_interval(drawn)
+    if METRICS[metric].is_biased:
+        low, high = 2.0 * value - high, 2.0 * value - low
+    error = float(np.nanstd(drawn, ddof=1))
+    return _tested_difference(value, low, high, error=error, n_clusters=n_clusters)
+
+
+def _independent_difference(a: Estimate, b: Estimate) -> Difference:
+    """Return B - A of independent estimates, from their two intervals."""
+    value = b.value - a.value
+    low = value - math.hypot(b.value - b.ci_low, a.ci_high - a.value)
+    high = value + math.hypot(b.ci_high - b.value, a.value - a.ci_low)
+    # The standard error on the side of no difference counts.
+    half = value - low if value > 0.0 else high - value
+    error = half / float(ndtri(0.5 + CONFIDENCE / 2.0))
+    return _tested_difference(value, low, high, error=error, n_clusters=min(a.n, b.n))
+
+
+def _tested_difference(
+    value: float, low: float, high: float, *, error: float, n_clusters: int
+) -> Difference:
+    """Return a difference with its interval and Student's p-value."""
     if math.isnan(error):
         return Difference(value)
     if value == 0.0:
@@ -247,8 +283,11 @@ def _rows(
     second: Manifest,
 ) -> pd.DataFrame:
     """Return a row for each pair, tested by Holm in either family, the surest first."""
-    consumers = {key.consumer for key in pairs}
-    paired_by = {name: pairing(first, second, consumer=name) for name in consumers}
+    sources = {(key.consumer, key.policy) for key in pairs}
+    paired_by = {
+        (consumer, policy): pairing(first, second, consumer=consumer, policy=policy)
+        for consumer, policy in sources
+    }
     # Plain rank 1 depends on how many candidates there are.
     same_size = {
         key.measured(SUCCESS)
@@ -259,7 +298,8 @@ def _rows(
     for key, (a, b) in pairs.items():
         if math.isnan(a.value) and math.isnan(b.value):
             continue
-        metric, paired = METRICS[key.metric], paired_by[key.consumer] != NONE
+        how_paired = paired_by[key.consumer, key.policy]
+        metric, paired = METRICS[key.metric], how_paired != NONE
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
@@ -279,9 +319,10 @@ def _rows(
                 **change._asdict(),
                 "unit": metric.summary_unit,
                 "n": min(a.n, b.n),
-                "pairing": paired_by[key.consumer],
+                "pairing": how_paired,
                 "finding": IDENTICAL if same else UNTESTED,
                 "world": key.world.text,
+                "policy": key.policy,
             }
         )
     table = pd.DataFrame(rows, columns=COLUMNS)
@@ -292,7 +333,7 @@ def _rows(
     tested = (table["finding"] != IDENTICAL) & table["p_holm"].notna()
     differs = np.where(table["p_holm"] <= SIGNIFICANCE, DIFFERS, BETWEEN)
     table["finding"] = table["finding"].where(~tested, differs)
-    # Where p-values are too small to be told apart, the larger t is the surer.
+    # Where p-values are too small to be distinguished, the larger t is the surer.
     order = pd.DataFrame({"p": table["p_value"], "t": -table["t"].abs()})
     return table.loc[order.sort_values(["p", "t"], kind="stable").index].reset_index(
         drop=True
@@ -300,7 +341,12 @@ def _rows(
 
 
 def _is_headline(key: Address) -> bool:
-    """Whether a number is in the headline; at further horizons only future misses."""
+    """Whether a number is in the headline: none of a policy or of tracks.
+
+    At further horizons only future misses are.
+    """
+    if key.policy:
+        return False
     if key.world:
         return key.metric == MISSED_FUTURE
     # A control tells nothing about an adversary.
@@ -310,7 +356,7 @@ def _is_headline(key: Address) -> bool:
 def _lead(
     rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Entry]
 ) -> pd.DataFrame:
-    """Return the leading rows, at the levels of the smoke preset or the first ones."""
+    """Return the leading rows, at the levels of the smoke preset, or the first."""
     best = strongest(estimates, entry_families(cells))
     known = dict.fromkeys(
         key.measure for key, number in estimates.items() if np.isfinite(number.value)
@@ -349,7 +395,7 @@ def _lead(
 
 
 def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:
-    """Return the levels of the smoke preset that a run has, else its first ones."""
+    """Return the levels of the smoke preset that a run has, else its first levels."""
     where_by_spec = {
         cell.spec: cell.address.where for cell in cells if cell.address.where in known
     }
@@ -367,15 +413,26 @@ def short_list(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
+def pairing(
+    first: Manifest, second: Manifest, *, consumer: str, policy: str = ""
+) -> str:
     """Return how a consumer's numbers in two runs are paired.
 
     Replicates of linkage were drawn with the cell: the same people cannot be drawn
-    again later.
+    again later. Those of patrols and tracks draw people or blocks of a recording by
+    their number, which settings of either may change.
     """
-    moved = _unequal(first["identity"], second["identity"])
+    moved = _unequal(*(_all_settings(run) for run in (first, second)))
     task = parse_consumer(consumer).task
     is_apart, aside = "sha256" in moved, ("linkage.", "crowd")
+    if policy:
+        is_apart = any(name.startswith(_CHANGE_WALKS) for name in moved)
+    else:
+        moved = {
+            name: ends
+            for name, ends in moved.items()
+            if not name.startswith(_WALK_SETTINGS)
+        }
     if task:
         people_a, people_b = (
             run["linkage"]["tasks"].get(task) for run in (first, second)
@@ -392,6 +449,18 @@ def pairing(first: Manifest, second: Manifest, *, consumer: str) -> str:
         name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved
     )
     return PEOPLE if other else DRAWS
+
+
+def _all_settings(manifest: Manifest) -> dict[str, Any]:
+    """Return the identity of a run, and the settings of its patrols and tracks."""
+    if not any(entry.address.policy for entry in manifest["cells"]):
+        return dict(manifest["identity"])
+    walks = {
+        name: value
+        for name, value in manifest["settings"].get("stages", {}).items()
+        if name.startswith(_WALK_SETTINGS)
+    }
+    return {**manifest["identity"], **walks}
 
 
 def _unequal(a: Manifest, b: Manifest) -> Apart:
@@ -418,7 +487,7 @@ def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
     for run in (first, second):
         tracks = {name: run["dataset"][name] for name in ("tracks", "tracks_used")}
         preset = {"preset": run["settings"]["preset"]}
-        described.append(run["identity"] | tracks | preset)
+        described.append(_all_settings(run) | tracks | preset)
         environment = {"code version": run["code"], **run["environment"]}
         versions = {name: environment[name] for name in _ABOUT_CODE}
         code.append(versions | environment["libraries"])
@@ -458,10 +527,7 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     runs = out_a, out_b
     if not all((out / _VERDICT).is_file() for out in runs):
         return None
-    a, b = (
-        {item["id"]: item["decision"] for item in load_verdict(out)["items"]}
-        for out in runs
-    )
+    a, b = (_decisions(load_verdict(out)) for out in runs)
     shared = [name for name in a if name in b]
     return {
         "in_both": len(shared),
@@ -473,6 +539,14 @@ def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
             if a[name] != b[name]
         ],
     }
+
+
+def _decisions(verdict: Mapping[str, Any]) -> dict[str, str]:
+    """Return the decision on each item of a verdict, and on people who come back."""
+    decisions = {item["id"]: item["decision"] for item in verdict["items"]}
+    if verdict.get("returns"):
+        decisions["returns"] = verdict["returns"]["decision"]
+    return decisions
 
 
 def load_verdict(out: Path) -> dict[str, Any]:

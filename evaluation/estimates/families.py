@@ -32,7 +32,7 @@ class Family:
 
     mechanism: str  # As in the results: `fid:adding=independent`.
     family: str  # The plug-in's name without parameters: `fid`.
-    # Adding rule that it declares: `linear`, `independent`, or empty without one.
+    # Adding rule that it declares: `linear`, `independent`, or empty.
     adding: str
     # Whether it claims to protect: controls, raw and clean do not.
     protects: bool = True
@@ -77,14 +77,23 @@ def families_in(rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> dict[str, F
     `rows` have `mechanism`, `family` and `adding`, as a summary has, and may say
     whether each claims to protect. A finished run's manifest also knows: `entry_families`.
     """
-    texts = ["mechanism", "family", "adding"]
-    frame = pd.DataFrame(rows, columns=[*texts, "protects"]).drop_duplicates(texts)
-    # An empty text becomes NaN when a file is read; a summary has no `protects`.
-    known = frame[texts].astype(object).fillna("").itertuples(index=False, name=None)
-    claims = frame["protects"].astype(object).fillna(value=True).astype(bool)
+    # Without pandas' `drop_duplicates`: a report asks this of many small frames.
+    names = ("mechanism", "family", "adding", "protects")
+    if isinstance(rows, pd.DataFrame):
+        missing = [None] * len(rows)
+        columns = [rows[name].tolist() if name in rows else missing for name in names]
+    else:
+        columns = [[row.get(name) for row in rows] for name in names]
+    claims: dict[tuple[str, str, str], bool] = {}
+    for *texts, claim in dict.fromkeys(zip(*columns, strict=True)):
+        # An empty text becomes NaN when a file is read; a summary has no `protects`.
+        mechanism, family, adding = ("" if pd.isna(text) else text for text in texts)
+        claims.setdefault(
+            (mechanism, family, adding), True if pd.isna(claim) else bool(claim)
+        )
     return {
         mechanism: Family(mechanism, family, adding, protects=protects)
-        for (mechanism, family, adding), protects in zip(known, claims, strict=True)
+        for (mechanism, family, adding), protects in claims.items()
     }
 
 

@@ -71,7 +71,7 @@ _LOG_SPAN: Final = 30.0
 
 
 def front(x: Floats, y: Floats) -> Bools:
-    """Return which points no other beats: as low in both coordinates, lower in one.
+    """Return which points no other beats: as low in both coordinates, lower in either.
 
     `x` and `y` are (N,), less is better in either; a point that is not known is on no
     front.
@@ -143,7 +143,7 @@ def frontier(
     without numbers. In three cases there is no interval, and no mechanism is held
     against another: fewer than `ENOUGH_LEVELS` levels (raw is one of them) have a
     missed rate within `NEAR` of the target; less than `MIN_DEFINED` of the replicates
-    are in reach; or there are too few people. `attacks` are the strongest ones, by
+    are in reach; or there are too few people. `attacks` are the strongest, by
     default those of `sweeps` with the `sums` of `strongest_on_each`.
     """
     if attacks is None:

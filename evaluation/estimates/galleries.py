@@ -7,7 +7,7 @@ in larger galleries is predicted; the TPR is of pairs and does not depend on the
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -67,17 +67,27 @@ def galleries(
             )
             measure = linked.linker.measured(TPR)
             tpr = estimates.get(measure.at(linked.mechanism, linked.level))
-            for measured, size, metric, estimate in _sizes(linked, weights, tpr):
+            for row in _sizes(linked, weights, tpr):
+                estimate = row.estimate
                 if np.isfinite(estimate.value):
                     ends = estimate.value, estimate.ci_low, estimate.ci_high
-                    rows.append((*about, size, metric, *ends, size > measured))
+                    rows.append((*about, row.size, row.metric, *ends, row.is_predicted))
     return pd.DataFrame(rows, columns=COLUMNS)
+
+
+class _SizeRow(NamedTuple):
+    """A metric at a size of the gallery."""
+
+    size: int
+    metric: str
+    estimate: Estimate
+    is_predicted: bool  # Whether the size is beyond the largest gallery measured.
 
 
 def _sizes(
     probes: LinkedProbes, weights: Floats, tpr: Estimate | None
-) -> Iterator[tuple[int, int, str, Estimate]]:
-    """Yield the largest gallery measured, a size, a metric and its estimate."""
+) -> Iterator[_SizeRow]:
+    """Yield the metrics at each size of the gallery."""
     above, tied, candidates = probes.strangers
     measured = int(candidates.min()) if candidates.size else 0
     larger = [size for size in SIZES if measured < size <= reach(measured)]
@@ -96,12 +106,14 @@ def _sizes(
             rank1 = rank1_by_size[size]
         else:
             rank1 = _predicted(rank1_by_size, measured, size)
-        yield measured, size, "rank1", rank1
+        is_predicted = size > measured
+        yield _SizeRow(size, "rank1", rank1, is_predicted)
         ends = ahead.value, ahead.ci_low, ahead.ci_high
         value, low, high = (1.0 + (size - 1) * end for end in ends)
-        yield measured, size, "expected_rank", Estimate(value, low, high)
+        expected = Estimate(value, low, high)
+        yield _SizeRow(size, "expected_rank", expected, is_predicted)
         if tpr is not None:
-            yield measured, size, TPR, tpr
+            yield _SizeRow(size, TPR, tpr, is_predicted)
 
 
 def _predicted(

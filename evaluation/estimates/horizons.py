@@ -84,7 +84,7 @@ def beaten_by_standing_still(
     """Return the levels where a robot surely misses more than `BASELINE`, by horizon.
 
     There is a record for each robot and horizon. `own` is of the run's own horizon,
-    `later` of further ones, s. The comparison is paired, same scenes and draws, at the
+    `later` of longer horizons. The comparison is paired, same scenes and draws, at the
     same level; fewer than `FEWEST_EFFECTIVE` effective clusters decide nothing.
     `levels` counts the levels compared, `loses` lists those where the robot loses.
     """

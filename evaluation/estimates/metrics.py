@@ -41,7 +41,7 @@ class Metric:
     is_root: bool = False  # Whether the metric is the square root of that ratio.
     # Whether it is among the few metrics tested first where runs are compared.
     is_headline: bool = False
-    # Whether its replicates are biased, so that its intervals are basic ones.
+    # Whether its replicates are biased, so that its intervals are basic intervals.
     is_biased: bool = False
     is_difference: bool = False  # Whether it is a difference, which may be negative.
 
@@ -181,10 +181,12 @@ _ROWS: Final = (
     Metric("confirming_p", "nested p there", "returns", "ratio", digits=3),
     Metric("gospa", "GOSPA", "tracking", "m", digits=2),
     Metric("ospa", "OSPA", "tracking", "m", digits=2),
+    Metric("hota", "HOTA", "tracking", "ratio", digits=2),
     Metric("purity", "purity", "tracking"),
     Metric("id_switches", "switches", "tracking", "1/min", digits=1),
     Metric("fragments", "fragments", "tracking", "1/min", digits=2),
     Metric("rejoined_share", "rejoined", "tracking"),
+    Metric("linkable_share", "linkable", "tracking"),
 )
 # In the order in which they are shown.
 METRICS: Final = {metric.name: metric for metric in _ROWS}
@@ -216,6 +218,7 @@ FUTURE_EQUAL_ALARMS: Final = "missed_future_at_equal_false_alarms"
 patrols."""
 WITHHELD: Final = "withheld_share"  # Conflicts that a policy hides from a robot.
 KNOWN_SHARE: Final = "known_share"  # Person-time that an adversary with a log knows.
+DISCLOSED: Final = "disclosed_share"  # Person-time of which a position was sent.
 FOLLOWED: Final = "followed_10s"  # People followed for ten seconds by a log.
 # Costs of noise.
 COSTS: Final = (

@@ -1,4 +1,4 @@
-"""A user's own plug-ins beside built-in ones: the section `plugins` of `verdict.json`.
+"""A user's own plug-ins beside the built-in: the section `plugins` of `verdict.json`.
 
 An attack, a linker or a predictor is compared with the strongest built-in of its kind
 in the same run: same people, same draws, so that the difference is paired by cluster.
@@ -140,7 +140,7 @@ def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | N
 def _predictor_record(
     spec: str, *, own_predictors: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
-    """Return the comparison of a predictor at its first horizon; None without one."""
+    """Return the comparison of a predictor at its first horizon, if any."""
     for horizon_s, estimates in (*run.later.items(), (None, run.own)):
         robots = {key.consumer for key in estimates if key.metric == MISSED_FUTURE}
         if spec not in robots:

@@ -180,7 +180,7 @@ def claims(
       rate of both is above that of raw by the same amount, for all amounts that at
       least 97.5 % of the replicates reach. Holds if every pointwise interval lies below
       zero, does not hold if one lies above. The same is asked for conflicts that are
-      still to come, at the run's own horizon and at further ones, where false alarms
+      still to come, at the run's own horizon and at longer, where false alarms
       are held at raw's rate; the paper has neither.
     - *FID raises the rate to approximately 27 %*, at an eta that is not given: the
       nearest of ours; does not hold if from 1 to 1000 all intervals lie on one side; of

@@ -40,7 +40,7 @@ from isac_track.intervals import CONFIDENCE, LEAST_CLUSTERS, Estimate, differenc
 
 FEWEST: Final = 5  # Real recordings: fewer do not show how much recordings differ.
 POOLED, FURTHER = "pooled", "further"
-"""Names in the column of recordings: all real ones, and the prediction for another."""
+"""Names in the column of recordings: all that are real, and the next, predicted."""
 LINKED_IN: Final = "rerelease"
 _ENDS: Final = ("value", "ci_low", "ci_high")
 COLUMNS = [
@@ -252,7 +252,7 @@ def _less(estimate: Estimate, known: float) -> Estimate:
 
 
 class Pooled(NamedTuple):
-    """Several recordings as one."""
+    """Several recordings, answered together."""
 
     value: float
     ci_low: float

@@ -1,7 +1,7 @@
 """From finished cells to numbers with intervals: `summary.csv`.
 
 The unit is the source track, or the group that walks together: every interval draws
-whole clusters, the same ones for every mechanism, so that differences are paired.
+whole clusters, the same for every mechanism, so that differences are paired.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -112,7 +112,7 @@ class SceneNumbers:
 def scene_numbers(
     out: Path, manifest: Mapping[str, Any], *, world: World = OWN_WORLD
 ) -> SceneNumbers:
-    """Return the numbers of a run's scenes, in its own world or in another one.
+    """Return the numbers of a run's scenes, in its own world or in another.
 
     Raises DataError if a cell cannot be read.
     """

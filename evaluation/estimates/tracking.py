@@ -18,11 +18,15 @@ import numpy as np
 from attacks.following.followed import restricted_mean_s
 from attacks.following.logs import Ending
 from evaluation.compute.tables import ROWS
+from evaluation.compute.track_links import LINK_COLUMNS
+from evaluation.compute.track_policies import LOG_COLUMNS
 from evaluation.compute.tracking import (
     ALARM_COLUMNS,
     ALARMS,
     FOLLOWED,
     FOLLOWED_COLUMNS,
+    HOTA,
+    HOTA_COLUMNS,
     ROBOT_COLUMNS,
     ROBOT_SHARES,
     TRACK_COLUMNS,
@@ -30,12 +34,19 @@ from evaluation.compute.tracking import (
     by_distance,
     by_seed,
 )
-from evaluation.estimates.metrics import FUTURE_EQUAL_ALARMS, KNOWN_SHARE, METRICS
+from evaluation.estimates.metrics import (
+    DISCLOSED,
+    FUTURE_EQUAL_ALARMS,
+    KNOWN_SHARE,
+    METRICS,
+    SUCCESS,
+)
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.axes import LOG, TRACK_KINDS
-from evaluation.plan.constants import ORACLE
+from evaluation.plan.constants import ORACLE, SHARED
 from evaluation.store.cell_files import read_rows
 from isac_track.tracking.blocks import (
+    block_hota,
     block_missed_at_equal_alarms,
     block_ratio,
     block_statistic,
@@ -51,11 +62,16 @@ if TYPE_CHECKING:
 
 _BESIDE: Final = (
     *TRACK_COLUMNS,
+    *LOG_COLUMNS,
+    *LINK_COLUMNS,
     *FOLLOWED_COLUMNS,
     *ROBOT_COLUMNS,
     *ALARM_COLUMNS,
+    *HOTA_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
+CHANCE: Final = "chance"  # Of rank 1, by guessing.
+LINKABLE: Final = "linkable_share"
 REJOINED: Final = "rejoined_share"
 BLIND: Final = "blind"  # The adversary that joins tracks without identities.
 _FALSE_ALARMS: Final = "false_alarms_per_min"
@@ -67,8 +83,7 @@ def track_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]:
     numbers: list[PatrolNumber] = []
     for entry in manifest["cells"]:
         if entry.kind in TRACK_KINDS:
-            read = _track_metrics if entry.kind == "tracks" else _robot_metrics
-            metrics = read(out, entry, seed=seed)
+            metrics = _READERS[entry.kind](out, entry, seed=seed)
             numbers += [
                 PatrolNumber(address.measured(name), estimate)
                 for (address, name), estimate in metrics.items()
@@ -88,6 +103,12 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {
         (entry.address, name): _ratio(rows, name, seed=seed) for name in TRACK_METRICS
     }
+    levels = _read(out, entry, HOTA_COLUMNS, table=HOTA)
+    metrics[entry.address, "hota"] = block_hota(
+        association=by_distance(levels, "association"),
+        pairs=by_distance(levels, "pairs"),
+        seed=seed,
+    )
     known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
     best = int(np.argmax([counts.sum() for counts in known]))
     log = replace(entry.address, plugin=LOG, adversary=ORACLE)
@@ -101,6 +122,42 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     for name, estimate in _followed_metrics(followed, n_blocks, seed=seed).items():
         metrics[follower, name] = estimate
     return metrics
+
+
+def _log_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
+    """Return what logs of a policy's answers disclose, and what they reveal."""
+    rows = _read(out, entry, LOG_COLUMNS)
+    known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
+    best = int(np.argmax([counts.sum() for counts in known]))
+    answers = replace(entry.address, plugin=SHARED, adversary="")
+    counts = {
+        (entry.address, KNOWN_SHARE): known[best],
+        (answers, DISCLOSED): by_seed(rows, "disclosed"),
+    }
+    return {
+        key: block_ratio(
+            numerator=numerator, denominator=by_seed(rows, "instants"), seed=seed
+        )
+        for key, numerator in counts.items()
+    }
+
+
+def _link_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
+    """Return how many people are linked across a rotation of pseudonyms.
+
+    Its denominator is all people who are present on both sides. `LINKABLE` is the share
+    with a track of their own on both: no linker links more.
+    """
+    rows = _read(out, entry, LINK_COLUMNS)
+    columns = {SUCCESS: "hits", CHANCE: "chance", LINKABLE: "linkable"}
+    return {
+        (entry.address, name): block_ratio(
+            numerator=by_seed(rows, column),
+            denominator=by_seed(rows, "trials"),
+            seed=seed,
+        )
+        for name, column in columns.items()
+    }
 
 
 def _followed_metrics(rows: Rows, n_blocks: int, *, seed: int) -> dict[str, Estimate]:
@@ -151,7 +208,7 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     metrics = {(robot, name): _ratio(rows, name, seed=seed) for name in ROBOT_SHARES}
     alarms = _read(out, entry, ALARM_COLUMNS, table=ALARMS)
     metrics[robot, FUTURE_EQUAL_ALARMS] = block_missed_at_equal_alarms(
-        # The last row repeats the one before.
+        # The last row repeats the row before.
         alarms=by_distance(alarms, "alarms")[:-1],
         warned=by_distance(alarms, "warned"),
         allowed=by_seed(rows, "allowed"),
@@ -164,6 +221,15 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
         is_share=False,
     )
     return metrics
+
+
+_READERS: Final = {
+    "tracks": _track_metrics,
+    "track_log": _log_metrics,
+    "tracked": _robot_metrics,
+    "track_link": _link_metrics,
+}
+"""The function that reads the metrics of a cell, by the kind of its consumer."""
 
 
 def _ratio(rows: Rows, name: str, *, seed: int) -> Estimate:

@@ -57,13 +57,13 @@ _ROUNDING = 1e-9
 _RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
 _ABOUT = {
     BEATEN: (
-        "PLR of `by`, the same attack with less knowledge or a simpler one with no"
+        "PLR of `by`, the same attack with less knowledge or a simpler attack with no"
         " more, is higher than that of `attack`. `difference`: PLR of `by` minus PLR of"
         " `attack`. `compared`: levels at which the two were compared."
     ),
     DOES_NOT_FALL: (
         "PLR after the attack does not fall from the least noisy level (raw included)"
-        " to the noisiest, the one named. `difference`: PLR at the noisiest minus PLR"
+        " to the noisiest, which is named. `difference`: PLR at the noisiest minus PLR"
         " at the least noisy. `compared`: mechanisms for which this was asked."
     ),
     FAR: (
@@ -76,7 +76,7 @@ _FAR: Final = 0.05
 
 
 class _Pair(NamedTuple):
-    """Two estimates to compare: an attack's, and one that should not be above it."""
+    """Two estimates to compare: an attack's, and that which should not be above it."""
 
     kind: str
     where: Where

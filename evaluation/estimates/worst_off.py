@@ -13,7 +13,7 @@ import numpy as np
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, jackknife_interval
 from isac_track.types import Floats, Ints
 
-SHARE: Final = 0.1  # Of the people, the most exposed ones.
+SHARE: Final = 0.1  # Of the people, the most exposed.
 # Fewest releases of a person: half of fewer would be a poor basis for the choice.
 LEAST_RELEASES: Final = 8
 LEAST_PEOPLE: Final = FEWEST_EFFECTIVE  # A tenth of fewer is not even two people.

@@ -8,7 +8,14 @@ from typing import Any, Final, Literal
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
 from evaluation.plan.address import Address, control_name
-from evaluation.plan.constants import BLOCK_SCENES, BOUND, ORACLE, OTHER_LAW, WINDOWS
+from evaluation.plan.constants import (
+    ANSWERED_BY,
+    BLOCK_SCENES,
+    BOUND,
+    ORACLE,
+    OTHER_LAW,
+    WINDOWS,
+)
 from evaluation.plan.presets import (
     PRESETS,
     SHARED,
@@ -26,7 +33,7 @@ from isac_track.plugins import Plugin
 from isac_track.policies.query import check_reach
 from isac_track.policies.samples import Ahead
 from isac_track.policies.summaries import State
-from isac_track.protocols import USUAL, attack_kind, grants
+from isac_track.protocols import USUAL, attack_kind, grants, links_same_stretch
 from isac_track.types import Knowledge
 
 MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
@@ -38,10 +45,12 @@ LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
 TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
 PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
 PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
-TRACK_KINDS: Final = ("tracks", "tracked")  # Kinds of consumer that read tracks.
+TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
+"""Kinds of consumer that read tracks, or what a policy answers from them."""
+HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
-"""Adversaries with a log: the informed one knows routes and policy, the oracle knows
+"""Adversaries with a log: the informed knows routes and policy, the oracle knows
 which answers are about the same person."""
 
 
@@ -62,6 +71,8 @@ class Consumer:
         "returns",
         "tracks",
         "tracked",
+        "track_log",
+        "track_link",
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
@@ -75,11 +86,13 @@ class Consumer:
     # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
     # Of `tracks` and of a robot with them (`tracked`), the release and its tracker.
     policy: Plugin | None = None
+    # The policy that answers a robot or a log from tracks; None: they get all tracks.
+    answers: Plugin | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, the reconstruction in front of that, and its policy."""
-        own = (*self._readers, self.policy)
+        """Its plug-in, the reconstruction in front of that, and its policies."""
+        own = (*self._readers, self.policy, self.answers)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
@@ -101,11 +114,12 @@ class Consumer:
             "windows": WINDOWS,
             "bound": BOUND,
             "log": LOG,
+            "track_log": LOG,
             "returns": FUSION,
             "tracks": TRACKER,
         }
         name, behind = names.get(self.kind, BOUND), ""
-        if self.kind == "control":
+        if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
             name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
@@ -127,7 +141,8 @@ class Consumer:
     @property
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins takes if granted."""
-        return frozenset().union(*(plugin.instance.uses for plugin in self._readers))
+        uses = [plugin.instance.uses for plugin in self._readers]
+        return frozenset().union(*uses)
 
     @property
     def reads_tracks(self) -> bool:
@@ -174,7 +189,7 @@ class Axes:
     """The worlds where people are linked, and the mechanisms there."""
     horizons_s: tuple[float, ...] = ()
     """Further horizons, a world each, where predictors alone read, in all scenes."""
-    adversaries: tuple[str, ...] = ()  # Beside the usual ones.
+    adversaries: tuple[str, ...] = ()  # Beside the usual adversaries.
     only_stronger: bool = False
     """Whether only `adversaries` read: on a few levels, after all others."""
     against_slow: frozenset[str] = frozenset()
@@ -192,6 +207,8 @@ class Axes:
     track_releases: tuple[Plugin, ...] = ()
     """Trackers of a network's detections; the SPEC is that of the release."""
     tracked: tuple[Plugin, ...] = ()  # Mechanisms of these releases.
+    track_policies: tuple[Plugin, ...] = ()  # Policies that answer from tracks, too.
+    track_tasks: tuple[str, ...] = ()  # Tasks in which tracks are linked, too.
 
     def _attacking(
         self, granted: Mapping[str, frozenset[Knowledge]]
@@ -221,12 +238,9 @@ class Axes:
         )
         if self.only_stronger or self.no_scenes:
             return attacks
-        return (
-            Consumer("shared"),
-            *(Consumer("predictor", plugin) for plugin in self.predictors),
-            *attacks,
-            *([Consumer("bound")] if self.attacks else []),
-        )
+        robots = tuple(Consumer("predictor", plugin) for plugin in self.predictors)
+        bound = (Consumer("bound"),) if self.attacks else ()
+        return (Consumer("shared"), *robots, *attacks, *bound)
 
     def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
         """Whether a consumer reads the releases of a mechanism."""
@@ -270,27 +284,50 @@ class Axes:
         ]
         adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
         logs = [Consumer("log", knowledge=name) for name in adversaries]
+        readers = robots if world else robots + logs
         return tuple(
             replace(reader, policy=policy)
             for policy in self.policies
-            for reader in (robots if world else [*robots, *logs])
+            for reader in readers
         )
 
     def track_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
         """Return the readers of tracks in a world: metrics of tracks, and robots.
 
-        The robots are those of patrols. The tracks belong to no further horizon.
+        The robots are those of patrols. A policy's answers from tracks are read by robots
+        and by an adversary with a log. Linkers link tracks across a rotation of
+        pseudonyms. Only robots have further horizons.
         """
         robots = [
             Consumer("tracked", plugin, world=world)
             for plugin in self.predictors
             if plugin.spec in self.utility
         ]
-        return tuple(
+        log = Consumer("track_log", knowledge=ORACLE)
+        readers = [
             replace(reader, policy=release)
             for release in self.track_releases
             for reader in (robots if world else [Consumer("tracks"), *robots])
-        )
+        ]
+        readers += [
+            replace(reader, policy=_answering(release, policy), answers=policy)
+            for release in self.track_releases
+            for policy in self.track_policies
+            for reader in (robots if world else [log, *robots])
+        ]
+        linkers = [
+            replace(linker, kind="track_link")
+            for task in self.tasks
+            if task.name in self.track_tasks and not world
+            for linker in self.readers(task)
+            if linker.kind != "windows"
+        ]
+        readers += [
+            replace(linker, policy=release)
+            for release in self.track_releases
+            for linker in linkers
+        ]
+        return tuple(readers)
 
     def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
         """Return the linkers in another world, and the optimum that knows the model."""
@@ -357,6 +394,11 @@ def _granted(
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
+def _answering(release: Plugin, policy: Plugin) -> Plugin:
+    """Return a release of tracks of which a policy answers, by the SPEC of both."""
+    return replace(release, spec=f"{release.spec}{ANSWERED_BY}{policy.spec}")
+
+
 def windows_consumer(task: str) -> Consumer:
     """Return the consumer of a task's windows: their descriptors, smoothed or not."""
     # The built-in smoother, with no knowledge: the same whatever else is in the run.
@@ -372,14 +414,9 @@ def axes(settings: Settings) -> Axes:
     attacks do not fit, and PluginError if a named plug-in cannot be loaded.
     """
     preset = PRESETS[settings.preset]
-    chosen = {axis: settings.choice(axis) for axis in AXES}
-    names = {
-        axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()
-    }
-    if not chosen["mechanisms"].replaces:
-        names["mechanisms"] += preset.protections
+    names = _axis_names(settings, preset)
     further_attacks, against_slow = _further_attacks(settings, preset)
-    attacks, links = _parse_attacks((*names["attacks"], *further_attacks))
+    attacks, links = _parse_attacks(names["attacks"] + further_attacks)
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
@@ -392,25 +429,22 @@ def axes(settings: Settings) -> Axes:
     _check_laws(mechanisms, law=law)
     links_people = bool(pairs) or RETURNS in tasks
     ceiling = plugins.parse("mechanisms", "clean")[0] if links_people else None
-    named_predictors = plugins.parse_all("predictors", chosen["predictors"].named)
-    utility = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
-    utility |= {plugin.spec for plugin in named_predictors}
-    worlds: dict[World, tuple[Plugin, ...]] = {}
-    # A user who names mechanisms has asked for these alone.
+    utility = _utility_predictors(settings, predictors)
     policies = plugins.parse_all("policies", names["policies"])
     _check_policies(policies, settings)
-    releases = _track_releases(settings)
-    if not chosen["mechanisms"].replaces:
+    worlds: dict[World, tuple[Plugin, ...]] = {}
+    # A user who names mechanisms has asked for these alone.
+    if not settings.choice("mechanisms").replaces:
         worlds = _worlds(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
         )
-    crossed = Axes(
+    run_axes = Axes(
         mechanisms,
         predictors,
         attacks,
         pairs,
         ceiling,
-        utility=frozenset(utility),
+        utility=utility,
         adversaries=_stronger_adversaries(settings, preset),
         skips_oracle=_skips_oracle(settings, preset),
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
@@ -424,11 +458,46 @@ def axes(settings: Settings) -> Axes:
         patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
         follows_informed=preset.follows_informed,
         links_returns=RETURNS in tasks,
-        track_releases=releases,
-        tracked=_tracked(settings, preset, mechanisms) if releases else (),
     )
-    _check_adversaries_used(crossed, settings)
-    return crossed
+    _check_adversaries_used(run_axes, settings)
+    return _with_tracks(run_axes, settings, preset)
+
+
+def _axis_names(settings: Settings, preset: Preset) -> dict[str, tuple[Any, ...]]:
+    """Return the plug-ins and tasks of each axis as they are named: SPECs or objects.
+
+    A preset's protections are mechanisms that a user's own replace.
+    """
+    chosen = {axis: settings.choice(axis) for axis in AXES}
+    names = {
+        axis: choice.values(getattr(preset, axis)) for axis, choice in chosen.items()
+    }
+    if not chosen["mechanisms"].replaces:
+        names["mechanisms"] += preset.protections
+    return names
+
+
+def _utility_predictors(
+    settings: Settings, predictors: Iterable[Plugin]
+) -> frozenset[str]:
+    """Return the SPECs of predictors that are read in all scenes."""
+    named = plugins.parse_all("predictors", settings.choice("predictors").named)
+    specs = {plugin.spec for plugin in predictors}.intersection(UTILITY_PREDICTORS)
+    return frozenset(specs.union(plugin.spec for plugin in named))
+
+
+def _with_tracks(run_axes: Axes, settings: Settings, preset: Preset) -> Axes:
+    """Return axes with the tracks of a run's tracker; as they are without a tracker."""
+    releases = _track_releases(settings)
+    if not releases:
+        return run_axes
+    return replace(
+        run_axes,
+        track_releases=releases,
+        tracked=_tracked(settings, preset, run_axes.mechanisms),
+        track_policies=_track_policies(settings),
+        track_tasks=_track_tasks(settings),
+    )
 
 
 def _skips_oracle(settings: Settings, preset: Preset) -> bool:
@@ -464,10 +533,22 @@ def _patrol_mechanisms(
     """
     if not policies:
         return ()
-    specs = {*preset.patrol_mechanisms}
-    if settings.choice("policies").named:
+    takes_named = bool(settings.choice("policies").named)
+    return _walked_through(settings, preset, mechanisms, takes_named=takes_named)
+
+
+def _walked_through(
+    settings: Settings,
+    preset: Preset,
+    mechanisms: Iterable[Plugin],
+    *,
+    takes_named: bool,
+) -> tuple[Plugin, ...]:
+    """Return the mechanisms of patrolled recordings: the preset's, and those named."""
+    specs = set(preset.patrol_mechanisms)
+    if takes_named:
         named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
-        specs |= {plugin.spec for plugin in named}
+        specs.update(plugin.spec for plugin in named)
     return tuple(
         plugin
         for plugin in mechanisms
@@ -494,6 +575,27 @@ def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
     )
 
 
+def _track_policies(settings: Settings) -> tuple[Plugin, ...]:
+    """Return the policies that answer from tracks: those that a user names.
+
+    Unlabelled detections have none, since a policy chooses people.
+    """
+    if settings.stages.tracking.release != "tracks":
+        return ()
+    return plugins.parse_all("policies", settings.choice("policies").named)
+
+
+def _track_tasks(settings: Settings) -> tuple[str, ...]:
+    """Return the tasks in which tracks are linked: handovers that a user names.
+
+    Unlabelled detections have no pseudonyms that rotate.
+    """
+    if settings.stages.tracking.release != "tracks":
+        return ()
+    named = settings.choice("tasks").named
+    return tuple(name for name in named if task_named(name).family == HANDOVER)
+
+
 def _tracked(
     settings: Settings, preset: Preset, mechanisms: Iterable[Plugin]
 ) -> tuple[Plugin, ...]:
@@ -502,19 +604,13 @@ def _tracked(
     They are those of the preset's patrols, and those that a user names. A mechanism
     that withholds samples is left out.
     """
-    named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
-    specs = {*preset.patrol_mechanisms, *(plugin.spec for plugin in named)}
-    return tuple(
-        plugin
-        for plugin in mechanisms
-        if plugin.spec in specs and not getattr(plugin.instance, "withholds", False)
-    )
+    return _walked_through(settings, preset, mechanisms, takes_named=True)
 
 
 def _further_attacks(
     settings: Settings, preset: Preset
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the SPECs of attacks beside the named ones and the preset's own.
+    """Return the SPECs of attacks beside the named attacks and the preset's own.
 
     The second tuple has those that run only against a slow error. A user who names the
     attacks of a run gets no others.
@@ -535,7 +631,7 @@ def _further_attacks(
 
 
 def _asked_stronger(settings: Settings) -> list[str]:
-    """Return the adversaries that a user names beside the usual ones."""
+    """Return the adversaries that a user names beside the usual three."""
     return [name for name in settings.adversaries if name not in USUAL]
 
 
@@ -572,13 +668,13 @@ def _linked_in(
     }
 
 
-def _check_adversaries_used(crossed: Axes, settings: Settings) -> None:
+def _check_adversaries_used(run_axes: Axes, settings: Settings) -> None:
     """Raise SettingsError for an adversary whose knowledge no attack uses."""
-    consumers = [*crossed.consumers]
-    for task in crossed.tasks:
-        consumers += crossed.readers(task)
+    consumers = list(run_axes.consumers)
+    for task in run_axes.tasks:
+        consumers += run_axes.readers(task)
     attacking = {consumer.knowledge for consumer in consumers}
-    for name in sorted({*_asked_stronger(settings)} - attacking):
+    for name in sorted(set(_asked_stronger(settings)) - attacking):
         raise SettingsError(
             f"adversary {name}: no attack of the run uses its knowledge; name one that"
             f" does, such as --attack {STRONGEST_ON_SLOW_NOISE}"
@@ -586,7 +682,7 @@ def _check_adversaries_used(crossed: Axes, settings: Settings) -> None:
 
 
 def _stronger_adversaries(settings: Settings, preset: Preset) -> tuple[str, ...]:
-    """Return the adversaries beside the usual ones: as asked, and the preset's own."""
+    """Return the adversaries beside the usual three: as asked, and the preset's own."""
     own = () if settings.choice("attacks").replaces else preset.adversaries
     return tuple(dict.fromkeys((*settings.adversaries, *own)))
 
@@ -602,25 +698,25 @@ def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
             )
 
 
-def most_workers(crossed: Axes, settings: Settings) -> int:
+def most_workers(run_axes: Axes, settings: Settings) -> int:
     """Return the number of workers that a run has work for, finished or not."""
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
-    worlds = [crossed.mechanisms, *crossed.worlds.values()]
+    worlds = [run_axes.mechanisms, *run_axes.worlds.values()]
     n_levels = sum(len(levels) for levels in worlds)
-    n_linked = len(crossed.linked_mechanisms) + sum(
-        len(levels) for levels in crossed.linked_in.values()
+    n_linked = len(run_axes.linked_mechanisms) + sum(
+        len(levels) for levels in run_axes.linked_in.values()
     )
-    n_tasks = len(crossed.tasks) + len(crossed.return_readers)
-    n_patrols = len(crossed.patrol_mechanisms) + len(crossed.tracked)
+    n_tasks = len(run_axes.tasks) + len(run_axes.return_readers)
+    n_patrols = len(run_axes.patrol_mechanisms) + len(run_axes.tracked)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
 
-def choose_jobs(crossed: Axes, settings: Settings) -> int:
+def choose_jobs(run_axes: Axes, settings: Settings) -> int:
     """Return the number of workers: as asked, or a core each if it is worth it."""
     if settings.jobs is not None:
-        return min(settings.jobs, max(most_workers(crossed, settings), 2))
-    n_levels = len(crossed.mechanisms)
-    n_linkers = sum(len(crossed.readers(task)) - 1 for task in crossed.tasks)
+        return min(settings.jobs, max(most_workers(run_axes, settings), 2))
+    n_levels = len(run_axes.mechanisms)
+    n_linkers = sum(len(run_axes.readers(task)) - 1 for task in run_axes.tasks)
     if (
         settings.n_utility_scenes * n_levels < WORTH_WORKERS
         and n_levels * n_linkers < WORTH_WORKERS_LINKED
@@ -683,7 +779,7 @@ def _assign_links(
     `asked` are the tasks of a run. That of people who come back has linkers of its own,
     so that these may be named without another task. A linker that needs the true frame
     suits tasks that show it, and the others suit the other tasks. A linker that needs
-    ``one_stretch`` of a walk, or a gap to bridge (``across_gap``), suits the tasks that
+    ``same_stretch`` of a walk, or a gap to bridge (``across_gap``), suits the tasks that
     have it.
     """
     tasks = tuple(task for task in asked if task is not RETURNS)
@@ -701,8 +797,8 @@ def _assign_links(
             for task in possible
             if task.shows_scene == (Knowledge.SCENE in linker.requires)
         ]
-        if getattr(linker, "one_stretch", False):
-            suited = [task for task in suited if task.is_one_stretch]
+        if links_same_stretch(linker):
+            suited = [task for task in suited if task.is_same_stretch]
         if getattr(linker, "across_gap", False):
             suited = [task for task in suited if task.is_open]
         chosen[link.spec] = suited or possible

@@ -105,27 +105,27 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     """
     check_threads()
     settings = _with_patrols(settings)
-    crossed = axes(settings)
+    run_axes = axes(settings)
     options = (*_HOW_TO_READ, *_READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
-    crossed, walks = _returning(crossed, settings, recorded)
-    crossed, tracks = _cut_or_none(crossed, settings, recorded)
-    if crossed.horizons_s:
+    run_axes, walks = _find_passages(run_axes, settings, recorded)
+    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
+    if run_axes.horizons_s:
         # Horizons for which the recording has too few long tracks are left out.
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
-        crossed = replace(crossed, horizons_s=tuple(tracks.further))
+        run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
     identity = _identity(settings, dataset)
-    sessions, skipped = _task_sessions(crossed, settings, dataset, recorded)
-    skipped = {**crossed.skipped, **skipped}
+    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
+    skipped = {**run_axes.skipped, **skipped}
     tasks = {task_sessions.task for task_sessions in sessions}
-    links = tuple((task, link) for task, link in crossed.links if task in tasks)
-    crossed = replace(crossed, links=links, skipped=skipped)
-    units, code_digests = _units(crossed, settings, identity=identity)
-    jobs = choose_jobs(crossed, settings)
+    links = tuple((task, link) for task, link in run_axes.links if task in tasks)
+    run_axes = replace(run_axes, links=links, skipped=skipped)
+    units, code_digests = _units(run_axes, settings, identity=identity)
+    jobs = choose_jobs(run_axes, settings)
     in_workers = settings.cell_timeout_s is not None or settings.scheduler is not None
-    if in_workers or jobs > 1 or fingerprint.has_user_plugins(crossed):
+    if in_workers or jobs > 1 or fingerprint.has_user_plugins(run_axes):
         _check_sendable(units)
     out = Path("runs") / f"{dataset.name}-{settings.preset}-{settings.seed}"
     return Plan(
@@ -133,7 +133,7 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         dataset=dataset,
         recorded=recorded,
         tracks=tracks,
-        axes=crossed,
+        axes=run_axes,
         identity=identity,
         code=fingerprint.code_hash(),
         jobs=jobs,
@@ -141,13 +141,13 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         units=units,
         code_digests=code_digests,
         sessions=sessions,
-        model_sessions=_model_sessions(crossed, settings, sessions, recorded),
+        model_sessions=_model_sessions(run_axes, settings, sessions, recorded),
         passages=walks,
     )
 
 
-def _returning(
-    crossed: Axes, settings: Settings, recorded: Tracks
+def _find_passages(
+    run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Passages | None]:
     """Return the axes, and the passages of people who come back if there are any.
 
@@ -155,28 +155,30 @@ def _returning(
     a session of another name.
     """
     is_named = RETURNS.name in settings.choice("tasks").named
-    if not crossed.links_returns:
+    if not run_axes.links_returns:
         if settings.confirming is not None:
             raise SettingsError(
                 "--confirming is about the task returns, which the run leaves out; add"
                 " --task +returns"
             )
-        return crossed, None
+        return run_axes, None
     try:
         walks = passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
     except DataError as error:
         if is_named or settings.confirming is not None:
             raise DataError(f"task {RETURNS.name}: {error}") from None
-        skipped = dict(crossed.skipped)
+        skipped = dict(run_axes.skipped)
         if recorded.session is not None:  # Of a single session: no notice.
             skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
-        return replace(crossed, links_returns=False, skipped=skipped), None
+        return replace(run_axes, links_returns=False, skipped=skipped), None
     _check_confirming(settings.confirming, walks)
     if not walks.not_drawn:
-        return crossed, walks
+        return run_axes, walks
     name = f"{walks.not_drawn:,} people of task {RETURNS.name}"
     why = f"linking all takes over {MOST_SCORES:,} scores at a level"
-    return replace(crossed, skipped={**crossed.skipped, name: f"{name}: {why}"}), walks
+    return replace(
+        run_axes, skipped={**run_axes.skipped, name: f"{name}: {why}"}
+    ), walks
 
 
 def _check_confirming(name: str | None, walks: Passages) -> None:
@@ -198,8 +200,8 @@ def _check_confirming(name: str | None, walks: Passages) -> None:
         )
 
 
-def _cut_or_none(
-    crossed: Axes, settings: Settings, recorded: Tracks
+def _cut_for_scenes(
+    run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Cut]:
     """Return the axes and the tracks of scenes.
 
@@ -207,7 +209,7 @@ def _cut_or_none(
     come back alone. If nobody does, or the user has named anything that needs scenes,
     it has scenes all the same; DataError if there are fewer tracks than a scene needs.
     """
-    needs_scenes = not crossed.links_returns or _names_scenes(settings)
+    needs_scenes = not run_axes.links_returns or _names_scenes(settings)
     try:
         tracks = cut(recorded, settings=settings.stages, seed=settings.seed)
     except DataError:
@@ -215,9 +217,9 @@ def _cut_or_none(
             raise
     else:
         if needs_scenes or len(tracks) >= FEW_PEOPLE:
-            return crossed, tracks
+            return run_axes, tracks
     no_track = no_tracks(recorded, settings=settings.stages)
-    return crossed.without_scenes(_why_no_scenes(no_track, settings)), no_track
+    return run_axes.without_scenes(_why_no_scenes(no_track, settings)), no_track
 
 
 def _names_scenes(settings: Settings) -> bool:
@@ -240,14 +242,14 @@ def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
 
 
 def _task_sessions(
-    crossed: Axes, settings: Settings, dataset: Dataset, recorded: Tracks
+    run_axes: Axes, settings: Settings, dataset: Dataset, recorded: Tracks
 ) -> tuple[tuple[Sessions, ...], dict[str, str]]:
     """Return the sessions of each task, and the tasks of too few people with reasons.
 
     Raises DataError if a user has named such a task.
     """
     sessions, skipped = [], dict[str, str]()
-    for task in crossed.tasks:
+    for task in run_axes.tasks:
         try:
             sessions.append(
                 make_sessions(
@@ -264,13 +266,13 @@ def _task_sessions(
 
 
 def _model_sessions(
-    crossed: Axes,
+    run_axes: Axes,
     settings: Settings,
     sessions: Iterable[Sessions],
     recorded: Tracks,
 ) -> tuple[Sessions, ...]:
     """Return the sessions of tasks that are linked in model worlds: fewer people."""
-    if not any(crossed.linked_in.values()):
+    if not any(run_axes.linked_in.values()):
         return ()
     most = min(
         PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
@@ -287,7 +289,7 @@ def _model_sessions(
 
 def _is_linked_in_models(task: Task) -> bool:
     """Whether a model's walks suit a task: in one stretch, without the scene."""
-    return task.is_one_stretch and not task.shows_scene
+    return task.is_same_stretch and not task.shows_scene
 
 
 def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
@@ -336,7 +338,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
         stronger_adversaries = PRESETS[settings.preset].stronger_adversaries
     if not stronger_adversaries:
         wanted = set()
-    crossed = Axes(
+    run_axes = Axes(
         mechanisms=tuple(
             level for level in plan.axes.mechanisms if level.spec in wanted
         ),
@@ -345,9 +347,9 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
         adversaries=stronger_adversaries,
         only_stronger=True,
     )
-    units, code_digests = _units(crossed, settings, identity=plan.identity)
+    units, code_digests = _units(run_axes, settings, identity=plan.identity)
     return replace(
-        plan, axes=crossed, units=units, code_digests=code_digests, sessions=()
+        plan, axes=run_axes, units=units, code_digests=code_digests, sessions=()
     )
 
 
@@ -378,60 +380,70 @@ class _Crossing(NamedTuple):
     blocks: Iterable[int]
 
 
-def _crossings(crossed: Axes, settings: Settings) -> list[_Crossing]:
-    """Return all that a run crosses: scenes and tasks, in its world and in others."""
+def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
+    """Return the products whose parts are units: scenes and tasks, in all worlds."""
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
     attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
     utility = tuple(
-        consumer for consumer in crossed.consumers if consumer.spec in crossed.utility
+        consumer for consumer in run_axes.consumers if consumer.spec in run_axes.utility
     )
     crossings = [
-        _Crossing(crossed.mechanisms, crossed.consumers, attacked_blocks),
-        _Crossing(crossed.mechanisms, utility, all_blocks[n_attacked:]),
+        _Crossing(run_axes.mechanisms, run_axes.consumers, attacked_blocks),
+        _Crossing(run_axes.mechanisms, utility, all_blocks[n_attacked:]),
     ]
-    for task in crossed.tasks:
-        readers = crossed.readers(task)
-        crossings.append(_Crossing(crossed.linked_mechanisms, readers, (0,)))
-    for world, mechanisms in crossed.worlds.items():
-        consumers = crossed.consumers_in(world)
+    for task in run_axes.tasks:
+        readers = run_axes.readers(task)
+        crossings.append(_Crossing(run_axes.linked_mechanisms, readers, (0,)))
+    for world, mechanisms in run_axes.worlds.items():
+        consumers = run_axes.consumers_in(world)
         crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
-    for horizon_s in crossed.horizons_s:
-        robots = crossed.robots_at(horizon_s)
-        crossings.append(_Crossing(crossed.mechanisms, robots, all_blocks))
-    crossings.append(_Crossing(crossed.linked_mechanisms, crossed.return_readers, (0,)))
-    worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in crossed.horizons_s)]
+    for horizon_s in run_axes.horizons_s:
+        robots = run_axes.robots_at(horizon_s)
+        crossings.append(_Crossing(run_axes.mechanisms, robots, all_blocks))
+    crossings.append(
+        _Crossing(run_axes.linked_mechanisms, run_axes.return_readers, (0,))
+    )
+    worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in run_axes.horizons_s)]
     crossings += [
-        _Crossing(crossed.patrol_mechanisms, crossed.patrol_readers(world), (0,))
+        _Crossing(run_axes.patrol_mechanisms, run_axes.patrol_readers(world), (0,))
         for world in worlds
-        if crossed.patrol_mechanisms
+        if run_axes.patrol_mechanisms
     ]
     crossings += [
-        _Crossing(crossed.tracked, crossed.track_readers(world), (0,))
+        _Crossing(run_axes.tracked, run_axes.track_readers(world), (0,))
         for world in worlds
-        if crossed.tracked
+        if run_axes.tracked
     ]
-    for world, mechanisms in crossed.linked_in.items():
-        for task in filter(_is_linked_in_models, crossed.tasks):
-            readers = crossed.readers_in(world, task)
+    for world, mechanisms in run_axes.linked_in.items():
+        for task in filter(_is_linked_in_models, run_axes.tasks):
+            readers = run_axes.readers_in(world, task)
             crossings.append(_Crossing(mechanisms, readers, (0,)))
     return crossings
 
 
+@dataclass(frozen=True, slots=True)
+class _CodeRead:
+    """What a plan has read of the code: modules' digests, and the files behind them."""
+
+    digests: dict[str, str]
+    files: fingerprint.ModuleFiles
+
+
 def _units(
-    crossed: Axes, settings: Settings, *, identity: Mapping[str, Any]
+    run_axes: Axes, settings: Settings, *, identity: Mapping[str, Any]
 ) -> tuple[tuple[Unit, ...], dict[str, str]]:
     """Return the units of work, and the digest of every module that they depend on."""
-    digests: dict[str, str] = {}
+    code_read = _CodeRead({}, {})
     units = []
-    for mechanisms, consumers, blocks in _crossings(crossed, settings):
-        by_stage = _consumers_by_stage(consumers, settings, digests)
+    for mechanisms, consumers, blocks in _crossings(run_axes, settings):
+        by_stage = _consumers_by_stage(consumers, settings, code_read)
         for mechanism, stage in product(mechanisms, by_stage):
-            code = _code(stage, mechanism, digests=digests)
+            code = _code_digests(stage, mechanism, code_read=code_read)
             readers = {
                 key: consumer
                 for key, consumer in by_stage[stage].items()
-                if crossed.meets(consumer, mechanism)
+                if run_axes.meets(consumer, mechanism)
             }
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
@@ -440,7 +452,7 @@ def _units(
             for block in blocks if readers else ():
                 key = fingerprint.digest([identity, stage, block, *about])
                 units.append(Unit(stage, block, mechanism, key, code, readers))
-    return tuple(units), digests
+    return tuple(units), code_read.digests
 
 
 def _own_settings(stage: str, settings: Settings) -> list[Any]:
@@ -456,38 +468,39 @@ def _own_settings(stage: str, settings: Settings) -> list[Any]:
 
 
 def _consumers_by_stage(
-    consumers: Iterable[Consumer], settings: Settings, digests: dict[str, str]
+    consumers: Iterable[Consumer], settings: Settings, code_read: _CodeRead
 ) -> dict[str, dict[str, Consumer]]:
-    """Return consumers by stage and by their keys; `digests` as of `_code`."""
+    """Return consumers by stage and by their keys; `code_read` grows, as in `_code_digests`."""
     by_stage: dict[str, dict[str, Consumer]] = {}
     for consumer in consumers:
         key = fingerprint.consumer_key(
             consumer,
-            code=_code("", *consumer.plugins, digests=digests).values(),
+            code=_code_digests("", *consumer.plugins, code_read=code_read).values(),
             keep_scores=settings.keep_scores,
         )
         by_stage.setdefault(_stage(consumer), {})[key] = consumer
     return by_stage
 
 
-def _code(stage: str, *used: Plugin, digests: dict[str, str]) -> dict[str, str]:
+def _code_digests(stage: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
     """Return the digests of the modules of a stage and of plug-ins, by module.
 
-    `digests` holds those that are known by now; new ones are added to it.
+    `code_read` holds those that are known by now; new digests are added to it.
     """
-    modules = fingerprint.sources(stage, *used)
+    modules, digests = fingerprint.sources(stage, *used), code_read.digests
     for module in modules:
         if module not in digests:
-            digests[module] = fingerprint.source_digest(module)[:16]
+            digest = fingerprint.source_digest(module, known=code_read.files)
+            digests[module] = digest[:16]
     return {module: digests[module] for module in modules}
 
 
 def _stage(consumer: Consumer) -> str:
-    """Return the stage of a consumer: its task, or a stage of scenes."""
-    if consumer.task:
-        return consumer.task
+    """Return the stage of a consumer: of tracks, its task, or a stage of scenes."""
     if consumer.reads_tracks:
         return fingerprint.TRACKING
+    if consumer.task:
+        return consumer.task
     if consumer.policy:
         return fingerprint.PATROL
     if consumer.kind in {"attack", "bound"}:

@@ -23,8 +23,8 @@ __all__ = [
 class Preset:
     """A named set of axes."""
 
-    scenes: int  # The attacked ones.
-    # All scenes: after the attacked ones, those where only robots read.
+    scenes: int  # The attacked scenes.
+    # All scenes: after the attacked scenes, those where only robots read.
     utility_scenes: int
     mechanisms: tuple[str, ...]
     predictors: tuple[str, ...]
@@ -121,7 +121,7 @@ BASELINE = "constant_position"
 """Predictor of standing people, in every preset: no useful robot is worse."""
 _ROBOTS = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 UTILITY_PREDICTORS = (*_ROBOTS, BASELINE)
-"""A preset's predictors that read all scenes, at every horizon: the cheap ones."""
+"""A preset's predictors that read all scenes, at every horizon: the cheapest."""
 _SMOOTHERS = (
     "identity",
     "moving_average",

@@ -107,7 +107,7 @@ class Settings:
     scenes : int, optional
         All scenes, which are all attacked; at least 2.
     utility_scenes : int, optional
-        All scenes; the attacked ones stay the preset's first.
+        All scenes; the attacked scenes stay the preset's first.
     precision : float, optional
         Half-width of missed-conflict rates, 0..0.5: finds `utility_scenes`.
     pilot_half_width : float, optional
@@ -261,7 +261,7 @@ class Settings:
             object.__setattr__(self, name, value)
 
     def changed(self, **options: Any) -> Self:  # noqa: ANN401 - as many types as options
-        """Return settings with other options; SettingsError if one is unknown."""
+        """Return settings with other options; SettingsError for an unknown option."""
         _check_known("option", options, [field.name for field in fields(self)])
         return replace(self, **options)
 

@@ -110,7 +110,7 @@ def chosen(
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    By default they are those of `variants`; `also` names further ones by
+    By default they are those of `variants`; `also` names further variants by
     STAGE.KEY=VALUE. Raises IsacTrackError for an unknown variant, or a variant whose
     settings the run had.
     """

@@ -17,7 +17,7 @@ _TEXT: Final = re.compile(
 class World:
     """The world that a number is of; by default a run's own, which is false."""
 
-    is_model: bool = False  # Walks of the fitted motion in place of the recorded ones.
+    is_model: bool = False  # Walks of the fitted motion in place of the recorded walks.
     law: str = ""  # Law of the raw error; empty: that of the run.
     horizon_s: float | None = None  # Of conflicts and forecasts; None: the run's.
 

@@ -1,6 +1,6 @@
 """The same cells, bit by bit, on the scheduler and workers of a user's Dask cluster.
 
-When a worker dies, Dask gives its work to another one. Work that has killed several
+When a worker dies, Dask gives its work to another worker. Work that has killed several
 workers is tried once more with nothing beside it, so that no innocent work is blamed.
 """
 
@@ -106,9 +106,8 @@ class _Cluster(Generic[W, R]):
 
         self._client, self._scheduler, self._modules = client, scheduler, modules
         # Some versions of distributed have no types here, others do.
-        self._completed: Any = as_completed(  # type: ignore[no-untyped-call,unused-ignore]
-            loop=client.loop
-        )
+        untyped: Any = as_completed
+        self._completed = untyped(loop=client.loop)
         self._expected = _describe_process(modules, seen={})
         self.n_threads = 1
         self.under_way: dict[Task, W] = {}
@@ -227,7 +226,7 @@ class _Cluster(Generic[W, R]):
 
     def _lost_error(self, state: str = "is gone", start: str = "it") -> SettingsError:
         return SettingsError(
-            f"the scheduler at {self._scheduler} {state}; finished cells are kept;"
+            f"the scheduler at {self._scheduler} {state}; finished cells stay;"
             f" start {start} and run the same command again"
         )
 
@@ -253,7 +252,8 @@ def _connected(scheduler: str) -> Iterator[Client]:
         ends.enter_context(dask.config.set(_LARGE))
         try:
             # Some versions of distributed have no types here, others do.
-            client: Client = distributed.Client(  # type: ignore[no-untyped-call,unused-ignore]
+            untyped: Any = distributed.Client
+            client: Client = untyped(
                 scheduler, timeout=_CONNECT_S, set_as_default=False
             )
         except (OSError, ValueError, TypeError, RuntimeError) as error:

@@ -33,7 +33,7 @@ def expected_s(plan: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the expected duration of a plan, s, on as many idle cores as workers.
 
     Finished cells take no time. A plug-in of a user's own counts as the median of the
-    built-in ones of its kind; its measured time, if `own` has it, comes on top. Loops
+    built-in of its kind; its measured time, if `own` has it, comes on top. Loops
     that are still to be compiled are not counted.
     """
     return wall_s(cells_cpu_s(plan, own), jobs=plan.jobs)

@@ -1,6 +1,6 @@
 """The worker's side of a pipe: compute the works that come, and send their results.
 
-A message to a worker is a function, or None for the one before, and a work. A message
+A message to a worker is a function, or None for the last, and a work. A message
 from a worker is a kind and a content: the names of a cell that begins ("cell"), a
 result ("result"), and at the end of a work nothing ("done") or its error ("error").
 """

@@ -139,7 +139,7 @@ def _compute_in_workers(
 def start_workers_early(
     n_workers: int = 0, needed: Sequence[str] = _CELL_MODULES
 ) -> Iterator[None]:
-    """Start workers that import modules meanwhile; at the end dismiss all idle ones."""
+    """Start workers that import modules meanwhile; at the end dismiss the idle."""
     try:
         for _ in range(n_workers):
             _idle_workers.append(_Worker(needed))
@@ -182,7 +182,7 @@ def dismiss() -> None:
 
 
 def _idle_worker() -> "_Worker[Any, Any] | None":
-    """Take an idle worker that is alive, if there is one."""
+    """Take an idle worker that is alive, if there is any."""
     while _idle_workers:
         worker = _idle_workers.pop()
         if worker.is_alive():

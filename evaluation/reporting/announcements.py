@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from evaluation.plan.presets import DEFAULT, PRESETS, Preset
 from evaluation.plan.settings import AXES, OPTIONS
-from evaluation.reporting.notices import plan_notices
+from evaluation.reporting.notices import SlowAttack, plan_notices
 from isac_track.config import StageSettings
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     )
 
     # Cells are counted and not read, which would take seconds. The run reads them and
-    # names the damaged ones.
+    # names the damaged files.
     check_folder(plan.out)
     with usable(plan.out):
         finished = n_finished(plan)
@@ -103,7 +103,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
     )
     slow = [consumer for consumer in plan.axes.consumers if consumer.is_slow]
     n_levels = len(plan.axes.mechanisms)
-    costs: list[tuple[str, int, float]] = []
+    slow_attacks: list[SlowAttack] = []
     for spec in dict.fromkeys(consumer.spec for consumer in slow):
         from evaluation.compute.reconstruction import (  # noqa: PLC0415 - seldom needed
             slow_cost_s,
@@ -111,12 +111,12 @@ def plan_lines(plan: Plan) -> Iterator[str]:
 
         same = [consumer for consumer in slow if consumer.spec == spec]
         cost_s = slow_cost_s(same, tracks=plan.tracks, n_levels=n_levels)
-        costs.append((spec, len(same), cost_s))
-    yield from plan_notices(plan, slow_costs=costs)
+        slow_attacks.append(SlowAttack(spec, len(same), cost_s))
+    yield from plan_notices(plan, slow=slow_attacks)
 
 
 def changed_settings(manifest: Mapping[str, Any]) -> list[str]:
-    """Return the stage settings that are not the usual ones, as they are typed."""
+    """Return the stage settings that are not as usual, as they are typed."""
     settings = manifest["settings"]
     preset = PRESETS.get(settings["preset"], PRESETS[DEFAULT])
     usual = StageSettings().flat() | {

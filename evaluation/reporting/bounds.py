@@ -26,7 +26,7 @@ _MODEL = (
     " model world, in expectation."
 )
 _GENIE = (
-    "ceiling: a genie who is told the scale of every error; the gap is at most that. On"
+    "ceiling: a genie who knows the scale of every error; the gap is at most that. On"
     " recorded walks, which follow no model, the genie's value is no bound: attacks do"
     " exceed it."
 )

@@ -121,6 +121,23 @@ class Label(NamedTuple):
     text: str
 
 
+class Text(NamedTuple):
+    """Words at a place of a chart."""
+
+    x: float
+    y: float
+    css: str  # Class: `x` or `y`, the axis that it belongs to.
+    words: str
+
+
+class ChartMark(NamedTuple):
+    """Marks of the same look that a keyboard reaches together."""
+
+    look: Look
+    centres: Stroke
+    name: str
+
+
 class Axis(NamedTuple):
     """An axis: its label, and whether it is logarithmic."""
 
@@ -141,8 +158,7 @@ class Chart:
     grid: list[Stroke] = field(default_factory=list)
     # CSS classes and the strokes that have them.
     lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)
-    # Look, centres, and name.
-    marks: list[tuple[Look, Stroke, str]] = field(default_factory=list)
+    marks: list[ChartMark] = field(default_factory=list)
     labels: list[Label] = field(default_factory=list)  # Beside the ends of curves.
     # Hover text of a text that the chart shows.
     hints: dict[str, str] = field(default_factory=dict)
@@ -154,12 +170,14 @@ class Chart:
         return self.height - 30.0
 
     @property
-    def texts(self) -> list[tuple[float, float, str, str]]:
-        """Position (x, y), CSS class and words of all texts but the vertical label."""
+    def texts(self) -> list[Text]:
+        """All texts but the vertical label."""
         middle = 0.5 * (self.left + self.right)
-        texts = [(x, self.bottom + 12.0, "x", text) for x, text in self.x_ticks]
-        texts.append((middle, self.bottom + 26.0, "x", self.x_label))
-        texts += [(self.left - 5.0, y + 3.4, "y", text) for y, text in self.y_ticks]
+        texts = [Text(x, self.bottom + 12.0, "x", words) for x, words in self.x_ticks]
+        texts.append(Text(middle, self.bottom + 26.0, "x", self.x_label))
+        texts += [
+            Text(self.left - 5.0, y + 3.4, "y", words) for y, words in self.y_ticks
+        ]
         return texts
 
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
@@ -211,7 +229,7 @@ def rows_chart(
                 x, *ends = to_x(_percents([estimate]))
                 text = f"{row}: {name} {share_text(estimate)}"
                 chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
-                chart.marks.append((look, [(x, y)], text))
+                chart.marks.append(ChartMark(look, [(x, y)], text))
     for look, value in across:
         if np.isfinite(value):
             line = chart.down(to_x(PERCENT * value))
@@ -256,7 +274,7 @@ def plane_chart(
             f"{point.name}: {x_name} {share_text(point.x)},"
             f" {y_name} {share_text(point.y)}"
         )
-        chart.marks.append((point.look, [(x, y)], name))
+        chart.marks.append(ChartMark(point.look, [(x, y)], name))
     return chart
 
 
@@ -303,10 +321,10 @@ def curves_chart(
             bars += bar([low, high], at=at, upright=True)
         chart.lines.append((f"curve k{curve.look.place}", [line]))
         chart.lines.append((f"bar k{curve.look.place}", bars))
-        chart.marks.append((curve.look, line, curve.name))
+        chart.marks.append(ChartMark(curve.look, line, curve.name))
     for mark in marked:
         mark_x = to_x(mark.x) if np.isfinite(mark.x) else chart.right
-        chart.marks.append((mark.look, [(mark_x, to_y(mark.y))], mark.name))
+        chart.marks.append(ChartMark(mark.look, [(mark_x, to_y(mark.y))], mark.name))
     if chart.right < _RIGHT:
         chart.labels = _labels(curves, to_y, x=chart.right, bottom=chart.bottom)
     return chart
@@ -352,7 +370,7 @@ def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stro
 
 
 def share_text(estimate: Estimate) -> str:
-    """Return a share in % with its interval, if it has one: `12.3 % [10.1, 14.5]`."""
+    """Return a share in % with its interval, if known: `12.3 % [10.1, 14.5]`."""
     value = f"{PERCENT * estimate.value:.1f} %"
     if not np.isfinite(estimate.ci_low):
         return value

@@ -48,7 +48,10 @@ def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[st
         "a": comparison.a,
         "b": comparison.b,
         "changed": {
-            kind: {name: {"a": a, "b": b} for name, (a, b) in values.items()}
+            kind: {
+                name: {"a": _json_value(a), "b": _json_value(b)}
+                for name, (a, b) in values.items()
+            }
             for kind, values in comparison.changed.items()
         },
         "only": {axis: {"a": a, "b": b} for axis, (a, b) in comparison.only.items()},
@@ -64,6 +67,12 @@ def to_json(comparison: comparing.Comparison, *, every: bool = False) -> dict[st
         "lead": _plain(comparison.lead),
         "differences": _plain(rows),
     }
+
+
+def _json_value(value: object) -> object:
+    """Return a setting as JSON has it: infinity is a text."""
+    is_infinite = isinstance(value, float) and not math.isfinite(value)
+    return str(value) if is_infinite else value
 
 
 def _plain(rows: pd.DataFrame) -> list[dict[Any, Any]]:
@@ -258,7 +267,8 @@ def _ahead(row: Mapping[Any, Any]) -> str:
 
 
 def _source(row: Mapping[Any, Any]) -> str:
-    return parse_consumer(row["consumer"], row["knowledge"]).label
+    label = parse_consumer(row["consumer"], row["knowledge"]).label
+    return f"{label} under {row['policy']}" if row["policy"] else label
 
 
 def sign_changes(rows: pd.DataFrame) -> list[str]:

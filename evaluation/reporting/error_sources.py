@@ -53,7 +53,7 @@ ERROR_SOURCES: Final = (
     ErrorSource(
         "the crowd",
         "plaza is simulated",
-        "its people differ from recorded ones",
+        "its people differ from recorded people",
     ),
     ErrorSource(
         "selection",

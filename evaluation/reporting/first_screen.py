@@ -258,7 +258,7 @@ def first_table(run: Results) -> Table:
 def short_table(table: Headline) -> Table:
     """Return the first table for the README: `34 ±4`, shares and half-widths in %.
 
-    Without the run at hand, its robot is the one that misses least.
+    Without the run at hand, its robot is that which misses least.
     """
     robot = min(table.future or table.robots, key=partial(_mean_missed, table))
     columns = _flat_columns(screen_columns(table, robot))
@@ -451,7 +451,7 @@ def _untried_text(run: Results) -> str:
 
 
 def _no_interval_text(table: Headline) -> str:
-    """Return which numbers have no interval at any level; empty if all have one."""
+    """Return which numbers have no interval at any level; empty if all have."""
     bare = []
     for column in table.columns:
         numbers = [table.at(where, column) for where in table.wheres]

@@ -300,9 +300,11 @@ _METRICS: Final = {
     "nested p there": "The same probability in a session that confirms.",
     "GOSPA": "Distance of tracks from people, with a cost of misses and of false tracks.",
     "OSPA": "The same as a mean over the larger of both sets, at most 1 m.",
+    "HOTA": "How well tracks detect people and hold them, 0 to 1 (Luiten et al.).",
     "purity": "Share of samples of tracks that are of the track's main person.",
     "switches": "Changes of the track that holds a person, per minute of presence.",
     "rejoined": "Share of breaks of a track after which the right track is joined.",
+    "linkable": "Share of people with a track of their own on both sides of a silence.",
     "fragments": "Further tracks of a person who has a track, per minute of presence.",
 }
 

@@ -25,7 +25,7 @@ ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.
 
 
 def find_family(known: Mapping[str, Family], mechanism: str) -> Family:
-    """Return the family of a mechanism; for an unknown mechanism, one with its name."""
+    """Return the family of a mechanism; of an unknown mechanism, a family so named."""
     return known.get(mechanism, Family(mechanism, mechanism, ""))
 
 

@@ -6,7 +6,7 @@ Nothing heavy is imported here: the command that plans a run reads it, too.
 from __future__ import annotations
 
 from collections import Counter
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from evaluation.plan.address import parse_label
 from evaluation.plan.constants import BLOCK_SCENES
@@ -55,18 +55,18 @@ _REPAIRS: Final = {
         "boxes without a pedestrian, dropped",
     ),
     "frozen": (
-        "frozen stretch kept (--drop-frozen S drops it)",
-        "frozen stretches kept (--drop-frozen S drops them)",
+        "frozen stretch (--drop-frozen S drops it)",
+        "frozen stretches (--drop-frozen S drops them)",
     ),
     "frozen-dropped": ("frozen stretch dropped", "frozen stretches dropped"),
     "overshoot": (
         "piece of a walk made straight where a spline overshoots",
         "pieces of walks made straight where a spline overshoots",
     ),
-    "fast-step": ("step above 12 m/s kept", "steps above 12 m/s kept"),
-    "fast-piece": (
-        "track with a step above 4 m/s kept",
-        "tracks with a step above 4 m/s kept",
+    "fast-step": ("step above 12 m/s, not cut", "steps above 12 m/s, not cut"),
+    "fast-track": (
+        "track with a step above 4 m/s, not cut",
+        "tracks with a step above 4 m/s, not cut",
     ),
     "ignored-column": ("column not used", "columns not used"),
     "too-short": ("track too short for a scene", "tracks too short for a scene"),
@@ -106,14 +106,16 @@ def few_people(dataset: Mapping[str, Any]) -> str:
     return f"{tracks}: too few to decide anything ({way_out})."
 
 
-def plan_notices(
-    plan: Plan, *, slow_costs: Sequence[tuple[str, int, float]]
-) -> list[str]:
-    """Return notices on the parts that a plan leaves out and on slow parts.
+class SlowAttack(NamedTuple):
+    """A slow attack of a plan."""
 
-    `slow_costs` has an entry for each slow attack: its SPEC, the number of its
-    adversaries, and the time that it takes in one process, s, NaN if it does not say.
-    """
+    spec: str
+    n_adversaries: int
+    cost_s: float  # In one process; NaN if the attack does not say.
+
+
+def plan_notices(plan: Plan, *, slow: Sequence[SlowAttack]) -> list[str]:
+    """Return notices on the parts that a plan leaves out and on `slow` attacks."""
     from evaluation.store.manifest import (  # noqa: PLC0415 - names alone need none
         describe_data,
     )
@@ -137,10 +139,11 @@ def plan_notices(
     texts += [f"notice: left out: {reason}" for reason in plan.axes.skipped.values()]
     texts += _gallery_notices(plan)
     texts += [
-        f"notice: the attack {spec} is slow: {cost_text(cost_s)} for"
-        f" {counted(n, 'adversary', 'adversaries')} at {len(plan.axes.mechanisms)}"
-        " levels in one process. It runs on one release of each source track."
-        for spec, n, cost_s in slow_costs
+        f"notice: the attack {attack.spec} is slow: {cost_text(attack.cost_s)} for"
+        f" {counted(attack.n_adversaries, 'adversary', 'adversaries')} at"
+        f" {len(plan.axes.mechanisms)} levels in one process. It runs on one release of"
+        " each source track."
+        for attack in slow
     ]
     return texts
 

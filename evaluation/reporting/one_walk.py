@@ -10,7 +10,7 @@ from evaluation.estimates.families import RAW
 from evaluation.reporting.charts import PERCENT
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.names import attack_name
-from isac_track.types import Bools, Floats
+from isac_track.types import Bools, Floats, lengths
 
 PANEL: Final = (400.0, 300.0)  # Width and height of a panel, in px of a README.
 _MARGIN: Final = 24.0
@@ -48,7 +48,7 @@ def longest_walk(gallery: pd.DataFrame) -> Walk | None:
 def _walk_distance(rows: pd.DataFrame) -> float:
     """Return the distance between the first and the last true position, m."""
     true = rows[["x_true", "y_true"]].to_numpy(dtype=np.float64)
-    return float(np.hypot(*(true[-1] - true[0])))
+    return float(lengths(true[-1] - true[0]))
 
 
 def _walk(rows: pd.DataFrame) -> Walk:

@@ -74,7 +74,7 @@ def answer_on_patrol(
     ]
     text = f"On patrol: {proposal_sentence(proposal, families=families)}"
     if not proposal["has_interval"]:
-        text += " Without intervals no limit is kept: add --set patrol.fleets=20."
+        text += " Without intervals no limit holds: add --set patrol.fleets=20."
     return PatrolAnswer(text, proposal, own, is_asked)
 
 

@@ -132,7 +132,9 @@ def _robot_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
             ),
         ],
         marks={
-            _BUILT_IN: "by construction: policy and robot forecast alike, no result"
+            _BUILT_IN: (
+                "by construction: policy and robot use the same forecast, no result"
+            )
         },
         notes=notes,
         n_keys=4,

@@ -351,7 +351,7 @@ def _paths(
 
 def _window(walks: pd.DataFrame) -> tuple[Floats, float]:
     """Return the lower left corner in m, and units of a panel per metre."""
-    # Not all shared samples: a few far ones would make the walk tiny.
+    # Not all shared samples: a few far samples would make the walk tiny.
     ends = [
         np.percentile(walks[["x_shared", "y_shared"]].to_numpy(), [5.0, 95.0], axis=0)
     ]

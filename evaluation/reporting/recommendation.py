@@ -136,7 +136,7 @@ def _share_text(run: Results) -> str:
 
 
 def _short_limits(answer: Recommendation) -> list[str]:
-    """Return the limits of the first screen: the default ones."""
+    """Return the limits of the first screen: the defaults."""
     limits = answer.question.limits
     known, linked = limits.get(EXPOSURE, 1.0), limits.get(LINKED, 1.0)
     return [
@@ -270,7 +270,7 @@ def conflicts_text(criterion: Criterion) -> str:
 
 
 def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return the adversaries that break a level, that do not, and the untried ones."""
+    """Return the adversaries that break a level, that do not, and those untried."""
     limit = _plr_limit(answer)
     tried = [side for side in offer.beyond if side.breaks(limit) is not None]
     broken = [

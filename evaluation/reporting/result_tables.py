@@ -451,7 +451,7 @@ def _strength_cells(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
 
 
 def doubt_table(run: Results) -> Table:
-    """Return the linkage cells that measure nothing: invalid ones and weak attacks."""
+    """Return the linkage cells that measure nothing: invalid cells and weak attacks."""
     rows = run.linkability[run.linkability["cohort"] == "all"]
     texts = rows[["knowledge", "outcome", "invalid"]].astype(object).fillna("")
     rows = rows.assign(**texts)

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from evaluation.estimates.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
-from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, Look, bar
+from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, ChartMark, Look, bar
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
 
@@ -88,6 +88,6 @@ def _forest(answer: Answered, simulated: frozenset[str]) -> Forest:
         interval = f" [{low:.1f}, {high:.1f}]"
         if not np.isfinite(numbers).all():
             interval = ", too few people for an interval"
-        chart.marks.append((look, [(x, y)], f"{name}: {value:+.1f}{interval}"))
+        chart.marks.append(ChartMark(look, [(x, y)], f"{name}: {value:+.1f}{interval}"))
     title = f"{answer.adding} adding, {answer.law} error"
     return Forest(title, answer.sentence, chart)

@@ -9,6 +9,7 @@ import pandas as pd
 from evaluation.estimates.families import RAW
 from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.metrics import (
+    DISCLOSED,
     FUTURE_EQUAL_ALARMS,
     KNOWN_SHARE,
     METRICS,
@@ -16,14 +17,17 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.plan.address import parse_dataset
 from evaluation.plan.axes import LOG, PERFECT, TRACKER
+from evaluation.plan.constants import ANSWERED_BY, SHARED
 from evaluation.reporting import table as make
 from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Cell, Table, plugin_label
+from isac_track.types import Bools
 
 _TRACKS: Final = (
     (LOG, KNOWN_SHARE),
+    (SHARED, DISCLOSED),
     *((TRACKER, name) for name in ("purity", "id_switches", "fragments", "gospa")),
     *((LOG, name) for name in ("followed_s", "rejoined_share", "time_to_confusion_s")),
 )
@@ -56,7 +60,9 @@ def tracking_table(run: Results) -> Table:
             cells.setdefault(key, {})[title] = make.metric_cell(
                 row["metric"], row["value"], row["ci_low"], row["ci_high"]
             )
-    shown = [name for _, name in _TRACKS] + [*(_ROBOT if robot else ())]
+    is_answered = bool(_are_answered(rows).any())
+    about_tracks = [name for _, name in _TRACKS if is_answered or name != DISCLOSED]
+    shown = [*about_tracks, *(_ROBOT if robot else ())]
     return make.build_table(
         "tracking",
         "Tracks of a network that associates detections by itself",
@@ -90,8 +96,8 @@ def _notes(
     )
     readers = (
         f"Known: stated within {stages['privacy.epsilon_m']:g} m, of all person-time, by"
-        " an adversary who knows to whom each track belongs. Followed: by one who joins"
-        " tracks by predicted places; rejoined: breaks of a track that it mends."
+        " an adversary who knows to whom each track belongs. Followed: by an attack"
+        " that joins tracks by predicted places; rejoined: breaks of a track that it mends."
     )
     notes = [sensing, readers]
     if robot:
@@ -109,7 +115,7 @@ def tracking_sentence(run: Results) -> str:
     It compares raw tracks of the tracker with those of perfect association.
     """
     rows = run.tracks
-    rows = rows[rows["mechanism"] == RAW]
+    rows = rows[(rows["mechanism"] == RAW) & ~_are_answered(rows)]
     releases = [name for name in rows["policy"].unique() if not _is_perfect(name)]
     robot, horizon_s = _best_robot(rows), _farthest_s(rows)
     if not releases or not robot:
@@ -133,6 +139,11 @@ def tracking_sentence(run: Results) -> str:
     )
 
 
+def _are_answered(rows: pd.DataFrame) -> Bools:
+    """Return which rows are of a policy's answers from tracks."""
+    return np.array([ANSWERED_BY in str(text) for text in rows["policy"]], dtype=bool)
+
+
 def _value(rows: pd.DataFrame, policy: str, consumer: str, metric: str) -> float:
     """Return the value of a metric; NaN without a row."""
     chosen = rows[
@@ -144,8 +155,9 @@ def _value(rows: pd.DataFrame, policy: str, consumer: str, metric: str) -> float
 
 
 def _is_perfect(release: str) -> bool:
-    """Whether a release is of the oracle."""
-    return release.partition(":")[2].partition(",")[0] == PERFECT
+    """Whether a release is of all tracks of the oracle."""
+    tracker = release.partition(":")[2].partition(",noise=")[0]
+    return tracker == PERFECT
 
 
 def _best_robot(rows: pd.DataFrame) -> str:

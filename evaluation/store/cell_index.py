@@ -94,7 +94,7 @@ def _decode_unit(content: Mapping[str, Any], *, row_group: int | None) -> UnitIn
 
 
 def read_index(content: bytes | Path) -> FileIndex | None:
-    """Return the index of a file of cells, from its bytes or path; None without one."""
+    """Return the index of a file of cells, from its bytes or path, if it has any."""
     try:
         if isinstance(content, bytes):
             return decode_index(pq.read_metadata(pa.BufferReader(content)).metadata)
@@ -107,7 +107,7 @@ def read_index(content: bytes | Path) -> FileIndex | None:
 def sound_files(
     out: Path, names: Sequence[str] = ()
 ) -> tuple[dict[str, FileIndex], list[str]]:
-    """Return the indices of sound files by name, and the names of damaged ones.
+    """Return the indices of sound files by name, and the names of damaged files.
 
     They are looked for among `names` and the checksums.
     """

@@ -136,7 +136,7 @@ def write_whole(path: Path, content: bytes, *, mode: int = _READABLE_BY_ALL) -> 
         with contextlib.suppress(OSError):
             temporary.unlink(missing_ok=True)
         raise DataError(
-            f"cannot write {path}: {error.strerror}; finished cells are kept"
+            f"cannot write {path}: {error.strerror}; finished cells stay"
         ) from None
 
 
@@ -249,7 +249,7 @@ def write_checked(out: Path, name: str, content: bytes) -> None:
             file.write(f"{start}{line}".encode())
     except OSError as error:
         raise DataError(
-            f"cannot write {path}: {error.strerror}; finished cells are kept"
+            f"cannot write {path}: {error.strerror}; finished cells stay"
         ) from None
     write_whole(out / CELLS_FOLDER / name, content)
 

@@ -490,7 +490,7 @@ def without_other_patrols(manifest: Mapping[str, Any], plan: Plan) -> list[Entry
 def merged_plugins(
     earlier: Mapping[str, Sequence[str]], ours: Mapping[str, Sequence[str]]
 ) -> dict[str, list[str]]:
-    """Return a user's own plug-ins by axis: earlier ones, whose cells stay, and new."""
+    """Return a user's own plug-ins by axis: earlier, whose cells stay, and new."""
     return {
         axis: [*dict.fromkeys([*earlier.get(axis, ()), *ours.get(axis, ())])]
         for axis in dict.fromkeys([*earlier, *ours])

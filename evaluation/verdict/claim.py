@@ -119,7 +119,7 @@ class _Gap:
 def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
     """Return the gap between both mechanisms at the rises, (1 + B, P) each.
 
-    `n` are the clusters behind it, `effective` the effective ones.
+    `n` are the clusters behind it, `effective` the effective clusters.
     """
     gaps = ours - theirs
     reached = np.isfinite(gaps[0]) & (np.isfinite(gaps[1:]).mean(axis=0) >= MIN_DEFINED)

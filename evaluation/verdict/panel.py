@@ -226,11 +226,12 @@ def contrasts(
     """
     fixed = panel.fixed
     compared = _compared_levels(rates, fixed, others=list(others), fid=list(fid))
-    gaps, side, position = spread.beside_fixed(
+    beside_fixed = spread.beside_fixed(
         compared.descriptor,
         compared.success,
         (rates.descriptor[:, fixed], rates.success[:, fixed]),
     )
+    gaps, side = beside_fixed.gaps, beside_fixed.side
     n_drawn = 1 + N_REPLICATES
     # Too few replicates show nothing, such as when no person with a value was drawn.
     has_gap = np.isfinite(gaps[0]) & (
@@ -243,9 +244,9 @@ def contrasts(
     rests_on = shares > 0
     rests_on[:, fixed] = True
     degrees = np.where(rests_on, effective, np.inf).min(axis=1) - 1.0
-    beside = _level_shares(fixed, position, shares.shape[1])
+    beside = _level_shares(fixed, beside_fixed.places, shares.shape[1])
     discordant = _discordant(sums, shares - beside, raw=fixed[-1])
-    # If all people fare alike, replicates have no spread and tell nothing of others.
+    # If all people fare the same, replicates have no spread and say nothing of others.
     has_no_spread = errors < rules.NO_SPREAD
     has_no_spread &= discordant[2] >= rules.FEWEST_DISCORDANT
     is_shown = has_gap & (degrees + 1.0 >= LEAST_CLUSTERS) & ~has_no_spread
@@ -281,13 +282,13 @@ def _compared_levels(
     )
     if not fid:
         return compared
-    at_fid, reached_fid, position = spread.at_quartiles(
+    at_fid = spread.at_quartiles(
         descriptor[:, fid], success[:, fid], descriptor[:, fixed]
     )
-    fid_shares = _level_shares(fid, position, n_levels)
+    fid_shares = _level_shares(fid, at_fid.places, n_levels)
     return _Compared(
-        descriptor=np.hstack([at_fid, compared.descriptor]),
-        success=np.hstack([reached_fid, compared.success]),
+        descriptor=np.hstack([at_fid.descriptor, compared.descriptor]),
+        success=np.hstack([at_fid.success, compared.success]),
         level_shares=np.vstack([fid_shares, compared.level_shares]),
     )
 
@@ -326,7 +327,7 @@ def _whole_range(rates: Rates, fixed: Sequence[int]) -> _WholeRange:
 
 
 def _filled(values: Floats) -> Floats:
-    """Return values, (R, K), with the estimate, or 0, in place of unknown ones."""
+    """Return values, (R, K), with the estimate, or 0, in place of unknown values."""
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 

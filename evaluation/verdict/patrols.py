@@ -186,7 +186,7 @@ def choose_policy(
 ) -> Proposal:
     """Return the policy and mechanism by which least is known, within all limits.
 
-    Without a name the robot is the one that misses fewest future conflicts if
+    Without a name the robot is that which misses fewest future conflicts if
     everything is sent raw. Empty if there is no such case at this horizon, s. Controls
     are never proposed. Where no interval is given the value counts. `best` is None if
     nothing holds; `nearest` exceeds fewest limits, and by least.

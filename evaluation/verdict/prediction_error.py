@@ -44,7 +44,7 @@ class Squared:
         return value, low, high
 
     def less(self, other: "Squared") -> "Squared":
-        """Return this error less another one."""
+        """Return this error less another."""
         return Squared(self.drawn - other.drawn, self.centre - other.centre)
 
 
@@ -60,7 +60,7 @@ def prediction_errors(
     has_value = np.isfinite(descriptor).all(axis=0) & np.isfinite(success).all(axis=0)
     level_kinds = np.array(kinds)[has_value]
     names = sorted(set(level_kinds.tolist()))
-    if len(names) < 2:  # noqa: PLR2004 - one is left out
+    if len(names) < 2:  # noqa: PLR2004 - a kind is left out
         return None
     scale, reached = descriptor[:, has_value], success[:, has_value]
     means = np.stack([reached[:, level_kinds == name].mean(axis=1) for name in names])

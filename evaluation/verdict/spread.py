@@ -118,10 +118,17 @@ def standard_error(drawn: Floats, left_out: Floats) -> Floats:
     return np.asarray(np.maximum(jackknife, drawn.std(axis=0, ddof=1)))
 
 
-def at_quartiles(
-    descriptor: Floats, success: Floats, fixed: Floats
-) -> tuple[Floats, Floats, Places]:
-    """Return a sweep's descriptor and success at the quartiles, (R, 3), and places.
+@dataclass(frozen=True, eq=False, slots=True)
+class AtQuartiles:
+    """A sweep read at the quartiles of the range that it shares with fixed noise."""
+
+    descriptor: Floats  # (R, 3)
+    success: Floats  # (R, 3)
+    places: Places  # Of the quartiles among the sweep's levels.
+
+
+def at_quartiles(descriptor: Floats, success: Floats, fixed: Floats) -> AtQuartiles:
+    """Read a sweep's descriptor and success at the quartiles.
 
     The quartiles are of the range of the logarithm that sweep and fixed noise have in
     common; they are set by the estimate, as a share of the descriptor at raw.
@@ -134,15 +141,25 @@ def at_quartiles(
     common = least / raw[0, 0] if raw[0, 0] > 0 else 1.0
     at = raw * common ** (1.0 - np.array(QUARTILES))
     position = nearest_places(at, scale)
-    return at, interpolated(position, rising(success), log=False), position
+    reached = interpolated(position, rising(success), log=False)
+    return AtQuartiles(at, reached, position)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class BesideFixed:
+    """K levels against fixed noise at the same descriptor value."""
+
+    gaps: Floats  # (R, K) success less that of fixed noise
+    side: Ints  # (K,) the direction that can be shown
+    places: Places  # Of the levels among those of fixed noise.
 
 
 def beside_fixed(
     descriptor: Floats, success: Floats, fixed: tuple[Floats, Floats]
-) -> tuple[Floats, Ints, Places]:
-    """Return success less that of fixed noise at the same descriptor value, (R, K).
+) -> BesideFixed:
+    """Compare success with that of fixed noise at the same descriptor value.
 
-    Also returned are the testable side of each, (K,), and its place. Beyond an end of
+    Beyond an end of
     the sweep, fixed noise is taken at this end: below its least value it links no more
     than there, above raw no less, so that one direction can still be shown.
     `descriptor` and `success` are (R, K), those of `fixed` noise (R, F) from the
@@ -155,7 +172,8 @@ def beside_fixed(
         [below < -tolerance, below > span + tolerance], [ONLY_FEWER, ONLY_MORE], BOTH
     )
     position = nearest_places(descriptor, scale)
-    return success - interpolated(position, achieved, log=False), side, position
+    gaps = success - interpolated(position, achieved, log=False)
+    return BesideFixed(gaps, side, position)
 
 
 def mixture(position: Places, n_levels: int) -> Floats:

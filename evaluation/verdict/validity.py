@@ -161,7 +161,7 @@ def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
 
 
 def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
-    """Return the squared prediction error of a descriptor, and that without one."""
+    """Return the squared prediction error of a descriptor, and that of none."""
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
     families = [panel.families[place] for place in levels]
@@ -329,7 +329,7 @@ def _why_not(tested: Tested, wide: Widths) -> str:
             f"{FEWEST_EFFECTIVE} are needed"
         )
     if own.fall_error < rules.NO_SPREAD:
-        return "all people fare alike: that says nothing of others"
+        return "all people fare the same: that says nothing of others"
     raw = panel.task.levels[panel.fixed[-1]]
     links, guess = (
         float(sums.sum() / raw.probes.sum()) for sums in (raw.success, raw.chance)

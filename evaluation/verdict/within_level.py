@@ -5,6 +5,7 @@ without a descriptor: length, speed and noise of the track in both releases.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
@@ -81,7 +82,7 @@ def _item(
     )
     correlation = partial_correlation(
         [
-            (
+            LinkedTracks(
                 linked.descriptors[descriptor],
                 linked.hit,
                 linked.covariates,
@@ -129,8 +130,18 @@ def clustered_mean(values: Floats, cluster: Ints) -> Estimate:
     return _estimated(mean, (values - mean) / values.size, cluster)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class LinkedTracks:
+    """Descriptors, outcomes and covariates of N tracks at a level."""
+
+    descriptor: Floats  # (N, 2), of the track in either release
+    hit: Floats  # (N,), whether it was linked
+    covariates: Floats  # (N, K)
+    cluster: Ints  # (N,)
+
+
 def partial_correlation(
-    levels: Sequence[tuple[Floats, Floats, Floats, Ints]],
+    levels: Sequence[LinkedTracks],
     *,
     drawn: Floats | None = None,
 ) -> Estimate:
@@ -142,31 +153,31 @@ def partial_correlation(
     error is the clustered sandwich of its influence function, so that a person at every
     level counts once.
 
-    `levels` are (descriptor (N, 2), hit (N,), covariates (N, K), cluster (N,)) of each;
-    rows without a descriptor or covariate are dropped. `drawn`, (B, C), are standard
-    normal numbers of each cluster. They make the replicates (Gaussian multipliers of
-    each cluster's influence: Chernozhukov, Chetverikov and Kato, Ann. Stat. 41, 2013).
+    Tracks without a descriptor or a covariate are dropped. `drawn`, (B, C), are
+    standard normal numbers of each cluster. They make the replicates (Gaussian
+    multipliers of each cluster's influence: Chernozhukov, Chetverikov and Kato, Ann.
+    Stat. 41, 2013).
     """
     residuals: list[Floats] = []
     clusters: list[Ints] = []
-    for descriptor, hit, covariates, cluster in levels:
-        is_complete = np.isfinite(descriptor).all(axis=1) & np.isfinite(covariates).all(
-            axis=1
-        )
+    for level in levels:
+        needed = np.column_stack([level.descriptor, level.covariates])
+        is_complete = np.isfinite(needed).all(axis=1)
         if is_complete.sum() < _FEW:
             continue
-        ranks = _ranks(np.column_stack([descriptor, hit, covariates])[is_complete])
+        values = np.column_stack([level.descriptor, level.hit, level.covariates])
+        ranks = _ranks(values[is_complete])
         own_rank = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
-        columns = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
-        varies = np.ptp(columns, axis=0) > _NOTHING
-        design = np.column_stack([np.ones(len(ranks)), columns[:, varies]])
+        terms = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
+        varies = np.ptp(terms, axis=0) > _NOTHING
+        design = np.column_stack([np.ones(len(ranks)), terms[:, varies]])
         if is_complete.sum() <= design.shape[1] + _FEW:
             continue
         ranked = np.column_stack([own_rank, ranks[:, 2]])
         residuals.append(
             ranked - design @ np.linalg.lstsq(design, ranked, rcond=None)[0]
         )
-        clusters.append(cluster[is_complete])
+        clusters.append(level.cluster[is_complete])
     if not residuals:
         return Estimate(np.nan)
     # Contiguous: otherwise the sums below would be rounded in another order.

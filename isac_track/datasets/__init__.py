@@ -47,8 +47,8 @@ from isac_track.datasets.registry import (
     shown,
 )
 from isac_track.datasets.repair import to_tracks
+from isac_track.datasets.sessions import Session, join_sessions
 from isac_track.datasets.sessions import files_in as session_files
-from isac_track.datasets.sessions import join_sessions
 from isac_track.errors import DataError, did_you_mean
 from isac_track.types import Bools, Floats, Tracks
 
@@ -122,7 +122,7 @@ class Dataset:
     # True for the bundled crowd; False for all files, of which nothing is known.
     simulated: bool
     repairs: tuple[Repair, ...]
-    # Says that another data set than the preferred one was taken; to be shown.
+    # Says that another data set than the preferred was taken; to be shown.
     notice: str | None
     citation: str  # Source to credit; empty if unknown.
     licence: str  # Empty if unknown.
@@ -204,7 +204,7 @@ def load(
     if not isinstance(name, str | Path | None):
         if (format, fps) != (None, None) or persistent_ids:
             raise DataError(
-                "a DataFrame has no format, frames a second or sessions to be told"
+                "a DataFrame has no format, no frames a second and no sessions"
             )
         return _load_frame(name, unit=unit, reading=reading)
     source = _find_source(name, download=download, format=format, fps=fps, unit=unit)
@@ -391,7 +391,7 @@ def _read_file(
     unit: str | None,
     reading: Reading,
 ) -> _Recording:
-    """Read one file of tracks, and its file of walking groups if there is one."""
+    """Read one file of tracks, and its file of walking groups, if any."""
     data, where = registry.read_bytes(path, data_set=known), shown(path)
     sha256 = hashlib.sha256(data).hexdigest()
     if known.session is not None:
@@ -455,7 +455,7 @@ def _read_sessions(
 ) -> _Recording:
     """Read files that are sessions; the digest is over the lines of sha256sum."""
     _refuse_copies(paths, known)
-    parts: list[tuple[str, Tracks, str]] = []
+    sessions: list[Session] = []
     notes: list[Repair] = []
     digest, formats = hashlib.sha256(), set[str]()
     names_people: dict[str, bool] = {}
@@ -472,9 +472,10 @@ def _read_sessions(
             withdrawn=known.withdrawn.get(path.name, {}),
             reading=reading,
         )
-        session = shown(path.stem)
-        names_people[session] = any(note.kind == people.KIND for note in repairs)
-        parts.append((session, tracks, unit or header.unit or known.unit or "m"))
+        name = shown(path.stem)
+        names_people[name] = any(note.kind == people.KIND for note in repairs)
+        file_unit = unit or header.unit or known.unit or "m"
+        sessions.append(Session(name, tracks, file_unit))
         notes += [*format_notes, *repairs]
         digest.update(
             f"{hashlib.sha256(data).hexdigest()}  {path.name}\n".encode(
@@ -485,7 +486,7 @@ def _read_sessions(
     _refuse_mixed_people(names_people)
     same_people = same_people or all(names_people.values())
     return _Recording(
-        join_sessions(parts, same_people=same_people),
+        join_sessions(sessions, same_people=same_people),
         tuple(notes),
         digest.hexdigest(),
         " ".join(sorted(formats)),
@@ -519,7 +520,7 @@ def _find_source(
     looks_like_path = os.sep in text or "." in text or os.path.exists(text)  # noqa: PTH110 - never raises
     if isinstance(name, Path) or (looks_like_path and name not in KNOWN):
         path = Path(text)
-        # Rows of another recording must never pass for those of a known one.
+        # Rows of another recording must never pass for those of a known recording.
         title = shown(path.name if path.stem in KNOWN else path.stem)
         own = Known(title, format=format or "", fps=fps)
         return _Source(own, {registry.MAIN_FILE: path})
@@ -556,7 +557,7 @@ def _read_grand_central(path: Path, known: Known, *, reading: Reading) -> _Recor
     registry.check(path, known, file_name=registry.WHOLE, actual=digest)
     _no_columns(reading, format_name=GRAND_CENTRAL, path=shown(path))
     tracks, repairs = _to_tracks(rows, unit=None, reading=reading)
-    fast = read_gc.fast_pieces(tracks, where=shown(path))
+    fast = read_gc.note_fast_tracks(tracks, where=shown(path))
     return _Recording(tracks, (*repairs, *fast), digest, GRAND_CENTRAL)
 
 

@@ -175,7 +175,7 @@ def check_labels(rows: Rows) -> list[Repair]:
         for row in first_rows.tolist()
         if rows.ids[rows.person[row]] not in rows.people
     ]
-    text = "a passage without a label; kept, of a person who is in no other passage"
+    text = "a passage without a label; of a person who is in no other passage"
     return [
         Repair(KIND, len(spelt), detail),
         *rows.place.note_rows("unlabelled", np.array(unlabelled, dtype=np.int64), text),

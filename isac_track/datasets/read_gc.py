@@ -24,13 +24,13 @@ from isac_track.datasets import recording
 from isac_track.datasets.recording import Place, Repair, Rows
 from isac_track.datasets.registry import shown
 from isac_track.errors import DataError, error_text
-from isac_track.types import Floats, Tracks
+from isac_track.types import Floats, Tracks, lengths
 
 ARCHIVE = "gc.tgz"
 FPS = 25.0
 LONGEST_STEP_FRAMES = 20  # Between two annotations; a longer gap ends the track.
 # Nobody crosses a hall as fast: such steps are of the annotation, and are counted.
-FAST_PIECE_MPS = 4.0
+FAST_STEP_MPS = 4.0
 _USED = re.compile(r"(?:.*/)?(Annotation/\d{1,9}\.txt|H\.json)")
 MOST_MEMBERS = 30_000  # Files and folders of an archive; Grand Central's has 12,693.
 MOST_BYTES = 64_000_000  # Of an unpacked archive; Grand Central's takes 22 million.
@@ -49,7 +49,7 @@ def read_gc(path: Path, *, where: str) -> tuple[Rows, str]:
     archive = next((file for file in candidates if os.path.isfile(file)), None)  # noqa: PTH113 - never raises
     read = _read_folder if archive is None else _read_archive
     for name, data in read(archive or path, where):
-        key = _used_name(name)
+        key = _name_in_folder(name)
         if key in contents:
             raise DataError(f"{where}: two files are called {key}")
         contents[key] = data
@@ -66,18 +66,18 @@ def read_gc(path: Path, *, where: str) -> tuple[Rows, str]:
     return _build_rows(contents, homography, where), digest
 
 
-def fast_pieces(tracks: Tracks, *, where: str) -> list[Repair]:
-    """Return a note of the tracks with a step above `FAST_PIECE_MPS`; they are kept."""
+def note_fast_tracks(tracks: Tracks, *, where: str) -> list[Repair]:
+    """Return a note of the tracks with a step above `FAST_STEP_MPS`; they stay."""
     within = recording.steps_within(tracks.offsets)
-    distance_m = np.hypot(*np.diff(tracks.xy, axis=0)[within].T)
+    distance_m = lengths(np.diff(tracks.xy, axis=0)[within])
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets) - 1)
-    fast = np.unique(owner[distance_m > FAST_PIECE_MPS * np.diff(tracks.t)[within]])
+    fast = np.unique(owner[distance_m > FAST_STEP_MPS * np.diff(tracks.t)[within]])
     names = recording.listed([tracks.source[row] for row in fast])
-    text = f"{where}: tracks {names}: a step above {FAST_PIECE_MPS:g} m/s; kept"
-    return [Repair("fast-piece", fast.size, text)] if fast.size else []
+    text = f"{where}: tracks {names}: a step above {FAST_STEP_MPS:g} m/s; not cut"
+    return [Repair("fast-track", fast.size, text)] if fast.size else []
 
 
-def _used_name(name: str) -> str:
+def _name_in_folder(name: str) -> str:
     """Return a file's name in its folder, if the file is used; else an empty text."""
     match = _USED.fullmatch(name)
     return match[1] if match else ""
@@ -96,7 +96,9 @@ def _read_archive(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
             for count, member in enumerate(archive, start=1):
                 if fault := _fault(member, count):
                     raise DataError(f"{where}: {fault}")
-                if _used_name(member.name) and (file := archive.extractfile(member)):
+                if _name_in_folder(member.name) and (
+                    file := archive.extractfile(member)
+                ):
                     yield member.name, file.read()
     except (tarfile.TarError, zlib.error, EOFError, OSError, ValueError) as error:
         raise DataError(
@@ -114,7 +116,7 @@ def _fault(member: tarfile.TarInfo, count: int) -> str:
     if not (member.isreg() or member.isdir()):
         return f"member {name!r} is a link or a device, not a file"
     # A sparse file may have any size.
-    if _used_name(member.name) and member.size > _MOST_FILE_BYTES:
+    if _name_in_folder(member.name) and member.size > _MOST_FILE_BYTES:
         return f"member {name!r} has {member.size} bytes: not Grand Central"
     return ""
 
@@ -134,7 +136,7 @@ def _read_folder(path: Path, where: str) -> Iterator[tuple[str, bytes]]:
                 raise DataError(
                     f"{where}: {shown(name)} is no file here of a pedestrian's size"
                 )
-            if _used_name(name):
+            if _name_in_folder(name):
                 yield name, file.read_bytes()
     except OSError as error:
         raise DataError(f"{where}: cannot be read ({error.strerror})") from None

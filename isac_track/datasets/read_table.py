@@ -63,7 +63,8 @@ def read_csv(
     names = _csv_header(header=next(recording.iterate_lines(data), ""), path=path)
     used = _match_columns(names, columns or {}, where=f"{path}, line 1")
     _, _, body = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n").partition(b"\n")
-    used, body, begins = _unit_line(used, body=body, n_fields=len(names))
+    table_rows = _unit_line(used, body=body, n_fields=len(names))
+    used, body, begins = table_rows.used, table_rows.body, table_rows.begins
     if not body.strip():
         raise DataError(f"{path}: the file holds no rows")
     # A dictionary holds each text once: a long text in every row would otherwise take
@@ -313,17 +314,26 @@ def _match_column(
     return _UsedColumn(names[place], wanted.unit or unit, place)
 
 
+@dataclass(frozen=True, slots=True)
+class _TableRows:
+    """The rows of a csv, behind its names and units."""
+
+    used: dict[str, _UsedColumn]
+    body: bytes
+    begins: int  # Line of the file, counted from 1.
+
+
 def _unit_line(
     used: dict[str, _UsedColumn], *, body: bytes, n_fields: int
-) -> tuple[dict[str, _UsedColumn], bytes, int]:
-    """Return the columns with the units of a second line, the rows and their start."""
+) -> _TableRows:
+    """Give the columns the units of a second line, if it names any."""
     first, _, rest = body.partition(b"\n")
     fields = [field.strip(" []()").lower() for field in _fields(first[:1000])]
     if len(fields) != n_fields:
-        return used, body, 2
+        return _TableRows(used, body, 2)
     units = {name: fields[used[name].place] for name in _UNITS}
     if not all(recording.is_unit(unit, quantity=name) for name, unit in units.items()):
-        return used, body, 2
+        return _TableRows(used, body, 2)
     named = {
         name: (
             replace(column, unit=column.unit or units[name])
@@ -332,7 +342,7 @@ def _unit_line(
         )
         for name, column in used.items()
     }
-    return named, rest, 3
+    return _TableRows(named, rest, 3)
 
 
 def _is_dated(body: bytes, *, place: int) -> bool:
@@ -446,7 +456,7 @@ def _build_rows(
 def _common_unit(
     units: Mapping[str, str], xy: Floats, *, place: recording.Place
 ) -> tuple[str, tuple[recording.Repair, ...]]:
-    """Return the unit of x and y, empty if neither has one; two units become m.
+    """Return the unit of x and y, empty if neither has a unit; two units become m.
 
     `xy`, (M, 2), is then converted in place, with a note. A common unit is left for the
     caller to convert.

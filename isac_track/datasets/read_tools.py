@@ -11,7 +11,7 @@ import io
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -151,20 +151,25 @@ def read_hdf5(*, data: bytes, path: str, fps: float | None) -> Rows:
 
 
 def _read_text_table(
-    data: bytes, *, path: str, name: str, skip: int = 0, **options: object
+    data: bytes,
+    *,
+    path: str,
+    name: str,
+    skip: int = 0,
+    **options: Any,  # noqa: ANN401 - further options of pandas, each of its own type
 ) -> pd.DataFrame:
     """Return the fields of a text file as text; DataError if it is no table."""
     import pandas as pd  # noqa: PLC0415 - only for such a file
 
     try:
-        # The stubs of pandas know no call with further options.
-        return pd.read_csv(  # type: ignore[call-overload, no-any-return]
+        table: pd.DataFrame = pd.read_csv(
             io.BytesIO(data), dtype=str, skiprows=skip, skipinitialspace=True, **options
         )
     except (ValueError, UnicodeError, MemoryError, OverflowError, csv.Error) as error:
         raise DataError(
             f"{path}: cannot be read as {name} ({error_text(error)})"
         ) from None
+    return table
 
 
 def _number_columns(

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from isac_track.errors import DataError
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints, lengths
 
 COLUMNS = ("t", "id", "x", "y", "group", "person")  # Columns of a table.
 # Frames and ids are float64, which holds every whole number below this.
@@ -18,7 +18,7 @@ _LIMITS = {
     **dict.fromkeys(("frame", "f", "id", "p"), WHOLE_LIMIT),
     # About 30,000 years: a larger clock is not in seconds.
     "t": 1e12,
-    # No coordinate on Earth is larger; differences of larger ones could overflow.
+    # No coordinate on Earth is larger; larger differences could overflow.
     "x": 1e9,
     "y": 1e9,
 }
@@ -132,7 +132,7 @@ class Rows:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The name of a column of a table, and its unit; an empty unit is the usual one."""
+    """The name of a column of a table, and its unit; an empty unit is the usual."""
 
     name: str
     unit: str = ""
@@ -328,7 +328,7 @@ def _speed_variation(rows: Rows, xy: Floats) -> float:
     order = np.lexsort((rows.t, rows.person))
     person, step_s = rows.person[order], np.diff(rows.t[order])
     moves = (person[1:] == person[:-1]) & (step_s > 0)
-    speed = np.hypot(*np.diff(xy[order], axis=0)[moves].T) / step_s[moves]
+    speed = lengths(np.diff(xy[order], axis=0)[moves]) / step_s[moves]
     owner, n_people = person[1:][moves], len(rows.ids)
     count = np.maximum(np.bincount(owner, minlength=n_people), 1)
     mean = np.bincount(owner, speed, n_people) / count

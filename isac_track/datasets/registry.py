@@ -208,7 +208,7 @@ def fetch(data_set: Known) -> tuple[dict[str, Path], bool]:
     Files go to the cache whole and checked, or not at all. A damaged file in the cache
     is replaced; a damaged file in the user's own folder is not. Downloads are announced
     on stderr. DataError, with the way out, if a file cannot be had, or if the user's
-    own file is not the right one.
+    own file is not the right file.
     """
     import requests  # noqa: PLC0415 - a plain import of the package stays quick
     import urllib3  # noqa: PLC0415 - as above

@@ -2,14 +2,14 @@
 
 import re
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from isac_track.datasets import people
 from isac_track.datasets.recording import FOOT_M, TIMES, Repair, Rows, steps_within
 from isac_track.errors import DataError
-from isac_track.types import Bools, Floats, Ints, Tracks
+from isac_track.types import Bools, Floats, Ints, Tracks, lengths
 
 # Closer samples of an id are the same: no rate is above 1 MHz, slopes overflow.
 SAME_TIME_S = 1e-7
@@ -26,7 +26,7 @@ SPEED_LIMITS_MPS = (0.01, 5.0)
 # Another unit whose median is within these is proposed, never used.
 _WALKING_MPS = (0.2, 2.5)
 FAST_STEP_MPS = 12.0  # Faster than a sprinter: a jump of the tracker.
-JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted and kept.
+JUMP_M = 1.0  # A shorter jump is the noise of quick samples: counted, not cut.
 WALK_MPS = 4.0  # Nobody walks faster.
 REUSE_M = 2.0  # Further away behind a gap than a walk leads is another person.
 # A longer jump without a gap leads to another person; a shorter jump is an error.
@@ -42,6 +42,31 @@ CLOCK_S = 1e-4
 FROZEN_S = 2.0  # At exactly the same place for this long: a repeated box.
 _ZIGZAG_M = 0.02  # Tolerance of a walk at `WALK_MPS`.
 _LEAST_RUN = 3  # Rows between two falls of a clock; fewer are rows out of order.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _InOrder:
+    """M rows in order of person, run of the clock and time, and notes of all changes."""
+
+    rows: Rows
+    order: Ints  # (M,) place of each row in the file
+    run: Ints  # (M,) run of the clock: it ends where the clock falls back
+    notes: list[Repair]
+
+    def take(self, keep: Bools, notes: list[Repair]) -> "_InOrder":
+        """Drop rows; `notes` say why."""
+        rows, order, run = _take(self.rows, keep), self.order[keep], self.run[keep]
+        return _InOrder(rows, order, run, self.notes + notes)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _CutRows:
+    """M rows in order, cut into tracks, and notes of all changes."""
+
+    rows: Rows
+    order: Ints  # (M,) place of each row in the file
+    cut: Bools  # (M - 1,) whether another track begins behind a row
+    notes: list[Repair]
 
 
 def to_tracks(
@@ -60,32 +85,21 @@ def to_tracks(
     samples, or if steps or speeds show that units, frame rate or columns are wrong.
     """
     place, members = rows.place, [*rows.groups, *groups]
-    order, run, repairs = _sort(rows)
-    notes = [*rows.notes, *people.check_labels(rows), *repairs]
-    rows = _take(rows, order)
-    rows, order, run, repairs = _drop_copies(
-        rows, order, run, on_duplicate=on_duplicate
-    )
-    notes += repairs
-    rows, order, run, repairs = _merge_near(rows, order, run)
-    notes += repairs
-
-    _check_speeds(rows)
-    rows, cut, repairs = _cut_tracks(rows, order, run)
-    notes += repairs
-    ids = rows.ids
-    keep, cut, repairs = _find_frozen(rows, order, cut, drop_s=drop_frozen_s)
-    notes += repairs
-    if not keep.all():
-        rows, order = _take(rows, keep), order[keep]
-    lengths = np.diff(np.flatnonzero(np.concatenate([[True], cut, [True]])))
-    single = np.repeat(lengths == 1, lengths)
+    notes = [*rows.notes, *people.check_labels(rows)]
+    in_order = _drop_copies(_sort(rows), on_duplicate=on_duplicate)
+    in_order = _merge_near(in_order)
+    _check_speeds(in_order.rows)
+    cut_rows = _drop_frozen(_cut_tracks(in_order), drop_s=drop_frozen_s)
+    notes += cut_rows.notes
+    rows, order, ids = cut_rows.rows, cut_rows.order, cut_rows.rows.ids
+    sizes = np.diff(np.flatnonzero(np.concatenate([[True], cut_rows.cut, [True]])))
+    single = np.repeat(sizes == 1, sizes)
     notes += place.note_rows(
         "one-point", order[single], "a single sample of an id; dropped"
     )
     if single.any():
         rows, order = _take(rows, ~single), order[~single]
-    offsets = np.concatenate([[0], np.cumsum(lengths[lengths > 1])])
+    offsets = np.concatenate([[0], np.cumsum(sizes[sizes > 1])])
     if not rows.t.size:
         raise DataError(f"{place.path}: no track has two samples")
     notes += _note_fast_steps(rows, offsets, order)
@@ -99,8 +113,8 @@ def to_tracks(
     return tracks, tuple(notes)
 
 
-def _sort(rows: Rows) -> tuple[Ints, Ints, list[Repair]]:
-    """Sort rows by person, run of the clock and time; return order, runs and notes."""
+def _sort(rows: Rows) -> _InOrder:
+    """Sort rows by person, run of the clock and time."""
     order = np.argsort(rows.person, kind="stable")
     run, fallen = _find_clock_runs(rows, order)
     text = (
@@ -112,7 +126,7 @@ def _sort(rows: Rows) -> tuple[Ints, Ints, list[Repair]]:
     text = "earlier than the row before of the same id; sorted"
     notes += rows.place.note_rows("unsorted", order[1:][late], text)
     order, run = _sort_rows(rows, order, run)
-    return order, run, notes
+    return _InOrder(_take(rows, order), order, run, notes)
 
 
 def _check_usual_step(rows: Rows, offsets: Ints) -> None:
@@ -226,26 +240,25 @@ def _find_clock_runs(rows: Rows, order: Ints) -> tuple[Ints | None, Bools]:
         is_long = min(middle - first, last - middle) >= _LEAST_RUN
         if not (is_long and back[middle - 1]):
             continue
-        stride_m = float(np.hypot(*(xy[middle] - xy[middle - 1])))
+        stride_m = float(lengths(xy[middle] - xy[middle - 1]))
         if stride_m > WALK_MPS * usual_s * GAP_STEPS + _ZIGZAG_M:
             continue
         merged = np.argsort(t[first:last], kind="stable")
         crossing = np.diff(merged >= middle - first)
         step_s = np.diff(t[first:last][merged])[crossing]
-        step_m = np.hypot(*np.diff(xy[first:last][merged], axis=0)[crossing].T)
+        step_m = lengths(np.diff(xy[first:last][merged], axis=0)[crossing])
         fallen[middle - 1] = np.median(step_m - WALK_MPS * step_s) > _ZIGZAG_M
     if not fallen.any():
         return None, fallen
     return np.concatenate([[0], np.cumsum(fallen)]), fallen
 
 
-def _drop_copies(
-    rows: Rows, order: Ints, run: Ints, *, on_duplicate: str
-) -> tuple[Rows, Ints, Ints, list[Repair]]:
-    """Drop or average rows with the id and time of another; rows are sorted."""
-    again = _find_copies(rows, run)
+def _drop_copies(in_order: _InOrder, *, on_duplicate: str) -> _InOrder:
+    """Drop or average rows with the id and time of another."""
+    rows, order = in_order.rows, in_order.order
+    again = _find_copies(rows, in_order.run)
     if not again.any():
-        return rows, order, run, []
+        return in_order
     place, notes = rows.place, list[Repair]()
     elsewhere = again & (rows.xy[1:] != rows.xy[:-1]).any(axis=1)
     text = "the same id, time and position again; dropped"
@@ -271,8 +284,8 @@ def _drop_copies(
     text = f"the same id and time at another place; {how}"
     notes += place.note_rows("same-time", order[1:][elsewhere], text)
     if on_duplicate == "mean":
-        rows = _average(rows, keep, average_time=False)
-    return _take(rows, keep), order[keep], run[keep], notes
+        in_order = replace(in_order, rows=_average(rows, keep, average_time=False))
+    return in_order.take(keep, notes)
 
 
 def _average(rows: Rows, keep: Bools, *, average_time: bool) -> Rows:
@@ -288,17 +301,16 @@ def _average(rows: Rows, keep: Bools, *, average_time: bool) -> Rows:
     return replace(rows, xy=xy, t=t)
 
 
-def _merge_near(
-    rows: Rows, order: Ints, run: Ints
-) -> tuple[Rows, Ints, Ints, list[Repair]]:
-    """Merge samples of an id that are much closer than usual; rows are sorted."""
+def _merge_near(in_order: _InOrder) -> _InOrder:
+    """Merge samples of an id that are much closer than usual."""
+    rows, run = in_order.rows, in_order.run
     steps = np.diff(rows.t)
     within = (rows.person[1:] == rows.person[:-1]) & (run[1:] == run[:-1])
     usual_s = _usual_steps(rows, steps, within & (steps > CLOCK_S))
     near = within & (steps < NEAR_STEPS * usual_s[rows.person[1:]])
-    near &= np.hypot(*np.diff(rows.xy, axis=0).T) <= NEAR_M
+    near &= lengths(np.diff(rows.xy, axis=0)) <= NEAR_M
     if not near.any():
-        return rows, order, run, []
+        return in_order
     # In a chain of such samples none is further from the first than half a step.
     behind = np.flatnonzero(near) + 1
     keep = np.ones(rows.t.size, dtype=bool)
@@ -310,9 +322,9 @@ def _merge_near(
             rows.t[row] - rows.t[anchor] >= NEAR_STEPS * usual_s[rows.person[row]]
         )
     text = "less than half a usual step behind the row before of the same id; merged"
-    notes = rows.place.note_rows("near-duplicate", order[~keep], text)
-    rows = _average(rows, keep, average_time=True)
-    return _take(rows, keep), order[keep], run[keep], notes
+    notes = rows.place.note_rows("near-duplicate", in_order.order[~keep], text)
+    averaged = _average(rows, keep, average_time=True)
+    return replace(in_order, rows=averaged).take(keep, notes)
 
 
 def _usual_steps(rows: Rows, steps: Floats, chosen: Bools) -> Floats:
@@ -335,17 +347,18 @@ def _find_copies(rows: Rows, run: Ints) -> Bools:
     return np.asarray(again & same_run)
 
 
-def _cut_tracks(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[Repair]]:
-    """Return the rows with new ids for reused ids, the cuts, (M - 1,), and notes.
+def _cut_tracks(in_order: _InOrder) -> _CutRows:
+    """Cut rows into tracks.
 
     A new track begins at a new person, behind a long gap or a jump, and where the clock
     fell back. An id that returns as another person gets a new id.
     """
+    rows, order, run = in_order.rows, in_order.order, in_order.run
     steps = np.diff(rows.t)
     new = rows.person[1:] != rows.person[:-1]
     fell = ~new & (run[1:] != run[:-1])
     if (new | fell).all():
-        return rows, new | fell, []
+        return _CutRows(rows, order, new | fell, in_order.notes)
     within = ~new & ~fell
     nominal = float(np.median(steps[within], overwrite_input=True))
     longest_s = (
@@ -353,7 +366,7 @@ def _cut_tracks(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[R
     )
     long = within & (steps > longest_s + SAME_TIME_S)
     gap = within & (steps > GAP_STEPS * nominal) | long
-    distance = np.hypot(*np.diff(rows.xy, axis=0).T)
+    distance = lengths(np.diff(rows.xy, axis=0))
     jumped = within & (distance > np.maximum(FAST_STEP_MPS * steps, JUMP_M))
     elsewhere = gap & (distance > np.maximum(WALK_MPS * steps, REUSE_M))
     elsewhere |= jumped & (distance > SWITCH_M)
@@ -362,9 +375,9 @@ def _cut_tracks(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[R
     )
     reused = elsewhere & ~detour
     fast = (jumped | elsewhere) & ~reused & ~long
-    notes = []
+    notes = list(in_order.notes)
     for selected, kind, action in (
-        (gap & ~long & ~reused & ~fast, "gap", "kept, to be interpolated"),
+        (gap & ~long & ~reused & ~fast, "gap", "to be interpolated"),
         (long & ~reused, "split", "too long to interpolate; two tracks of one group"),
     ):
         longest = steps[selected].max(initial=0)
@@ -377,7 +390,8 @@ def _cut_tracks(rows: Rows, order: Ints, run: Ints) -> tuple[Rows, Bools, list[R
     notes += rows.place.note_rows("jump", order[1:][fast], text)
     text = "at another place, where no walk leads; the id is taken for another person"
     notes += rows.place.note_rows("id-reuse", order[1:][reused], text)
-    return _with_new_ids(rows, reused, new), new | fell | long | fast | reused, notes
+    cut = new | fell | long | fast | reused
+    return _CutRows(_with_new_ids(rows, reused, new), order, cut, notes)
 
 
 def _find_detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Bools:
@@ -393,7 +407,7 @@ def _find_detours(rows: Rows, run: Ints, cut: Bools, *, longest_s: float) -> Boo
         leaves = positions[:-lag]  # The last row before.
         returns = positions[lag:] + 1  # The first row behind.
         lasting_s = rows.t[returns] - rows.t[leaves]
-        away_m = np.hypot(*(rows.xy[returns] - rows.xy[leaves]).T)
+        away_m = lengths(rows.xy[returns] - rows.xy[leaves])
         is_back = (rows.person[returns] == rows.person[leaves]) & (
             run[returns] == run[leaves]
         )
@@ -427,10 +441,9 @@ def _with_new_ids(rows: Rows, reused: Bools, new: Bools) -> Rows:
     return replace(rows, person=numbers, ids=ids)
 
 
-def _find_frozen(
-    rows: Rows, order: Ints, cut: Bools, *, drop_s: float | None
-) -> tuple[Bools, Bools, list[Repair]]:
-    """Return which rows stay, (M,), the cuts between them, and a note of the frozen."""
+def _drop_frozen(cut_rows: _CutRows, *, drop_s: float | None) -> _CutRows:
+    """Drop stretches at exactly one place for `drop_s`; None: note them alone."""
+    rows, order, cut = cut_rows.rows, cut_rows.order, cut_rows.cut
     still = ~cut & (rows.xy[1:] == rows.xy[:-1]).all(axis=1)
     edges = np.flatnonzero(
         np.diff(np.concatenate([[False], still, [False]]).astype(np.int8))
@@ -441,15 +454,16 @@ def _find_frozen(
     first, last = first[long], last[long]
     keep = np.ones(rows.t.size, dtype=bool)
     if not first.size:
-        return keep, cut, []
+        return cut_rows
     n_samples = int((last - first + 1).sum())
     description = (
         f"at exactly one place for {least_s:g} s or longer ({n_samples} of {keep.size}"
         " samples)"
     )
     if drop_s is None:
-        text = f"{description}; kept, --drop-frozen {least_s:g} drops it"
-        return keep, cut, rows.place.note_rows("frozen", order[first], text)
+        text = f"{description}; --drop-frozen {least_s:g} drops it"
+        note = rows.place.note_rows("frozen", order[first], text)
+        return replace(cut_rows, notes=cut_rows.notes + note)
     begins = np.concatenate([[True], cut])
     for start, end in zip(first.tolist(), last.tolist(), strict=True):
         keep[start + 1 : end] = False
@@ -457,23 +471,28 @@ def _find_frozen(
     note = rows.place.note_rows(
         "frozen-dropped", order[first], f"{description}; dropped, the track is cut"
     )
-    return keep, begins[keep][1:], note
+    return _CutRows(
+        rows=_take(rows, keep),
+        order=order[keep],
+        cut=begins[keep][1:],
+        notes=cut_rows.notes + note,
+    )
 
 
 def _note_fast_steps(rows: Rows, offsets: Ints, order: Ints) -> list[Repair]:
     """Return the note of steps that are fast, but too short for a jump."""
     within = steps_within(offsets)
-    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
+    distance = lengths(np.diff(rows.xy, axis=0)[within])
     # Multiplied out: a step of a denormal time would overflow the quotient.
     fast = distance > FAST_STEP_MPS * np.diff(rows.t)[within]
-    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; kept"
+    text = f"over {FAST_STEP_MPS:g} m/s from the sample before; not cut"
     return rows.place.note_rows("fast-step", order[1:][within][fast], text)
 
 
 def _check_speeds(rows: Rows) -> None:
     """Raise DataError if speeds of sorted rows show a wrong unit, rate or column."""
     within = (rows.person[1:] == rows.person[:-1]) & (np.diff(rows.t) > 0)
-    distance = np.hypot(*np.diff(rows.xy, axis=0)[within].T)
+    distance = lengths(np.diff(rows.xy, axis=0)[within])
     duration = np.diff(rows.t)[within]
     moving = distance > 0
     if not moving.any():
@@ -519,10 +538,10 @@ def _check_speeds(rows: Rows) -> None:
 
 def _suggest_options(speed_mps: float, *, has_unit: bool) -> str:
     """Suggest options with which this median speed is a walk; empty without any."""
-    lengths = (
+    unit_lengths = (
         {} if has_unit else {"cm": 0.01, "mm": 0.001, "ft": FOOT_M, "0.0254": 0.0254}
     )
-    options = {f"--unit {unit}": metres for unit, metres in lengths.items()}
+    options = {f"--unit {unit}": metres for unit, metres in unit_lengths.items()}
     for unit in ("min", "ms", "us", "ns"):
         options[f"--columns t=t[{unit}]"] = 1.0 / TIMES[unit]
     low, high = _WALKING_MPS

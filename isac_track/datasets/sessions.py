@@ -1,6 +1,7 @@
 """Several files as the sessions of one recording, and the people who come back."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -37,60 +38,55 @@ def files_in(folder: Path, pattern: str = "*") -> list[Path]:
     return sorted(files)
 
 
-def join_sessions(
-    parts: Sequence[tuple[str, Tracks, str]], *, same_people: bool
-) -> Tracks:
+@dataclass(frozen=True, eq=False, slots=True)
+class Session:
+    """A file that is a session of a recording."""
+
+    name: str
+    tracks: Tracks
+    unit: str  # Of length, in the file.
+
+    @property
+    def step_s(self) -> float:
+        """The usual time from a sample to the next."""
+        steps_s = np.diff(self.tracks.t)[steps_within(self.tracks.offsets)]
+        return float(np.median(steps_s))
+
+
+def join_sessions(sessions: Sequence[Session], *, same_people: bool) -> Tracks:
     """Join the tracks of all sessions on one clock, one session after the other.
 
-    `parts` are name, tracks and unit of length of each file; a track is called
-    ``SESSION:ID``. With `same_people` the name of a person is the same person in all
-    sessions, and so one cluster. DataError for sessions with the same name, with
-    different units or sampling rates, or with two spellings of a person.
+    A track is called ``SESSION:ID``. With `same_people` the name of a person is the
+    same person in all sessions, and so one cluster. DataError for sessions with the
+    same name, with different units or sampling rates, or with two spellings of a
+    person.
     """
-    names = [name for name, _, _ in parts]
-    for name in names:
-        if names.count(name) > 1:
-            raise DataError(
-                f"two sessions are called {name}; rename one file if they are two"
-                " sessions"
-            )
-    steps_s = [
-        float(np.median(np.diff(tracks.t)[steps_within(tracks.offsets)]))
-        for _, tracks, _ in parts
-    ]
-    for (name, _, unit), step_s in zip(parts, steps_s, strict=True):
-        pair = f"sessions {names[0]} and {name}"
-        if unit != parts[0][2]:
-            raise DataError(
-                f"{pair} are in {parts[0][2]} and {unit}; convert one of them"
-            )
-        if abs(step_s - steps_s[0]) > _SAME_STEP * steps_s[0]:
-            raise DataError(
-                f"{pair} have a sample every {steps_s[0]:.3g} and {step_s:.3g} s:"
-                " people would be known by the rate; resample one of them, or check"
-                " --fps"
-            )
+    _refuse_unlike(sessions)
     t: list[Floats] = []
-    for _, tracks, _ in parts:
-        t.append(
-            tracks.t - tracks.t.min() + (float(t[-1].max()) + APART_S if t else 0.0)
-        )
-    sizes = np.concatenate([np.diff(tracks.offsets) for _, tracks, _ in parts])
+    for session in sessions:
+        start_s = float(t[-1].max()) + APART_S if t else 0.0
+        t.append(session.tracks.t - session.tracks.t.min() + start_s)
+    all_tracks = [session.tracks for session in sessions]
+    sizes = np.concatenate([np.diff(tracks.offsets) for tracks in all_tracks])
     walks = [
-        (name, tracks, row) for name, tracks, _ in parts for row in range(len(tracks))
+        (session.name, session.tracks, row)
+        for session in sessions
+        for row in range(len(session.tracks))
     ]
     source = tuple(f"{name}:{tracks.source[row]}" for name, tracks, row in walks)
     group = tuple(f"{name}:{tracks.group[row]}" for name, tracks, row in walks)
     person = tuple(_person(name, tracks, row) for name, tracks, row in walks)
     if same_people:
-        people.refuse_two_spellings([(name, tracks) for name, tracks, _ in parts])
+        people.refuse_two_spellings(
+            [(session.name, session.tracks) for session in sessions]
+        )
         labels = [f"person {name}" for name in person]
         labels += [f"with {name}" for name in group]
         members = list(zip(source + source, labels, strict=True))
         group = walking_groups(ids=source, members=members)
     return Tracks(
         t=np.concatenate(t),
-        xy=np.concatenate([tracks.xy for _, tracks, _ in parts]),
+        xy=np.concatenate([tracks.xy for tracks in all_tracks]),
         offsets=np.concatenate([[0], np.cumsum(sizes)]),
         source=source,
         group=group,
@@ -105,3 +101,27 @@ def _person(session: str, tracks: Tracks, row: int) -> str:
     if people.is_labelled(person):
         return person
     return f"{people.UNLABELLED}{session}:{person.removeprefix(people.UNLABELLED)}"
+
+
+def _refuse_unlike(sessions: Sequence[Session]) -> None:
+    """Raise DataError for a name given twice, or another unit or sampling rate."""
+    names = [session.name for session in sessions]
+    for name in names:
+        if names.count(name) > 1:
+            raise DataError(
+                f"two sessions are called {name}; rename one file if they are two"
+                " sessions"
+            )
+    first, first_step_s = sessions[0], sessions[0].step_s
+    for session in sessions:
+        pair, step_s = f"sessions {first.name} and {session.name}", session.step_s
+        if session.unit != first.unit:
+            raise DataError(
+                f"{pair} are in {first.unit} and {session.unit}; convert one of them"
+            )
+        if abs(step_s - first_step_s) > _SAME_STEP * first_step_s:
+            raise DataError(
+                f"{pair} have a sample every {first_step_s:.3g} and {step_s:.3g} s:"
+                " people would be known by the rate; resample one of them, or check"
+                " --fps"
+            )

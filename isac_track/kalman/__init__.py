@@ -66,9 +66,8 @@ class Batch:
     ellipse: Floats | None = None
     """(M, 2, 2), covariance of the measurement in units of `variance`, of trace 2.
 
-    None: the same variance on both axes. Only `planar_last`, `smooth_positions` and
-    `slow_errors.smooth_mixture` without a slow error take an ellipse; all others refuse
-    it by a ValueError.
+    None: the same variance on both axes. `kalman_last` and `slow_errors.smooth_each`
+    refuse an ellipse by a ValueError.
     """
 
     def __post_init__(self) -> None:
@@ -92,24 +91,33 @@ class Batch:
         return self.offsets.size - 1
 
     def arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
-        """Return a loop's arguments.
+        """Return the batch as a compiled loop takes it: a plain tuple, in fixed order.
 
-        ValueError for another number of states, or an ellipse.
+        Times, positions, variances, offsets, and the variances of the prior. ValueError
+        for another number of states, or an ellipse.
         """
         if self.ellipse is not None:
             raise ValueError("this filter needs the same variance on both axes")
         return self._arrays(*n_states)
 
     def planar_arrays(self, *n_states: int) -> tuple[Floats | Ints, ...]:
-        """Return the arguments of a loop for errors with a shape.
+        """Return the batch as a loop for errors with a shape takes it.
 
-        ValueError for another number of states, or an ellipse that is flat.
+        Behind what `arrays` returns stand the principal axes of each sample's error,
+        and their variances as shares of the mean. ValueError for another number of
+        states, or an ellipse that is flat.
         """
         ellipse = np.eye(2) if self.ellipse is None else self.ellipse
         axes, shares = principal_axes(np.broadcast_to(ellipse, (len(self.t), 2, 2)))
         if not within(shares, np.nextafter(0.0, 1.0), np.finfo(np.float64).max):
             raise ValueError("an ellipse needs two axes of positive, finite variance")
         return *self._arrays(*n_states), axes, shares
+
+    def shaped_arrays(self, *n_states: int) -> tuple[Floats | Ints, ...]:
+        """Return `planar_arrays`; of round errors without axes and shares."""
+        if self.ellipse is not None:
+            return self.planar_arrays(*n_states)
+        return *self._arrays(*n_states), np.empty((0, 2, 2)), np.empty((0, 2))
 
     def _arrays(self, *n_states: int) -> tuple[Floats, Floats, Floats, Ints, Floats]:
         if len(self.prior_std) not in n_states:
@@ -293,11 +301,11 @@ class Moods:
         """Probabilities of the modes in the long run and at first, (2,)."""
         return np.array(self.stay_s) / sum(self.stay_s)
 
-    def arrays(self, t: Floats) -> tuple[Floats, Floats, Floats]:
-        """Return q, `probability`, and the transition probabilities to each sample.
+    def transitions(self, t: Floats) -> Floats:
+        """Return the transition probabilities to each sample, (M, 2, 2).
 
-        The last are exp(rates * step), (M, 2, 2), indexed by the mode before, then the
-        mode now; there is no step to a track's first sample.
+        They are exp(rates * step), indexed by the mode before, then the mode now; there
+        is no step to a track's first sample.
         """
         rates = 1.0 / np.array(self.stay_s)
         step_s = np.abs(np.diff(t, prepend=t[:1]))
@@ -306,7 +314,7 @@ class Moods:
         for mode, rate in enumerate(rates):
             np.multiply(mixed, rate, out=chances[:, mode, 1 - mode])
             np.subtract(1.0, chances[:, mode, 1 - mode], out=chances[:, mode, mode])
-        return np.array(self.q, dtype=np.float64), self.probability, chances
+        return chances
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -347,12 +355,16 @@ def imm_states(batch: Batch, moods: Moods, *, gate: float = np.inf) -> ImmStates
 def _imm_states(
     loop: str, batch: Batch, moods: Moods, *, gate: float, n_rows: int
 ) -> ImmStates:
-    """Return the states that one of the filter's loops writes, a row each."""
+    """Return the states that a loop of the filter writes, a row each."""
     mean, cov = np.empty((n_rows, 2, 2, 2)), np.empty((n_rows, 2, 4, 4))
     out = ImmStates(mean, cov, np.empty((n_rows, 2)), np.empty(len(batch)))
     getattr(import_module("isac_track.kalman._imm_loops"), loop)(
-        batch.arrays(2),
-        moods.arrays(batch.t),
+        batch.shaped_arrays(2),
+        (
+            np.array(moods.q, dtype=np.float64),
+            moods.probability,
+            moods.transitions(batch.t),
+        ),
         positive("gate", gate, finite=False),
         MAX_REJECTIONS,
         (mean.reshape(n_rows, 2, 4), cov, out.probability, out.log_likelihood),
@@ -370,6 +382,6 @@ def prepare() -> None:
     """
     from isac_track.compiling import loops_in  # noqa: PLC0415 - imports numba
 
-    for name in ("linear", "imm", "error", "planar"):
+    for name in ("linear", "imm", "error", "planar", "planar_error"):
         for loop in loops_in(import_module(f"isac_track.kalman._{name}_loops")):
             loop.prepare()

@@ -268,7 +268,7 @@ def _forward(
 
 @part_of_loop
 def _backward(amplitude: Floats, rows: Floats) -> None:
-    """Smooth a track: each row's p, u and pp become the smoothed ones.
+    """Smooth a track: each row's p, u and pp become smoothed.
 
     Modified Bryson-Frazier: the adjoint l and its variance m = (pp, pv, vv, pu, vu, uu)
     run backwards, x + = -P l and P + = -P m P. Row field 16 becomes the variance of p +

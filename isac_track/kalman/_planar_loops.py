@@ -370,7 +370,7 @@ def _back_step(a: float, g: float, m: _Symmetric) -> _Symmetric:
 
 @part_of_loop
 def _backward(steps: Floats, rows: Floats) -> None:
-    """Smooth a track: a row's positions and their covariance become the smoothed ones.
+    """Smooth a track: a row's positions and their covariance become smoothed.
 
     Modified Bryson-Frazier, as in `_error_loops`: x + = -P l and P + = -P m P, with the
     adjoint l and its variance m.

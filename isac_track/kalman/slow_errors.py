@@ -20,7 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from isac_track.kalman import MAX_REJECTIONS, Batch, LastState, smooth_planar
+from isac_track.kalman import (
+    MAX_REJECTIONS,
+    Batch,
+    LastState,
+    PlanarState,
+    smooth_planar,
+)
 from isac_track.measurement import mean_variance
 from isac_track.noise import running_means
 from isac_track.types import Floats, Ints, positive
@@ -49,9 +55,9 @@ class SlowError:
         """Return the share of the error's variance that innovations show, (N,).
 
         Innovations are those of `isac_track.noise`: the share is their mean square,
-        divided by s^2. It is nearly 0 for a slow error and 1 for a white one, and 1 for
+        divided by s^2. It is nearly 0 for a slow error, 1 for a white error, and 1 for
         tracks of fewer than three samples. With `running` it is the share of the
-        samples up to each one, (M,).
+        samples up to each, (M,).
         """
         if self.tau_s == 0.0:
             return np.ones(t.size if running else offsets.size - 1)
@@ -67,8 +73,30 @@ class SlowError:
         return shares if running else shares[offsets[1:] - 1]
 
     def arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
-        """Return the arguments of a compiled loop."""
+        """Return batch and error as a compiled loop takes them: a plain tuple.
+
+        Behind what `Batch.arrays` returns stands the error's standard deviation at each
+        sample.
+        """
         return (*batch.arrays(2), np.full(batch.t.size, self.std_m, dtype=np.float64))
+
+    def planar_arrays(self, batch: Batch) -> tuple[Floats | Ints, ...]:
+        """Return the arguments of a compiled loop for white errors with a shape."""
+        _, xy, variance, offsets, prior, axes, shares = batch.planar_arrays(2)
+        amplitude = np.full(batch.t.size, self.std_m, dtype=np.float64)
+        return xy, variance, offsets, prior, amplitude, axes, shares
+
+    def steps(self, batch: Batch, motion: Floats) -> Floats:
+        """Return the step to each sample under a motion, (M, 6), for planar loops."""
+        steps = np.empty((batch.t.size, 5))
+        loops = import_module("isac_track.kalman._error_loops")
+        loops.fill_steps(batch.t, batch.offsets, motion, steps)
+        memory = np.zeros(batch.t.size)
+        if self.tau_s > 0.0:
+            elapsed_s = np.diff(batch.t, prepend=batch.t[:1])
+            elapsed_s[batch.offsets[:-1]] = 0.0
+            memory = np.exp(-elapsed_s / self.tau_s)
+        return np.column_stack([steps, memory])
 
 
 def added_error(mechanism: object) -> tuple[float, float]:
@@ -97,7 +125,8 @@ def added_error(mechanism: object) -> tuple[float, float]:
 class FilteredTracks(NamedTuple):
     """N filtered tracks of M samples."""
 
-    last: LastState  # (p, v, e) after the last sample of each track.
+    # (p, v, e) after the last sample of each track; planar behind an ellipse.
+    last: LastState | PlanarState
     causal_xy: Floats  # (M, 2) m, position p after each sample, from those up to it.
 
 
@@ -109,6 +138,8 @@ def filter_tracks(
     Parameters and errors are those of `isac_track.kalman.kalman_last`. `batch` has a
     prior of two states; the prior of the error is its stationary law.
     """
+    if batch.ellipse is not None:
+        return _filter_planar(batch, error, q=q, gate=gate)
     n, causal_xy = len(batch), np.empty((batch.t.size, 2))
     out = LastState(np.empty((n, 2, 3)), np.empty((n, 3, 3)), np.empty(n))
     import_module("isac_track.kalman._error_loops").filter_tracks(
@@ -120,6 +151,25 @@ def filter_tracks(
         (out.mean, out.cov, out.log_likelihood, causal_xy),
     )
     return FilteredTracks(out, causal_xy)
+
+
+def _filter_planar(
+    batch: Batch, error: SlowError, *, q: float, gate: float
+) -> FilteredTracks:
+    n, causal_xy = len(batch), np.empty((batch.t.size, 2))
+    mean, cov, log_likelihood = np.empty((n, 6)), np.empty((n, 6, 6)), np.empty(n)
+    motion = np.array([batch.prior_std[1] ** 2, np.inf, positive("q", q)])
+    import_module("isac_track.kalman._planar_error_loops").filter_tracks(
+        error.planar_arrays(batch),
+        error.steps(batch, motion),
+        positive("gate", gate, finite=False),
+        MAX_REJECTIONS,
+        (mean, cov, log_likelihood, causal_xy),
+    )
+    last = PlanarState(
+        mean.reshape(n, 2, 3), cov.reshape(n, 2, 3, 2, 3), log_likelihood
+    )
+    return FilteredTracks(last, causal_xy)
 
 
 def smooth_tracks(
@@ -179,8 +229,7 @@ class Motions:
     def arrays(self, prior_std: tuple[float, ...]) -> Floats:
         """Return variance of the first velocity, time and q of each motion, (K, 3).
 
-        The first velocity is drawn from the stationary law of its process, if it has
-        one.
+        The first velocity is drawn from the stationary law of its process, if any.
         """
         lasting = np.isfinite(self.tau_s)
         first = np.full(len(self), prior_std[1] ** 2)
@@ -194,6 +243,14 @@ def motion_log_likelihoods(batch: Batch, error: SlowError, motions: Motions) -> 
     Its unit is the logarithm of 1/m^2 for each sample.
     """
     log_density = np.empty((len(batch), len(motions)))
+    if batch.ellipse is not None:
+        loops = import_module("isac_track.kalman._planar_error_loops")
+        for number, motion in enumerate(motions.arrays(batch.prior_std)):
+            column = np.empty(len(batch))
+            steps = error.steps(batch, motion)
+            loops.log_likelihoods(error.planar_arrays(batch), steps, motion[0], column)
+            log_density[:, number] = column
+        return log_density
     import_module("isac_track.kalman._error_loops").log_likelihoods(
         error.arrays(batch), error.tau_s, motions.arrays(batch.prior_std), log_density
     )
@@ -224,20 +281,58 @@ def smooth_mixture(
         raise ValueError("need a weight, not negative, of each motion for each track")
     if not (weight.sum(axis=1) > 0.0).all():
         raise ValueError("need a motion of positive weight for each track")
-    if batch.ellipse is not None and not np.any(error.std_m):
-        xy, cov = smooth_planar(
-            batch,
-            motions=motions.arrays(batch.prior_std),
-            weight=np.asarray(weight, dtype=np.float64),
-            passes=passes,
-            anneal=anneal,
-        )
+    if batch.ellipse is not None:
+        smooth = _smooth_planar if np.any(error.std_m) else _smooth_white
+        xy, cov = smooth(batch, error, motions, weight, passes, anneal)
         return xy, mean_variance(cov)
     track, index = np.nonzero(weight)
     motion = motions.arrays(batch.prior_std)[index]
     return _smooth_runs(
         batch, error, track, motion, weight[track, index], passes, anneal
     )
+
+
+def _smooth_white(
+    batch: Batch,
+    error: SlowError,
+    motions: Motions,
+    weight: Floats,
+    passes: int,
+    anneal: float,
+) -> tuple[Floats, Floats]:
+    """Return mean and covariance, (M, 2, 2) m^2, without a slow error."""
+    del error
+    return smooth_planar(
+        batch,
+        motions=motions.arrays(batch.prior_std),
+        weight=np.asarray(weight, dtype=np.float64),
+        passes=passes,
+        anneal=anneal,
+    )
+
+
+def _smooth_planar(
+    batch: Batch,
+    error: SlowError,
+    motions: Motions,
+    weight: Floats,
+    passes: int,
+    anneal: float,
+) -> tuple[Floats, Floats]:
+    """Return mean and covariance, (M, 2, 2) m^2, behind a slow error."""
+    loops = import_module("isac_track.kalman._planar_error_loops")
+    arrays, n = error.planar_arrays(batch), batch.t.size
+    out = np.zeros((n, 2)), np.zeros((n, 2, 2)), np.zeros(len(batch))
+    numbers = motions.arrays(batch.prior_std)
+    for motion, own in zip(numbers, weight.T, strict=True):
+        track = np.flatnonzero(own)
+        if track.size:
+            runs = track, np.asarray(own[track], dtype=np.float64)
+            steps = error.steps(batch, motion)
+            loops.smooth_tracks(
+                arrays, steps, motion[0], runs, passes, float(anneal), out
+            )
+    return out[0], out[1]
 
 
 def smooth_each(

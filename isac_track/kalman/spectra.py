@@ -155,10 +155,10 @@ def predicted_rms_m(density: Floats, *, world: World = WORLD) -> float:
     n_steps = round(world.seen_s / world.step_s) + 1
     lags = _lag_covariance(density, world.seen_s, n_steps)
     white = world.raw_m**2 * world.dt_s / world.step_s
-    walk, with_future, future = _walk_covariance(world, n_steps)
-    seen = walk + toeplitz(lags) + white * np.eye(n_steps)
-    solved = cho_solve(cho_factor(seen), with_future)
-    return math.sqrt(future - float(with_future @ solved))
+    walk = _walk_covariance(world, n_steps)
+    seen = walk.past + toeplitz(lags) + white * np.eye(n_steps)
+    solved = cho_solve(cho_factor(seen), walk.with_future)
+    return math.sqrt(walk.future - float(walk.with_future @ solved))
 
 
 def scaled_to(density: Floats, *, floor: float, world: World = WORLD) -> Floats:
@@ -200,14 +200,25 @@ def _cosines(longest_s: float, n: int) -> Floats:
     return np.asarray(np.cos(np.outer(lag_s, _FREQUENCY)) * width / np.pi)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _WalkCovariance:
+    """Prior covariance of a walk's positions, m^2 per axis."""
+
+    past: Floats  # (n, n), at n instants
+    with_future: Floats  # (n,), between these and the future instant
+    future: float  # At the future instant.
+
+
 # Covariances of a few worlds, for the process.
 @cache
-def _walk_covariance(world: World, n_steps: int) -> tuple[Floats, Floats, float]:
-    """Return a walk's covariance at n instants, (n, n), with and at the future one."""
+def _walk_covariance(world: World, n_steps: int) -> _WalkCovariance:
+    """Return the covariance at `n_steps` seen instants and the future instant."""
     t = np.append(
         np.linspace(0.0, world.seen_s, n_steps), world.seen_s + world.horizon_s
     )
     early, late = np.minimum(t[:, None], t), np.maximum(t[:, None], t)
     covariance = _PRIOR_STD[0] ** 2 + _PRIOR_STD[1] ** 2 * np.outer(t, t)
     covariance += world.q * early**2 * (3.0 * late - early) / 6.0
-    return covariance[:-1, :-1], covariance[:-1, -1], float(covariance[-1, -1])
+    return _WalkCovariance(
+        covariance[:-1, :-1], covariance[:-1, -1], float(covariance[-1, -1])
+    )

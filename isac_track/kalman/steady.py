@@ -30,7 +30,7 @@ def smoothed_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:
 
 
 def filtered_variance_m2(*, variance_m2: float, dt_s: float, q: float) -> float:
-    """Return a filtered position's variance per axis: four times the smoothed one."""
+    """Return a filtered position's variance per axis: four times the smoothed."""
     return 4.0 * smoothed_variance_m2(variance_m2=variance_m2, dt_s=dt_s, q=q)
 
 

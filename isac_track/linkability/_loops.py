@@ -27,7 +27,7 @@ the probes, the cell of every score, and the `counts` of `rank_rows`.
 
 _MOST_16_BITS = 2**16 - 1  # The largest sum that 16 bits hold.
 _ROWS = 4  # Rows that are merged side by side.
-_ASIDE = 8  # Minima that are kept side by side.
+_ASIDE = 8  # Minima side by side.
 
 
 @compiled(
@@ -392,7 +392,7 @@ def read_scores(
         )
         for r in range(n_replicates):
             false[r] += non_mated_sum[r]
-            # A cell without mated scores joins the one below.
+            # A cell without mated scores joins the cell below.
             waiting[r] += non_mated_sum[r]
             sums[1, r] += non_mated_sum[r]
         if counts[k, 1]:

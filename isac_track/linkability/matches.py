@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from isac_track.linkability.ranks import log_sum_exp
 from isac_track.types import Bools, Floats, Ints
@@ -20,7 +19,7 @@ from isac_track.types import Bools, Floats, Ints
 _MOST_SWEEPS: Final = 300
 _TOLERANCE: Final = 1e-5  # Greatest relative change of a factor in the last sweep.
 _MOST_NATS: Final = 200.0  # Pairs that are less likely are as good as impossible.
-# Expected number of probes, and of candidates, without a mate if all may have one.
+# Expected number of probes, and of candidates, without a mate if all may have a mate.
 _LEAST_SLACK: Final = 1e-3
 # Greatest logarithm, up or down, of the scale per spread of scores.
 _STEEPEST: Final = 8.0
@@ -84,6 +83,8 @@ def fit_scale(scores: Sequence[Floats], mates: Sequence[Ints]) -> float:
     are given for several galleries. 1 where no probe has a mate, or scores are
     constant.
     """
+    from scipy.optimize import minimize_scalar  # noqa: PLC0415 - heavy to import
+
     rows = [
         (score[mate >= 0], mate[mate >= 0])
         for score, mate in zip(scores, mates, strict=True)

@@ -124,7 +124,7 @@ def _centred(squares: list[tuple[Ints, Ints]]) -> int:
 
 
 def _orthonormal(z: Floats) -> Floats:
-    """Return an orthonormal basis of the controls' span, (E, r): collinear ones drop."""
+    """Return an orthonormal basis, (E, r), of the controls' span."""
     left, size, _ = np.linalg.svd(z, full_matrices=False)
     return np.asarray(
         left[:, size > _ROUNDING * max(float(size.max(initial=0.0)), _LEAST)]

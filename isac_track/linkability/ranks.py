@@ -270,15 +270,24 @@ def soft_matches(scores: Floats) -> Floats:
         is_scaled = bool(np.abs(row_sums).max() < _TOLERANCE)
         if not is_scaled:
             most = min(_SWEEPS_BY_FACTORS, _MOST_SWEEPS - n_sweeps)
-            log_p, n_more, is_scaled = _scaled_by_factors(log_p, most=most)
-            n_sweeps += n_more
+            scaled = _scaled_by_factors(log_p, most=most)
+            log_p, is_scaled = scaled.log_p, scaled.is_scaled
+            n_sweeps += scaled.n_sweeps
     return log_p
 
 
-def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
+@dataclass(frozen=True, eq=False, slots=True)
+class _Scaled:
+    """A matrix whose rows and columns were scaled."""
+
+    log_p: Floats  # (N, N)
+    n_sweeps: int
+    is_scaled: bool  # Whether the sums of rows were 1.
+
+
+def _scaled_by_factors(log_p: Floats, *, most: int) -> _Scaled:
     """Scale a matrix by factors of rows and columns, in at most `most` sweeps.
 
-    Returns its logarithm, the number of sweeps, and whether the sums of rows were 1.
     Factors take a fraction of the time of logarithms of sums. The sweeps stop before a
     sum leaves the range of numbers: the caller's next sweep is of logarithms.
     """
@@ -296,7 +305,8 @@ def _scaled_by_factors(log_p: Floats, *, most: int) -> tuple[Floats, int, bool]:
         is_scaled = bool(np.abs(np.log(rows * by_rows)).max() < _TOLERANCE)
         rows, columns = next_rows, 1.0 / by_columns
         n_sweeps += 1
-    return log_p + np.log(rows)[:, None] + np.log(columns), n_sweeps, is_scaled
+    scaled = log_p + np.log(rows)[:, None] + np.log(columns)
+    return _Scaled(scaled, n_sweeps, is_scaled)
 
 
 def chance(searches: Sequence[Search]) -> float:
@@ -403,7 +413,7 @@ def predicted_rank1(
 
 
 def reach(measured: int) -> int:
-    """Return the largest gallery that can be predicted from a measured one; 0 for none.
+    """Return the largest gallery to predict from a measured gallery; 0 for none.
 
     At most `REACH` times as large, and such that a step of the same ratio fits within
     the measured gallery: from galleries of `FEWEST` and more.

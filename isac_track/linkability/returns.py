@@ -196,14 +196,22 @@ class _MeanScores:
         )
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class NodeScores:
+    """Scores between U nodes; a node is a person in a session."""
+
+    values: Floats  # (U, U), probes by candidates
+    person: Ints  # (U,)
+    session: Ints  # (U,)
+
+
 def node_scores(
     scores: Sequence[Floats], laws: Floats, returning: Returning
-) -> tuple[Floats, Ints, Ints]:
-    """Return the scores of people in runs, (U, U), their people and sessions, (U,).
+) -> NodeScores:
+    """Return the scores between people in sessions.
 
-    A node is a person in a session. The score of a probe and a candidate is the mean
-    over the probe's passages of the fused score against the candidate's; 0 in the same
-    session.
+    The score of a probe and a candidate is the mean over the probe's passages of the
+    fused score against the candidate's; 0 in the same session.
     """
     nodes = np.unique(np.stack([returning.session, returning.person]), axis=1)
     session, person = nodes
@@ -218,7 +226,7 @@ def node_scores(
         rows, columns = np.flatnonzero(session != name), np.flatnonzero(session == name)
         part = np.nan_to_num(fused[:, person[columns]])
         values[np.ix_(rows, columns)] = share[:, rows].T @ part
-    return values, person.astype(np.int64), session.astype(np.int64)
+    return NodeScores(values, person.astype(np.int64), session.astype(np.int64))
 
 
 def _logistic(means: Floats, returning: Returning, rows: Ints, aside: int) -> Floats:

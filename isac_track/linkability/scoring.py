@@ -22,7 +22,7 @@ from isac_track.linkability.scales import (
     score_scale,
 )
 from isac_track.linkability.scores import Calibration
-from isac_track.linkability.significance import People, rank_rows
+from isac_track.linkability.significance import People, ShuffledRanks, rank_rows
 from isac_track.types import Floats, Ints
 
 RANK_METRICS = (
@@ -292,12 +292,10 @@ class Drawn:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Ranking:
-    """Ranks of all searches, and the test statistic of mates and of shuffled mates."""
+    """Ranks and assignments of all searches."""
 
-    standings: Sequence[Ints]  # (P, 2) of each search: `rank_rows`.
+    shuffled: ShuffledRanks
     assignments: Sequence[Ints]  # (P,) of each search: `ProbeRanks.assigned`.
-    observed: float  # Sum of `log_rank` over mates.
-    null: Floats  # (n_shuffles,) the same sums over shuffled mates.
 
 
 def draw(
@@ -378,9 +376,7 @@ def _rank_searches(
     least_scores: Sequence[float | None] = no_match_score or [None] * len(searches)
     for search, least, drawn in zip(searches, least_scores, draws, strict=True):
         cut = cells[search.scale]
-        log_rank, cell, standing = rank_rows(
-            search.scores, search.mate, cut.breaks, cut.counts
-        )
+        ranked = rank_rows(search.scores, search.mate, cut.breaks, cut.counts)
         if matched is None:
             columns = ranks.assign_in(drawn.order, search.scores, least)
             assigned = np.where(columns < 0, -1, columns == search.mate)
@@ -391,15 +387,15 @@ def _rank_searches(
         observed += significance.add_shuffles(
             significance.mated_probes(drawn.people),
             drawn.columns,
-            log_rank,
-            cut.bins.take(cell),
+            ranked.log_rank,
+            cut.bins.take(ranked.cell),
             null,
             cut.null_bins,
         )
-        cut.places.append(cell)
-        standings.append(standing)
+        cut.places.append(ranked.cell)
+        standings.append(ranked.standing)
         assignments.append(assigned)
-    return _Ranking(standings, assignments, observed, null)
+    return _Ranking(ShuffledRanks(observed, null, standings), assignments)
 
 
 def rank_scorecard(
@@ -420,11 +416,9 @@ def rank_scorecard(
     `permutation_p`.
     """
     significance.check_searches(searches, n_shuffles)
-    observed, null, standings = significance.shuffled_log_ranks(
-        searches, rng, n_shuffles
-    )
+    shuffled = significance.shuffled_log_ranks(searches, rng, n_shuffles)
     nobody = [np.full(search.mate.size, -1) for search in searches]
-    rank_fields = _rank_fields(searches, _Ranking(standings, nobody, observed, null))
+    rank_fields = _rank_fields(searches, _Ranking(shuffled, nobody))
     unknown = np.full(min(len(weights), SCORE_REPLICATES), np.nan)
     refused = Estimate(math.nan, n=rank_fields["n_clusters"], replicates=unknown)
     estimates = _rank_estimates(rank_fields["probes"], weights)
@@ -438,7 +432,7 @@ def rank_scorecard(
 def _rank_fields(searches: Sequence[Search], ranking: _Ranking) -> dict[str, Any]:
     """Return the fields of a scorecard that follow from ranks."""
     sizes = [search.scores.shape[1] for search in searches]
-    above, tied = np.concatenate(ranking.standings).T
+    above, tied = np.concatenate(ranking.shuffled.standings).T
     probes = ProbeRanks(
         above=above,
         tied=tied,
@@ -451,10 +445,11 @@ def _rank_fields(searches: Sequence[Search], ranking: _Ranking) -> dict[str, Any
         n_gallery=max(sizes),
     )
     (hits, clusters), (chances, _) = probes.values(("rank1", "chance")).values()
+    observed, null = ranking.shuffled.observed, ranking.shuffled.null
     return {
         "probes": probes,
-        "p_value": significance.p_value_among(ranking.observed, ranking.null),
-        "p_value_low": significance.p_value_among(-ranking.observed, -ranking.null),
+        "p_value": significance.p_value_among(observed, null),
+        "p_value_low": significance.p_value_among(-observed, -null),
         "p_rank1": significance.rank1_p(hits=hits, chance=chances),
         "n_probes": above.size,
         "n_mated": hits.size,

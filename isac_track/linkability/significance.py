@@ -74,17 +74,23 @@ def permutation_p(
     Nichols, Smith, NeuroImage 123, 2015 (multi-level block permutation).
     """
     check_searches(searches, n_shuffles)
-    observed, null, _ = shuffled_log_ranks(searches, rng, n_shuffles)
-    return p_value_among(observed, null)
+    shuffled = shuffled_log_ranks(searches, rng, n_shuffles)
+    return p_value_among(shuffled.observed, shuffled.null)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ShuffledRanks:
+    """The test statistic of mates and of shuffled mates, with the ranks behind it."""
+
+    observed: float  # Sum of `log_rank` over mates.
+    null: Floats  # (n_shuffles,) the same sums over shuffled mates.
+    standings: Sequence[Ints]  # (P, 2) of each search, as in `RankedRows`.
 
 
 def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
-) -> tuple[float, Floats, list[Ints]]:
-    """Return the summed `log_rank` of mates, that of shuffled mates, and standings.
-
-    A number, (n_shuffles,), and a `standing`, (P, 2), of each search.
-    """
+) -> ShuffledRanks:
+    """Rank all searches, and shuffle their mates as `permutation_p` does."""
     observed, null, standings = 0.0, np.zeros(n_shuffles), []
     unused_bins = np.zeros((1, n_shuffles), dtype=np.uint16)
     for search in searches:
@@ -95,20 +101,20 @@ def shuffled_log_ranks(
             rows = slice(first, first + n_at_once)
             unused = np.zeros((1, 2), dtype=np.int64)
             scores, mate = search.scores[rows], search.mate[rows]
-            ranks, cell, standing = rank_rows(scores, mate, np.empty(0), unused)
+            ranked = rank_rows(scores, mate, np.empty(0), unused)
             in_part = np.flatnonzero(
                 (mated.probes >= first) & (mated.probes < first + mate.size)
             )
             part = replace(
                 mated, probes=mated.probes[in_part] - first, mate=mated.mate[in_part]
             )
-            bins = cell.astype(np.uint8)
+            bins = ranked.cell.astype(np.uint8)
             observed += add_shuffles(
-                part, columns[in_part], ranks, bins, null, unused_bins
+                part, columns[in_part], ranked.log_rank, bins, null, unused_bins
             )
-            parts.append(standing)
+            parts.append(ranked.standing)
         standings.append(np.concatenate(parts))
-    return observed, null, standings
+    return ShuffledRanks(observed, null, standings)
 
 
 def rank1_p(*, hits: Floats, chance: Floats) -> float:
@@ -252,15 +258,21 @@ def list_companions(people: People) -> tuple[Ints, Ints]:
     return probe[others], column[others]
 
 
-def rank_rows(
-    scores: Floats, mate: Ints, breaks: Floats, counts: Ints
-) -> tuple[Floats, NDArray[np.int32], Ints]:
+@dataclass(frozen=True, eq=False, slots=True)
+class RankedRows:
+    """Ranks of the G candidates of each of P probes."""
+
+    log_rank: Floats  # (P, G) of every column as if it were the mate.
+    # (P, G) cell of every score: 2 k + 1 is the k-th break, 2 k the gap below it.
+    cell: NDArray[np.int32]
+    # (P, 2) candidates above the mate and as high; -1 and 0 without a mate.
+    standing: Ints
+
+
+def rank_rows(scores: Floats, mate: Ints, breaks: Floats, counts: Ints) -> RankedRows:
     """Rank all candidates of each probe.
 
-    Returns `log_rank` of every column as if it were the mate, (P, G), the cell of every
-    score, (P, G), and `standing`, (P, 2): the candidates above the mate and as high, -1
-    and 0 without a mate. Cell 2 k + 1 is the k-th of the ascending `breaks`, cell 2 k
-    the gap below it. The non-mated and the mated scores in each cell are added to
+    The `breaks` ascend. The non-mated and the mated scores in each cell are added to
     `counts`, (cells, 2).
     """
     scores = np.ascontiguousarray(scores, dtype=np.float64)
@@ -274,7 +286,7 @@ def rank_rows(
         np.ascontiguousarray(mate, dtype=np.int64),
         (log_rank, cell, standing, counts),
     )
-    return log_rank, cell, standing
+    return RankedRows(log_rank, cell, standing)
 
 
 def _ascending(scores: Floats) -> Ints:

@@ -45,7 +45,7 @@ def correlated_errors(
     draws = rng.standard_normal((t.size, 3))
     first = offsets[:-1]
     dt_s = np.diff(t, prepend=t[:1])
-    # Stationary from the first sample on, which depends on no earlier one.
+    # Stationary from the first sample on, which depends on no earlier sample.
     elapsed = dt_s / (2.0 * tau_s if law == "radial" else tau_s)
     elapsed[first] = np.inf
     decay, noise = np.exp(-elapsed), np.sqrt(-np.expm1(-2.0 * elapsed))
@@ -160,7 +160,7 @@ class Thin:
 
     @property
     def adds_error(self) -> bool:
-        """Whether it adds an error; without one both adding rules share the same."""
+        """Whether it adds an error; if not, both adding rules share the same."""
         return self.d_sigma > 0
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

@@ -124,7 +124,7 @@ class Fid:
     Attributes
     ----------
     eta : float
-        Threshold, 1/(m^2 s), positive: the level. A lower one adds more noise.
+        Threshold, 1/(m^2 s), positive: the level. A lower threshold adds more noise.
     alpha : float
         Scale of the noise, m, at least 0.
     beta : float

@@ -243,7 +243,7 @@ def _filter_positions(
 class Forecast:
     """Share the network's filtered position at intervals, with white Gaussian noise.
 
-    A sample is shared every `every_s`, counted back from the last one. Its position is
+    A sample is shared every `every_s`, counted back from the last. Its position is
     that of a constant-velocity filter of all samples up to it.
     """
 

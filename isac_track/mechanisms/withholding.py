@@ -21,7 +21,7 @@ class Window:
 
     A sample is shared if it is at most `seconds` older than the track's last sample.
     The error is drawn for all samples first, so that shared samples lie where `fixed`
-    puts them. PLR, AEL and MEL describe the shared samples, not the withheld ones.
+    puts them. PLR, AEL and MEL describe the shared samples, not the withheld.
     """
 
     seconds: float  # s before the last sample of a track.
@@ -37,7 +37,7 @@ class Window:
 
     @property
     def adds_error(self) -> bool:
-        """Whether it adds an error; without one both adding rules share the same."""
+        """Whether it adds an error; if not, both adding rules share the same."""
         return self.d_sigma > 0
 
     def share(self, sensed: Sensed, rng: Generator) -> Release:

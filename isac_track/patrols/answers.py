@@ -304,7 +304,7 @@ def forecast_runs(
     A track is made of runs of samples of the release: run a holds the samples
     ``first[a]:end[a]`` and belongs to ``track[a]``, which rises from 0 to U - 1 without
     a gap. A predictor sees the declared standard deviations if it requires them. The
-    result has a covariance if the predictor returns one.
+    result has a covariance if the predictor returns any.
     """
     if not track.size:  # A robot that was sent nobody.
         return Prediction(np.zeros((*t_future.shape, 2)), None)
@@ -422,7 +422,7 @@ def _present_people(network: Network, number: int) -> _Scene:
         number=number,
         presence=presence,
         shift=first - offsets[:-1],
-        # Read-only: no policy changes what another one gets.
+        # Read-only: no policy changes the input of another.
         t=read_only(network.sensed.t[sample]),
         offsets=read_only(offsets),
         raw=View(read_only(raw_xy), raw_forecast),

@@ -130,21 +130,28 @@ def drawn_misses(
     leave people out of the misses, but not out of the false alarms, which nobody owns.
     """
     alarms, allowed = routes @ curve.alarms.T, routes @ reference
-    before, after, share = _between(alarms, allowed)
+    place = _alarm_place(alarms, allowed)
     low, high = (
         _misses_at(curve.missed, step, people=people, routes=routes)
-        for step in (before, after)
+        for step in (place.before, place.after)
     )
     trials = ((people @ curve.trials) * routes).sum(axis=1)
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(((1.0 - share) * low + share * high) / trials)
+        missed = (1.0 - place.share) * low + place.share * high
+        return np.asarray(missed / trials)
 
 
-def _between(alarms: Floats, allowed: Floats) -> tuple[Ints, Ints, Floats]:
-    """Return the distances between which alarms, (B, D), exceed those allowed, (B,).
+@dataclass(frozen=True, eq=False, slots=True)
+class _AlarmPlace:
+    """Where the alarms of B replicates exceed those allowed."""
 
-    They are numbers of distances, (B,), and the place between them, 0 to 1.
-    """
+    before: Ints  # (B,) number of the last distance with few enough alarms
+    after: Ints  # (B,) of the next
+    share: Floats  # (B,) place between both, 0 to 1
+
+
+def _alarm_place(alarms: Floats, allowed: Floats) -> _AlarmPlace:
+    """Return where alarms, (B, D), over the distances exceed those allowed, (B,)."""
     exceeds = alarms > allowed[:, None]
     after = np.where(exceeds.any(axis=1), exceeds.argmax(axis=1), alarms.shape[1] - 1)
     before = np.maximum(after - 1, 0)
@@ -152,7 +159,7 @@ def _between(alarms: Floats, allowed: Floats) -> tuple[Ints, Ints, Floats]:
     low, high = alarms[rows, before], alarms[rows, after]
     share = np.ones(len(alarms))
     np.divide(allowed - low, high - low, out=share, where=high > low)
-    return before, after, np.clip(share, 0.0, 1.0)
+    return _AlarmPlace(before, after, np.clip(share, 0.0, 1.0))
 
 
 def _misses_at(missed: Floats, step: Ints, *, people: Floats, routes: Floats) -> Floats:

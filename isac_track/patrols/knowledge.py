@@ -10,8 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.kalman import Batch, smooth_positions
+from isac_track.kalman import Batch, smooth_ellipses, smooth_positions
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
+from isac_track.measurement import (
+    covariance_without,
+    error_ellipses,
+    mean_variance,
+)
 from isac_track.noise import (
     MIN_VARIANCE_M2,
     UNKNOWN_VARIANCE_M2,
@@ -58,6 +63,13 @@ class Log:
     xy: Floats  # (L, 2) m
     variance: Floats  # (L,) m^2 per axis, as the network declares it.
     offsets: Ints  # (N + 1,) entries of each person; a person may have none.
+    # (L, 2, 2) m^2, of declared errors with a shape; `variance` is their mean then.
+    cov: Floats | None = None
+
+    @property
+    def ellipse(self) -> Floats | None:
+        """Shape of the errors, (L, 2, 2) in units of `variance`; None: round errors."""
+        return None if self.cov is None else error_ellipses(self.cov)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -184,28 +196,26 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
     """Return the log of a fleet of `robots`: samples, or states at their samples.
 
     A state gives an entry at every scan until the next query, by its position and
-    velocity. A later state replaces an earlier one. Several draws of a sample are
+    velocity. A later state replaces an earlier state. Several draws of a sample are
     averaged.
     """
     people = network.patrol.people
     if disclosure.form == "state":
         sent = disclosure.sent(network.patrol, robots=robots)
-        xy, variance, is_entry = _state_entries(network, sent)
-        sample = np.flatnonzero(is_entry)
-        xy, variance = xy[sample], variance[sample]
+        sample, reports = _state_entries(network, sent)
     else:
         row = _sent_rows(network, disclosure, robots)
-        sample, xy, variance = average_draws(
-            sent_samples(network, row),
-            network.sent.xy[row],
-            sent_variance(network)[row],
+        sample, reports = average_draws(
+            sent_samples(network, row), sent_reports(network)[row]
         )
+    reports = reports.floored()
     return Log(
         sample=sample,
         t=people.t[sample],
-        xy=xy,
-        variance=np.maximum(variance, MIN_VARIANCE_M2),
+        xy=reports.xy,
+        variance=reports.variance,
         offsets=np.searchsorted(sample, people.offsets),
+        cov=reports.cov,
     )
 
 
@@ -230,31 +240,101 @@ def sent_samples(network: Network, row: Ints) -> Ints:
     return np.asarray(first + row - offsets[presence])
 
 
-def average_draws(
-    key: Ints, xy: Floats, variance: Floats
-) -> tuple[Ints, Floats, Floats]:
-    """Return the ascending keys, and position and variance of each, of several draws.
+@dataclass(frozen=True, eq=False, slots=True)
+class Reports:
+    """L positions with their declared or estimated errors."""
 
-    Draws, (L,), are weighted by the inverse of their variance.
+    xy: Floats  # (L, 2) m
+    variance: Floats  # (L,) m^2 per axis.
+    # (L, 2, 2) m^2, of declared errors with a shape; `variance` is their mean then.
+    cov: Floats | None
+
+    def __getitem__(self, rows: Ints) -> "Reports":
+        """Return some of the reports."""
+        cov = None if self.cov is None else self.cov[rows]
+        return Reports(self.xy[rows], self.variance[rows], cov)
+
+    def batch(self, t: Floats, offsets: Ints, *, prior_std: tuple[float, ...]) -> Batch:
+        """Return the reports as tracks of a filter, at the times `t`, (L,) s."""
+        ellipse = None if self.cov is None else error_ellipses(self.cov)
+        return Batch(t, self.xy, self.variance, offsets, prior_std, ellipse)
+
+    def inflated(self, factor: float) -> "Reports":
+        """Return the reports with all variances times a factor."""
+        cov = None if self.cov is None else factor * self.cov
+        return Reports(self.xy, factor * self.variance, cov)
+
+    def floored(self) -> "Reports":
+        """Return the reports with at least `MIN_VARIANCE_M2` along every axis."""
+        if self.cov is None:
+            variance = np.maximum(self.variance, MIN_VARIANCE_M2)
+            return Reports(self.xy, variance, None)
+        return _with_cov(self.xy, self.cov)
+
+
+def _with_cov(xy: Floats, cov: Floats) -> Reports:
+    """Return reports with covariances, (L, 2, 2) m^2, none of them flat."""
+    cov = covariance_without(cov, std_m=0.0, least_m2=MIN_VARIANCE_M2)
+    return Reports(xy, mean_variance(cov), cov)
+
+
+def smooth_reports(
+    batch: Batch, *, q: float, passes: int = 1, anneal: float = 0.0
+) -> Reports:
+    """Return smoothed positions with their posterior variances, none of them 0.
+
+    Parameters are those of `isac_track.kalman.smooth_positions`.
+    """
+    if batch.ellipse is not None:
+        xy, cov = smooth_ellipses(batch, q=q, passes=passes, anneal=anneal)
+        return _with_cov(xy, cov)
+    xy, variance = smooth_positions(batch, q=q, passes=passes, anneal=anneal)
+    return Reports(xy, np.maximum(variance, MIN_VARIANCE_M2), None)
+
+
+def average_draws(key: Ints, reports: Reports) -> tuple[Ints, Reports]:
+    """Return the ascending keys, and the report of each, of several draws.
+
+    Draws, (L,), are weighted by the inverse of their variance, or covariance.
     """
     keys, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
     if (count == 1).all():
-        order = np.argsort(key)
-        return keys, xy[order], variance[order]
-    weight = 1.0 / np.maximum(variance, MIN_VARIANCE_M2)
+        return keys, reports[np.argsort(key)]
+    if reports.cov is not None:
+        return keys, _average_covs(inverse, reports.floored(), keys.size)
+    weight = 1.0 / np.maximum(reports.variance, MIN_VARIANCE_M2)
     total = np.bincount(inverse, weights=weight)
-    mean = [np.bincount(inverse, weights=weight * axis) / total for axis in xy.T]
-    return keys, np.stack(mean, axis=1), 1.0 / total
+    mean = [
+        np.bincount(inverse, weights=weight * axis) / total for axis in reports.xy.T
+    ]
+    return keys, Reports(np.stack(mean, axis=1), 1.0 / total, None)
 
 
-def sent_variance(network: Network) -> Floats:
-    """Return the declared or estimated variance of each row of `network.sent`, m^2."""
-    return _variance(network, network.sent)
+def _average_covs(group: Ints, reports: Reports, n_groups: int) -> Reports:
+    """Return the average report of each group, weighted by information."""
+    assert reports.cov is not None
+    weight = np.linalg.inv(reports.cov)
+    total, pull = np.zeros((n_groups, 2, 2)), np.zeros((n_groups, 2))
+    np.add.at(total, group, weight)
+    np.add.at(pull, group, np.einsum("lab,lb->la", weight, reports.xy))
+    cov = np.linalg.inv(total)
+    return _with_cov(np.asarray(np.einsum("lab,lb->la", cov, pull)), np.asarray(cov))
 
 
-def declared_variance(network: Network) -> Floats:
-    """Return the declared or estimated variance of each sample, (M,) m^2 per axis."""
-    return _variance(network, network.release)
+def sent_reports(network: Network) -> Reports:
+    """Return the rows of `network.sent`, with declared or estimated errors."""
+    return _reports(network, network.sent)
+
+
+def released_reports(network: Network) -> Reports:
+    """Return the samples of the release, (M,), with declared or estimated errors."""
+    return _reports(network, network.release)
+
+
+def _reports(network: Network, release: Release) -> Reports:
+    if release.sigma is not None and release.cov is not None:
+        return Reports(release.xy, mean_variance(release.cov), release.cov)
+    return Reports(release.xy, _variance(network, release), None)
 
 
 def _variance(network: Network, release: Release) -> Floats:
@@ -267,11 +347,15 @@ def _variance(network: Network, release: Release) -> Floats:
     return np.asarray(sigma**2 * (1.0 if network.sensed.law == "isotropic" else 0.5))
 
 
-def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools]:
-    """Return position, variance and presence of the entries of states, (M,) each."""
+def _state_entries(network: Network, sent: Bools) -> tuple[Ints, Reports]:
+    """Return the samples at which states give an entry, and the entries.
+
+    Forecasts have a shape if the release declares it.
+    """
     patrol, forecast = network.patrol, network.shared_forecast
     n_samples = patrol.people.t.size
     xy, variance = np.zeros((n_samples, 2)), np.full(n_samples, UNKNOWN_VARIANCE_M2)
+    cov = UNKNOWN_VARIANCE_M2 * np.tile(np.eye(2), (n_samples, 1, 1))
     is_entry = np.zeros(n_samples, dtype=bool)
     rows = np.flatnonzero(sent[patrol.presences.sample])
     sample, stay = patrol.presences.sample[rows], scans_left(patrol)[rows]
@@ -285,7 +369,12 @@ def _state_entries(network: Network, sent: Bools) -> tuple[Floats, Floats, Bools
             variance[entry] = (
                 np.trace(forecast.cov[row, step], axis1=-2, axis2=-1) / 2.0
             )
-    return xy, variance, is_entry
+            cov[entry] = forecast.cov[row, step]
+    sample = np.flatnonzero(is_entry)
+    has_shape = network.release.cov is not None and forecast.cov is not None
+    return sample, Reports(
+        xy[sample], variance[sample], cov[sample] if has_shape else None
+    )
 
 
 def state_positions(
@@ -316,9 +405,21 @@ def state_positions(
 
 def _smooth_entries(log: Log, offsets: Ints) -> Log:
     """Return the log with its entries smoothed for errors of the radial law."""
-    batch = Batch(log.t, log.xy, log.variance, offsets, _PRIOR_STD)
-    xy, variance = smooth_positions(batch, q=_Q, passes=_PASSES, anneal=_ANNEAL)
-    return replace(log, xy=xy, variance=np.maximum(variance, MIN_VARIANCE_M2))
+    batch = Batch(log.t, log.xy, log.variance, offsets, _PRIOR_STD, log.ellipse)
+    smoothed = smooth_reports(batch, q=_Q, passes=_PASSES, anneal=_ANNEAL)
+    return replace(log, xy=smoothed.xy, variance=smoothed.variance, cov=smoothed.cov)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Neighbours:
+    """The entries of a log around G instants.
+
+    Outside of a person's entries both are the first or last of them.
+    """
+
+    before: Ints  # (G,) entry at the instant or before it
+    after: Ints  # (G,) the next entry
+    share: Floats  # (G,) place of the instant between both, 0 to 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -330,11 +431,8 @@ class Gaps:
     t: Floats  # (G,) s, instants.
     person: Ints  # (G,) person of each instant, rising.
 
-    def neighbours(self) -> tuple[Ints, Ints, Floats]:
-        """Return the entries before and after each instant, and its place between.
-
-        (G,) each. Outside of a person's entries both are the first or last of them.
-        """
+    def neighbours(self) -> _Neighbours:
+        """Return the entries before and after each instant."""
         first, last = self.offsets[self.person], self.offsets[self.person + 1] - 1
         owner = np.repeat(np.arange(self.offsets.size - 1), np.diff(self.offsets))
         # Place all people on one rising axis, where their times do not overlap.
@@ -349,15 +447,15 @@ class Gaps:
         gap_s = self.log.t[after] - self.log.t[before]
         share = np.zeros(self.t.size)
         np.divide(self.t - self.log.t[before], gap_s, out=share, where=gap_s > 0)
-        return before, after, share
+        return _Neighbours(before, after, share)
 
     def interpolate(self, *, is_held: bool) -> Floats:
         """Interpolate between the entries, or hold the entry before, (G, 2) m."""
-        before, after, share = self.neighbours()
-        xy = self.log.xy
+        near, xy = self.neighbours(), self.log.xy
+        start = xy[near.before]
         if is_held:
-            return xy[before]
-        return np.asarray(xy[before] + share[:, None] * (xy[after] - xy[before]))
+            return start
+        return np.asarray(start + near.share[:, None] * (xy[near.after] - start))
 
 
 def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
@@ -367,18 +465,23 @@ def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
     variance so large that they carry no information.
     """
     log, n_entries = gaps.log, gaps.log.t.size
-    before, _, _ = gaps.neighbours()
+    before = gaps.neighbours().before
     owner = np.repeat(np.arange(gaps.offsets.size - 1), np.diff(gaps.offsets))
     person = np.concatenate([owner, gaps.person])
     t = np.concatenate([log.t, gaps.t + _APART_S])
     order = np.lexsort((t, person))
     no_information = np.full(gaps.t.size, _UNINFORMATIVE_M2)
+    ellipse = log.ellipse
+    if ellipse is not None:
+        round_shapes = np.tile(np.eye(2), (gaps.t.size, 1, 1))
+        ellipse = np.concatenate([ellipse, round_shapes])[order]
     batch = Batch(
         t=t[order],
         xy=np.concatenate([log.xy, log.xy[before]])[order],
         variance=np.concatenate([log.variance, no_information])[order],
         offsets=np.concatenate([[0], np.cumsum(np.bincount(person))]),
         prior_std=_PRIOR_STD,
+        ellipse=ellipse,
     )
     if is_causal:
         positions = filter_tracks(batch, SlowError(0.0, 0.0), q=_Q).causal_xy

@@ -85,7 +85,7 @@ class Patrol:
 
 
 def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
-    """Return the horizons of conflicts in scans: the paper's, then the further ones."""
+    """Return the horizons of conflicts in scans: the paper's, then all further."""
     further_s = settings.conflict.horizons_s
     scan_s = settings.patrol.scan_s
     steps = (

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.types import Floats, squared_lengths
+from isac_track.types import Floats, lengths, squared_lengths
 
 CELL_M: Final = 1.0  # Side of the cells of which the walked area is made.
 
@@ -24,12 +24,12 @@ def draw_waypoints(
     """Draw the waypoints of a route that is at least `length_m` long, (W, 2) m.
 
     Each is uniform in the walked area. They are drawn in turn, so that a longer route
-    begins with the waypoints of a shorter one. A leg may leave the area.
+    begins with the waypoints of a shorter route. A leg may leave the area.
     """
     waypoints, walked_m = [_draw_place(cells, rng, cell_m)], 0.0
     while walked_m <= length_m:
         waypoints.append(_draw_place(cells, rng, cell_m))
-        walked_m += float(np.hypot(*(waypoints[-1] - waypoints[-2])))
+        walked_m += float(lengths(waypoints[-1] - waypoints[-2]))
     return np.array(waypoints)
 
 

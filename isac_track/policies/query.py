@@ -21,7 +21,7 @@ def check_reach(horizon_s: float, *, ahead_s: Floats) -> None:
     if horizon_s > ahead_s[-1] + _ROUNDING_SCANS * (ahead_s[1] - ahead_s[0]):
         raise ValueError(
             f"horizon_s={horizon_s:g} is beyond the {ahead_s[-1]:.3g} s that the network"
-            " forecasts: name a shorter horizon_s, or a longer one of conflicts by"
+            " forecasts: name a shorter horizon_s, or a longer horizon of conflicts by"
             f" --set conflict.horizons_s=3,{horizon_s:g}"
         )
 
@@ -61,8 +61,12 @@ class Query:
 
     @property
     def age_s(self) -> Floats:
-        """Time since each sample, (M,) s."""
-        return np.asarray(self.t.max(initial=-np.inf) - self.t)
+        """Time from each sample to the last of the same person, (M,) s.
+
+        That is the time since the sample, unless the network missed the person lately.
+        """
+        last_s = self.t[self.offsets[1:] - 1]
+        return np.asarray(np.repeat(last_s, np.diff(self.offsets)) - self.t)
 
     def recent_samples(self, people: Bools, *, window_s: float | None = None) -> Bools:
         """Return which samples of some people are recent, (P,) -> (M,).

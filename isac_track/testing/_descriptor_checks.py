@@ -287,7 +287,7 @@ def ael_may_fall_as_epsilon_grows(ael_s: Function) -> None:
 
 
 @_check_each("ael_s", "mel_s")
-def _of_independent_samples(function: Function) -> None:
+def _averages_independent_samples(function: Function) -> None:
     """{metric} of independent samples averages to the exact mean of its runs."""
     name, size = _NAMES[function.__name__], 9
     patterns = ["".join(samples) for samples in product("01", repeat=size)]
@@ -308,7 +308,7 @@ def _of_independent_samples(function: Function) -> None:
 
 @check
 def mel_is_at_least_ael(ael_s: Function, mel_s: Function) -> None:
-    """The longest segment lasts at least as long as the mean one."""
+    """The longest segment lasts at least as long as the mean segment."""
     for track in random_tracks("mel_is_at_least_ael", least_size=2):
         mean, longest = evaluate(ael_s, track), evaluate(mel_s, track)
         failure = f"MEL {longest!r} s is below AEL {mean!r} s"

@@ -16,6 +16,7 @@ from isac_track.intervals import (
     estimate_from_replicates,
 )
 from isac_track.patrols.equal_alarms import AlarmCurve, drawn_misses
+from isac_track.tracking.hota import hota_from_sums
 from isac_track.types import Floats, Ints
 
 _REPLICATES = 2000
@@ -106,6 +107,23 @@ def block_missed_at_equal_alarms(
     effective = effective_clusters(by_block)
     n = int((by_block > 0).sum())
     if effective < LEAST_CLUSTERS:
+        return Estimate(
+            float(values[0]), n=n, replicates=values[1:], effective=effective
+        )
+    return estimate_from_replicates(values, n=n, effective=effective)
+
+
+def block_hota(*, association: Floats, pairs: Floats, seed: int) -> Estimate:
+    """Return HOTA of its parts, (A, B, S), with an interval as in `block_ratio`."""
+    blocks, seeds = _drawn_weights(*pairs.shape[1:], seed=seed)
+    sums = [
+        np.einsum("abs,rb,rs->ra", part, blocks, seeds, optimize=True)
+        for part in (association, pairs)
+    ]
+    values = hota_from_sums(*sums)
+    by_block = pairs[0].sum(axis=1)
+    effective, n = effective_clusters(by_block), int((by_block > 0).sum())
+    if effective < LEAST_CLUSTERS or values[0] in (0.0, 1.0):
         return Estimate(
             float(values[0]), n=n, replicates=values[1:], effective=effective
         )

@@ -18,6 +18,7 @@ from isac_track.patrols.utility import (
     missed_futures,
 )
 from isac_track.tracking.blocks import block_numbers
+from isac_track.tracking.hota import HotaScans
 from isac_track.tracking.metrics import (
     GospaScans,
     fragment_starts,
@@ -90,6 +91,28 @@ def track_counts(
         "false_tracks": (blocks.count(scan_s, scans.false), samples),
     }
     return {name: BlockCounts(*pair) for name, pair in counts.items()}
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HotaBlocks:
+    """Parts of HOTA in B blocks, for A least similarities; see `HotaScans`."""
+
+    association: Floats  # (A, B)
+    pairs: Floats  # (A, B)
+
+
+def hota_blocks(blocks: Blocks, scans: HotaScans) -> HotaBlocks:
+    """Sum the parts of HOTA in blocks.
+
+    How well two tracks agree rests on the whole recording: a block has its matches'
+    share.
+    """
+    scan_s = blocks.patrol.scan_s[: len(scans.pairs)]
+    association, pairs = (
+        np.array([blocks.count(scan_s, level) for level in part.T])
+        for part in (scans.association, scans.pairs)
+    )
+    return HotaBlocks(association, pairs)
 
 
 def _events(blocks: Blocks, scan: Ints) -> Floats:

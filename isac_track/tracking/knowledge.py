@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.patrols.knowledge import ESTIMATORS, Log, state_positions
+from isac_track.patrols.knowledge import ESTIMATORS, Log, Reports, state_positions
 from isac_track.patrols.patrol import Patrol
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.metrics import track_owners
@@ -40,12 +39,15 @@ def known_instants(
     stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     row, track = _nearest_tracks(patrol, shared)
     offsets = np.searchsorted(track, np.arange(len(shared.release) + 1))
+    release = shared.release
+    reports = Reports(release.xy, shared.variance, release.cov).floored()
     log = Log(
         sample=np.arange(shared.scan.size),
-        t=shared.release.t,
-        xy=shared.release.xy,
-        variance=np.maximum(shared.variance, MIN_VARIANCE_M2),
-        offsets=shared.release.offsets,
+        t=release.t,
+        xy=reports.xy,
+        variance=reports.variance,
+        offsets=release.offsets,
+        cov=reports.cov,
     )
     known = []
     for estimator in estimators:

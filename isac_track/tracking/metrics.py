@@ -12,7 +12,6 @@ performance: the CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from isac_track.patrols.patrol import Patrol
 from isac_track.tracking.detections import CLUTTER
@@ -41,6 +40,8 @@ def gospa(truth: Floats, tracks: Floats, *, cutoff_m: float, p: float = 2.0) -> 
     A pair at the cut-off or beyond counts as a miss and a false track. ValueError if
     the cut-off is not positive or p is below 1.
     """
+    from scipy.optimize import linear_sum_assignment  # noqa: PLC0415 - heavy to import
+
     positive("cutoff_m", cutoff_m)
     if not p >= 1.0:
         raise ValueError(f"p must be 1 or more, got {p}")

@@ -44,6 +44,24 @@ class Foresight:
         return nearest_m
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class LiveTracks:
+    """E pairs of a query and a track that is released then and goes on, by query."""
+
+    query: Ints  # (E,)
+    track: Ints  # (E,)
+    sample: Ints  # (E,) last sample of the track up to the query.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TrackForecasts:
+    """B forecasts that a robot has about tracks, and the truth about each track."""
+
+    mean: Floats  # (B, H, 2) m
+    query: Ints  # (B,)
+    person: Ints  # (B,) row of the person behind the last sample, or `CLUTTER`.
+
+
 def foresee_from_tracks(
     patrol: Patrol,
     shared: SharedTracks,
@@ -54,9 +72,39 @@ def foresee_from_tracks(
 ) -> Foresight:
     """Return what robots foresee from the tracks that are alive at each query.
 
-    A track is released from its confirmation on, with its earlier samples. Of several
-    tracks about a person the first warning counts, and the least distance within each
-    of the `horizons`, in scans.
+    A track is released from its confirmation on, with its earlier samples; otherwise as
+    `foresee_from_forecasts`.
+    """
+    live = live_tracks(patrol, shared)
+    forecasts: list[TrackForecasts] = []
+    if live.query.size:
+        now = patrol.query_scan[live.query][:, None] + np.arange(patrol.ahead_s.size)
+        mean = forecast_runs(
+            shared.release,
+            first=shared.release.offsets[live.track],
+            end=live.sample + 1,
+            track=np.arange(live.track.size),
+            t_future=patrol.scan_s[now],
+            predictor=predictor,
+        ).mean
+        person = shared.person[live.sample]
+        forecasts = [TrackForecasts(mean, live.query, person)] * patrol.n_robots
+    return foresee_from_forecasts(
+        patrol, forecasts, safety_radius_m=safety_radius_m, horizons=horizons
+    )
+
+
+def foresee_from_forecasts(
+    patrol: Patrol,
+    forecasts: Sequence[TrackForecasts],
+    *,
+    safety_radius_m: float,
+    horizons: Sequence[int] = (),
+) -> Foresight:
+    """Return what robots foresee from their forecasts about tracks, one of each robot.
+
+    Of several tracks about a person the first warning counts, and the least distance
+    within each of the `horizons`, in scans.
     """
     n_pairs, n_queries = len(patrol.presences), patrol.query_scan.size
     near, far = (n_pairs, patrol.n_robots), (n_queries, patrol.n_robots)
@@ -66,37 +114,37 @@ def foresee_from_tracks(
         gaps_m={horizon: np.full(near, np.inf) for horizon in horizons},
         ghost_gaps_m={horizon: np.full(far, np.inf) for horizon in horizons},
     )
-    query, track = _live_tracks(patrol, shared)
-    if not query.size:
-        return foresight
-    first = shared.release.offsets[track]
-    end = _samples_by(shared, track, patrol.query_scan[query])
-    now = patrol.query_scan[query][:, None] + np.arange(patrol.ahead_s.size)
-    mean = forecast_runs(
-        shared.release,
-        first=first,
-        end=end,
-        track=np.arange(track.size),
-        t_future=patrol.scan_s[now],
-        predictor=predictor,
-    ).mean
-    presence = _presence_at(patrol, query, shared.person[end - 1])
+    for robot, own in enumerate(forecasts):
+        _foresee(patrol, foresight, own, robot=robot, radius_m=safety_radius_m)
+    return foresight
+
+
+def _foresee(
+    patrol: Patrol,
+    foresight: Foresight,
+    forecasts: TrackForecasts,
+    *,
+    robot: int,
+    radius_m: float,
+) -> None:
+    """Write what a robot foresees from its forecasts."""
+    query = forecasts.query
+    presence = _presence_at(patrol, query, forecasts.person)
     is_ghost = presence < 0
     row = np.where(is_ghost, query, presence)
     stay = np.where(is_ghost, NEVER, scans_left(patrol)[presence])
-    after_leaving = np.arange(patrol.ahead_s.size) > stay[:, None]
-    for robot in range(patrol.n_robots):
-        square = squared_lengths(mean - patrol.robot_xy[robot, now])
-        square[after_leaving] = np.inf
-        wait = _first_conflict(square, safety_radius_m)
-        np.minimum.at(foresight.foreseen[:, robot], row[~is_ghost], wait[~is_ghost])
-        np.minimum.at(foresight.ghost[:, robot], row[is_ghost], wait[is_ghost])
-        for horizon in horizons:
-            gap_m = np.sqrt(square[:, : horizon + 1].min(axis=1))
-            near_m, ghost_m = foresight.gaps_m[horizon], foresight.ghost_gaps_m[horizon]
-            np.minimum.at(near_m[:, robot], row[~is_ghost], gap_m[~is_ghost])
-            np.minimum.at(ghost_m[:, robot], row[is_ghost], gap_m[is_ghost])
-    return foresight
+    steps = np.arange(patrol.ahead_s.size)
+    now = patrol.query_scan[query][:, None] + steps
+    square = squared_lengths(forecasts.mean - patrol.robot_xy[robot, now])
+    square[steps > stay[:, None]] = np.inf
+    wait = _first_conflict(square, radius_m)
+    np.minimum.at(foresight.foreseen[:, robot], row[~is_ghost], wait[~is_ghost])
+    np.minimum.at(foresight.ghost[:, robot], row[is_ghost], wait[is_ghost])
+    for horizon, near_m in foresight.gaps_m.items():
+        gap_m = np.sqrt(square[:, : horizon + 1].min(axis=1))
+        ghost_m = foresight.ghost_gaps_m[horizon]
+        np.minimum.at(near_m[:, robot], row[~is_ghost], gap_m[~is_ghost])
+        np.minimum.at(ghost_m[:, robot], row[is_ghost], gap_m[is_ghost])
 
 
 def _first_conflict(square: Floats, radius_m: float) -> Ints:
@@ -105,11 +153,14 @@ def _first_conflict(square: Floats, radius_m: float) -> Ints:
     return np.where(inside.any(axis=1), inside.argmax(axis=1), NEVER)
 
 
-def _live_tracks(patrol: Patrol, shared: SharedTracks) -> tuple[Ints, Ints]:
-    """Return each query with each track that is released then and goes on, (U,)."""
+def live_tracks(patrol: Patrol, shared: SharedTracks) -> LiveTracks:
+    """Return each query with each track that is released then and goes on."""
     now = patrol.query_scan[:, None]
     query, track = np.nonzero((shared.confirmed <= now) & (now <= shared.last))
-    return query, track
+    if not query.size:
+        return LiveTracks(query, track, query)
+    end = _samples_by(shared, track, patrol.query_scan[query])
+    return LiveTracks(query, track, end - 1)
 
 
 def _samples_by(shared: SharedTracks, track: Ints, scan: Ints) -> Ints:

@@ -282,7 +282,7 @@ class TestOnPatrol:
             for policy, missed, known in (("everything", 0.3, 0.9), ("near:3", 0.3, 0))
         ]
         said = ran(design, "--max-known", "0.5", made(options=few))
-        expected = "no limit is kept: add --set patrol.fleets=20."
+        expected = "no limit holds: add --set patrol.fleets=20."
         assert (said.code, expected in " ".join(said.out.split())) == (1, True)
 
     def test_a_run_of_policies_alone_is_answered(self, made, ran):

@@ -14,6 +14,7 @@ from attacks.tasks.return_study import FUSION, LINKERS, study_returns
 from attacks.tasks.returns import hide, passages
 from attacks.tasks.task_list import FUSED
 from evaluation import matrix
+from evaluation.estimates.differences import compare
 from evaluation.plan.settings import Settings
 from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.first_screen import first_screen
@@ -291,3 +292,22 @@ def test_sessions_that_name_nobody_say_how_people_are_named(tmp_path, capsys):
         (line,) = capsys.readouterr().err.splitlines()
         for text in (f"task {task}", "column person", "# 14 M 17", "--persistent-ids"):
             assert text in line
+
+
+def test_two_runs_are_compared_in_their_links_and_in_their_decision(made, sessions):
+    other = run(sessions, made.out.parent / "reseeded", seed=1)
+    result = compare(made.out, other.out)
+    rows = result.rows.set_index(["mechanism", "consumer", "metric"])
+    fusion = rows.loc[("fixed", f"returns/{FUSION}", "rank1")]
+    before, after = (
+        number(each, f"returns/{FUSION}", "rank1", mechanism="fixed")
+        for each in (made, other)
+    )
+    assert fusion["difference"] == pytest.approx(after[0] - before[0])
+    # So few people have no interval.
+    assert fusion["finding"] == "untested"
+    assert fusion["headline"]
+    # No draw touches the passages without error.
+    assert rows.loc[("clean", f"returns/{FUSION}", "rank1"), "finding"] == "identical"
+    assert result.verdicts["in_both"] == 1
+    assert result.verdicts["changed"] == []

@@ -8,7 +8,7 @@ from isac_track.config import StageSettings
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import disclose, share_patrol
 from isac_track.sharing import Clean, Raw
-from isac_track.types import Tracks
+from isac_track.types import Tracks, derived
 from predictors.kalman import KalmanCV
 
 SETTINGS = StageSettings().changed({"patrol.fleets": 3})
@@ -52,6 +52,19 @@ def clean_network(patrol, *, settings=ROUND, forecaster=None):
     """A network that senses and shares the truth."""
     silent = settings.changed({"sensing.sigma_cap_m": 1e-6})
     return make_network(patrol, Clean(), settings=silent, forecaster=forecaster)
+
+
+def with_shapes(network, *, ratio):
+    """The network, which declares ellipses with the variances of a radial error.
+
+    Their long axes turn from sample to sample, and are `ratio` times the short ones.
+    """
+    release, slow = network.release, 0.1 * np.arange(network.release.t.size)
+    axis = np.stack([np.cos(slow), np.sin(slow)], axis=1)
+    along = 2.0 / (1.0 + ratio**2)
+    shape = along * (np.eye(2) + (ratio**2 - 1.0) * axis[:, :, None] * axis[:, None, :])
+    cov = 0.5 * np.square(release.sigma)[:, None, None] * shape
+    return replace(network, release=derived(release, cov=cov))
 
 
 def sent_answers(network, policy):

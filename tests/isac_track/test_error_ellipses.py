@@ -18,6 +18,7 @@ from isac_track.measurement import (
     cross_range_ratio,
     error_ellipses,
     least_share,
+    mass_within,
     principal_axes,
     round_errors,
     scalar_covariance,
@@ -290,6 +291,31 @@ def test_how_much_of_a_normal_law_lies_within_a_circle(ratio):
     assert share_within(cov[None], epsilon_m=epsilon_m) == pytest.approx(
         expected, abs=1e-6
     )
+
+
+@pytest.mark.parametrize("std_m", [0.001, 0.05, 0.3, 4.0])
+@pytest.mark.parametrize("ratio", [1.0, 20.0])
+def test_the_mass_in_a_disc_is_that_of_an_integral(std_m, ratio):
+    turn = np.array([[0.6, -0.8], [0.8, 0.6]])
+    cov = turn * np.square([std_m, std_m / ratio]) @ turn.T
+    away = std_m * np.array([[0.0, 0.0], [0.7, -0.4], [3.0, 1.0]]) + [0.0, 0.28]
+    got = mass_within(away, cov[None], radius_m=0.3)
+    if ratio == 1.0:  # Noncentral chi-square.
+        exact = stats.ncx2.cdf((0.3 / std_m) ** 2, 2, (away**2).sum(axis=1) / std_m**2)
+        np.testing.assert_allclose(got, exact, rtol=0, atol=1e-10)
+        return
+    own = away @ turn
+
+    def strip(y, x0, y0):
+        half = np.sqrt(max(0.09 - y**2, 0.0))
+        long = stats.norm.cdf([x0 - half, x0 + half], scale=std_m)
+        return (long[1] - long[0]) * stats.norm.pdf(y, y0, std_m / ratio)
+
+    for mass, (x0, y0) in zip(got, own, strict=True):
+        reach = 9.0 * std_m / ratio
+        low, high = max(-0.3, y0 - reach), min(0.3, y0 + reach)
+        exact = quad(strip, low, high, (x0, y0), limit=200)[0] if low < high else 0.0
+        assert mass == pytest.approx(exact, abs=1e-9)
 
 
 def test_a_mechanism_without_a_declared_shape_adds_a_round_error(ellipse):

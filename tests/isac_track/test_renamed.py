@@ -1,8 +1,11 @@
 """Names of the first release: they are the new ones, and say so."""
 
 from importlib import import_module
+from types import SimpleNamespace
 
 import pytest
+
+from isac_track.protocols import links_same_stretch
 
 RENAMED = {
     # Of 0.1, by the import paths that stay.
@@ -28,3 +31,10 @@ def test_an_earlier_name_is_the_new_one_and_warns(place):
 def test_a_name_that_never_was_is_unknown(path):
     with pytest.raises(AttributeError, match=f"module '{path}' has no attribute 'no'"):
         import_module(path).no  # noqa: B018 - the access is what fails
+
+
+def test_the_old_name_of_a_linkers_attribute_is_read_with_a_warning():
+    with pytest.warns(FutureWarning, match="one_stretch is now called same_stretch"):
+        assert links_same_stretch(SimpleNamespace(one_stretch=True))
+    assert links_same_stretch(SimpleNamespace(same_stretch=True))
+    assert not links_same_stretch(SimpleNamespace())

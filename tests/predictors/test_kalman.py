@@ -50,7 +50,7 @@ def test_the_kernels_are_filterpy(tracker, noise):
     assert np.allclose(ours.cov, theirs.cov, atol=1e-9, rtol=1e-9)
 
 
-def shaped(release, *, ratio=8.0):
+def in_ellipses(release, *, ratio=8.0):
     """The release with declared ellipses of the same trace that turn along the way."""
     angle = 0.05 * np.arange(release.t.size)
     axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -61,32 +61,41 @@ def shaped(release, *, ratio=8.0):
     return replace(release, cov=0.5 * release.sigma[:, None, None] ** 2 * shape)
 
 
-@pytest.mark.parametrize("tracker", [KalmanCV(), KalmanCA()], ids=["cv", "ca"])
+@pytest.mark.parametrize(
+    "tracker", [KalmanCV(), KalmanCA(), KalmanIMM(), AWARE], ids=str
+)
 def test_declared_shapes_are_those_of_filterpy(tracker):
+    """A network declares round slow errors, if any, beside white ones in ellipses."""
     release, t_future, _ = walks(60, 1, 2, 30)
-    tracker = replace(tracker, noise="declared")
-    ours = tracker.predict(shaped(release), t_future)
-    theirs = replace(tracker, engine="filterpy").predict(shaped(release), t_future)
+    tracker, slow_m2 = replace(tracker, noise="declared"), tracker.added_std_m**2
+    declared = replace(release, sigma=np.sqrt(release.sigma**2 + slow_m2))
+    shaped, circular = (
+        replace(
+            declared, cov=in_ellipses(release, ratio=ratio).cov + slow_m2 * np.eye(2)
+        )
+        for ratio in (8.0, 1.0)
+    )
+    ours = tracker.predict(shaped, t_future)
+    theirs = replace(tracker, engine="filterpy").predict(shaped, t_future)
     assert np.allclose(ours.mean, theirs.mean, atol=1e-9, rtol=1e-9)
     assert np.allclose(ours.cov, theirs.cov, atol=1e-9, rtol=1e-9)
     assert np.abs(ours.cov[0, 0, 0, 1]) > 1e-3
-    assert np.isfinite(tracker.log_likelihood(shaped(release))).all()
+    assert np.isfinite(tracker.log_likelihood(shaped)).all()
     # A round ellipse is the declared standard deviation under a radial law.
-    expected = tracker.predict(release, t_future)
-    got = tracker.predict(shaped(release, ratio=1.0), t_future)
-    assert np.allclose(got.mean, expected.mean, atol=1e-7)
-    assert np.allclose(got.cov, expected.cov, atol=1e-7)
+    expected = tracker.predict(declared, t_future)
+    got = tracker.predict(circular, t_future)
+    assert np.allclose(got.mean, expected.mean, atol=1e-10)
+    assert np.allclose(got.cov, expected.cov, atol=1e-10)
+    if tracker.track:  # After the last sample it is the forecast for that instant.
+        last = shaped.offsets[1:] - 1
+        now = replace(tracker, window=10**6).predict(shaped, shaped.t[last, None])
+        assert np.allclose(tracker.track(shaped)[last], now.mean[:, 0], atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "tracker",
-    [KalmanCV(), KalmanIMM(noise="declared"), replace(AWARE, noise="declared")],
-    ids=["estimated", "imm", "slow error"],
-)
-def test_who_takes_no_shape_takes_the_standard_deviation(tracker):
+def test_who_estimates_the_noise_takes_no_shape():
     release, t_future, _ = walks(60, 2)
     ours, expected = (
-        tracker.predict(each, t_future) for each in (shaped(release), release)
+        KalmanCV().predict(each, t_future) for each in (in_ellipses(release), release)
     )
     assert np.array_equal(ours.mean, expected.mean)
     assert np.array_equal(ours.cov, expected.cov)

@@ -13,7 +13,7 @@ from helpers.small_runs import write_walks
 pytestmark = pytest.mark.slow
 
 REPORT = ("-c", UNDRAWN[1].replace("matrix", "report"))
-CELLS_STAY = "finished cells are kept"
+CELLS_STAY = "finished cells stay"
 OTHER = "choose another --out"
 
 

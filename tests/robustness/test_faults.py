@@ -182,7 +182,7 @@ class TestInterrupted:
         assert time.monotonic() - started < END_S
         assert process.returncode == 130, errors
         assert errors.splitlines()[-1].startswith(
-            "interrupted; finished cells are kept, the same"
+            "interrupted; finished cells stay, the same"
         )
         assert "Traceback" not in errors
         wait_for(lambda: not in_session(process.pid), most_s=END_S)

@@ -354,7 +354,7 @@ def test_a_ctrl_c_while_a_plugin_runs_is_the_users(tmp_path, arguments, capsys, 
         *named(predictor=[name]),
     )
     assert matrix.main(arguments(*options, *ALONE)) == 130
-    assert "interrupted; finished cells are kept" in capsys.readouterr().err
+    assert "interrupted; finished cells stay" in capsys.readouterr().err
 
 
 def test_a_ctrl_c_that_python_cannot_raise_is_heard_and_told_in_one_line(capsys):

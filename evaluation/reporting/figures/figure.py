@@ -52,18 +52,36 @@ class Figure:
     note: str = ""  # How to read it.
 
 
+class _PlacedChart(NamedTuple):
+    """A chart and its heading in a figure."""
+
+    left: float
+    top: float
+    heading: str
+    chart: Chart
+
+
+class _PlacedKey(NamedTuple):
+    """An entry of a figure's key: a look and its name."""
+
+    x: float  # Of the mark's middle.
+    y: float
+    name: str
+    look: Look
+
+
 class Layout(NamedTuple):
     """Positions of all parts of a figure, px."""
 
     width: float
     height: float
     lines: list[tuple[float, str]]  # Height and words of the caption and the note.
-    panels: list[tuple[float, float, str, Chart]]  # Left, top, heading and chart.
-    key: list[tuple[float, float, str, Look]]  # Middle, text and look of each mark.
+    panels: list[_PlacedChart]
+    key: list[_PlacedKey]
 
 
 def make_figures(run: Results) -> list[Figure]:
-    """Make the figures of a run with all files of this folder, but empty ones."""
+    """Make the figures of a run with all files of this folder, unless empty."""
     folder = __name__.rpartition(".")[0]
     names = [module.name for module in iter_modules(import_module(folder).__path__)]
     modules = [import_module(f"{folder}.{name}") for name in names]
@@ -103,14 +121,15 @@ def _layout(figure: Figure) -> Layout:
     for start in range(0, len(figure.panels), figure.columns):
         row = figure.panels[start : start + figure.columns]
         for place, (heading, chart) in enumerate(row):
-            panels.append((place * (WIDTH + _GAP), top + _HEADING, heading, chart))
+            left = place * (WIDTH + _GAP)
+            panels.append(_PlacedChart(left, top + _HEADING, heading, chart))
         top += _HEADING + max(chart.height for _, chart in row) + _GAP
     key, x = [], _LEFT
     for name, look in figure.key.items():
         needed = CHARACTER * len(name) + 26.0
         if x > _LEFT and x + needed > width:
             x, top = _LEFT, top + 15.0
-        key.append((x, top, name, look))
+        key.append(_PlacedKey(x, top, name, look))
         x += needed
     top += 1.5 * _LINE if key else 0.0
     for text in _wrapped(figure.note, width):
@@ -140,14 +159,15 @@ def _printed(figure: Figure) -> bytes:
         )
         ax.set_axis_off()
         ax.text(8.0, 16.0, figure.title, fontsize=11.0, weight="bold")
-        for left, top, heading, chart in layout.panels:
-            ax.text(left + 8.0, top - 4.0, heading, fontsize=9.5, weight="bold")
-            _print_chart(ax, chart, left, top)
+        for panel in layout.panels:
+            x, y = panel.left + 8.0, panel.top - 4.0
+            ax.text(x, y, panel.heading, fontsize=9.5, weight="bold")
+            _print_chart(ax, panel.chart, panel.left, panel.top)
         for y, text in layout.lines:
             ax.text(8.0, y, text, fontsize=8.5)
-        for x, y, name, look in layout.key:
-            _mark(ax, x, y, look)
-            ax.text(x + 8.0, y + 3.0, name, fontsize=8.5)
+        for entry in layout.key:
+            _mark(ax, entry.x, entry.y, entry.look)
+            ax.text(entry.x + 8.0, entry.y + 3.0, entry.name, fontsize=8.5)
         sink = io.BytesIO()
         undated = dict.fromkeys(("CreationDate", "Creator", "Producer"))
         page.savefig(sink, format="pdf", metadata=undated)
@@ -156,8 +176,9 @@ def _printed(figure: Figure) -> bytes:
 
 def _print_chart(ax: Any, chart: Chart, left: float, top: float) -> None:  # noqa: ANN401 - matplotlib's axes
     """Draw a chart with its upper left corner at a place, as the page does in SVG."""
-    for x, y, kind, text in chart.texts:
-        ax.text(left + x, top + y, text, fontsize=8.5, ha=_ALIGNED[kind])
+    for text in chart.texts:
+        x, y = left + text.x, top + text.y
+        ax.text(x, y, text.words, fontsize=8.5, ha=_ALIGNED[text.css])
     middle = top + 0.5 * chart.bottom
     ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
     for css, strokes in [("grid", chart.grid), *chart.lines]:
@@ -165,9 +186,9 @@ def _print_chart(ax: Any, chart: Chart, left: float, top: float) -> None:  # noq
         ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
         for line in strokes:
             ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
-    for look, places, _ in chart.marks:
-        for x, y in places:
-            _mark(ax, left + x, top + y, look)
+    for mark in chart.marks:
+        for x, y in mark.centres:
+            _mark(ax, left + x, top + y, mark.look)
     for label in chart.labels:
         _mark(ax, left + label.x, top + label.y, label.look)
         ax.text(left + label.x + 6.0, top + label.y + 3.0, label.text, fontsize=8.5)

@@ -53,7 +53,7 @@ class Fusion:
     ridge: float = 1.0
 
     kind: ClassVar[str] = "linkage"
-    one_stretch: ClassVar[bool] = True
+    same_stretch: ClassVar[bool] = True
     requires: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.TRAIN})
     uses: ClassVar[frozenset[Knowledge]] = frozenset({Knowledge.MECHANISM})
 

@@ -77,14 +77,13 @@ def smooth_moods(batch: Batch, moods: Moods) -> tuple[Floats, Floats]:
     """
     states = imm_states(batch, moods)
     mean = states.mean.reshape(-1, 2, 4)
-    q, _, chances = moods.arrays(batch.t)
     position, spread = np.empty((batch.t.size, 2)), np.empty(batch.t.size)
     # Imported late: a list of attacks need not wait for numba.
     import_module("further_attacks._imm_loop").smooth_back(
         batch.t,
         batch.offsets,
-        q,
-        chances,
+        np.array(moods.q, dtype=np.float64),
+        moods.transitions(batch.t),
         mean,
         states.cov,
         states.probability,

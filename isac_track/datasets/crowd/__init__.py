@@ -38,18 +38,18 @@ def generate(settings: CrowdSettings, *, seed: int, session: int = 1) -> Tracks:
     """
     traits = draw_traits(settings, seed=seed)
     plan = plan_session(settings, traits, seed=seed, session=session)
-    frame, person, xy = simulate(plan, seed=seed, session=session)
-    order = np.lexsort((frame, person))
-    rows, first = np.unique(person[order], return_index=True)
+    recorded = simulate(plan, seed=seed, session=session)
+    order = np.lexsort((recorded.frame, recorded.person))
+    rows, first = np.unique(recorded.person[order], return_index=True)
     party_numbers = {
         row: number
         for number, party in enumerate(plan.parties, 1)
         for row in party.members
     }
     return Tracks(
-        t=frame[order].astype(np.float64) * settings.frame_s,
-        xy=np.rint(xy[order] * 1e3) / 1e3,
-        offsets=np.append(first, frame.size),
+        t=recorded.frame[order].astype(np.float64) * settings.frame_s,
+        xy=np.rint(recorded.xy[order] * 1e3) / 1e3,
+        offsets=np.append(first, order.size),
         source=tuple(person_id(row) for row in rows),
         group=tuple(f"s{session}g{party_numbers[row]:03d}" for row in rows),
     )

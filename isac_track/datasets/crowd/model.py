@@ -9,6 +9,7 @@ collision tau. Moussaid, Perozo, Garnier, Helbing and Theraulaz, PLoS ONE 5, e10
 (2010): walking groups.
 """
 
+from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -16,7 +17,7 @@ from numpy.random import Generator
 from numpy.typing import NDArray
 
 from isac_track.datasets.crowd.plan import Plan, streams
-from isac_track.types import Bools, Floats, Ints
+from isac_track.types import Bools, Floats, Ints, lengths
 
 RELAXATION_S = 0.6  # Time to reach the desired velocity.
 # k of the time-to-collision law, in m^2 (energy over mass times time squared).
@@ -71,12 +72,17 @@ _PARTY = np.dtype(
 )
 
 
-def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats]:
-    """Walk everybody across the plaza.
+@dataclass(frozen=True, eq=False, slots=True)
+class RecordedFrames:
+    """M recorded positions, frame after frame."""
 
-    Returns the recorded frame, (M,) in order, the row of the person, (M,), and the
-    recorded position, (M, 2) m: the body's, with its sway.
-    """
+    frame: Ints  # (M,) in order
+    person: Ints  # (M,) row of the person
+    xy: Floats  # (M, 2) m, of the body with its sway
+
+
+def simulate(plan: Plan, *, seed: int, session: int) -> RecordedFrames:
+    """Walk everybody across the plaza."""
     settings = plan.settings
     crowd = np.zeros(settings.n_people, dtype=_PERSON)
     progress = np.zeros(len(plan.parties), dtype=_PARTY)
@@ -98,14 +104,16 @@ def simulate(plan: Plan, *, seed: int, session: int) -> tuple[Ints, Ints, Floats
         # A recorded position is the walker's, shifted to the side by the sway.
         heading, v = crowd["heading"][rows], crowd["v"][rows]
         side = np.stack([-heading[:, 1], heading[:, 0]], axis=1)
-        awake = STANDING + (1 - STANDING) * np.minimum(
-            np.hypot(*v.T) / FULL_SWAY_MPS, 1.0
-        )
+        awake = STANDING + (1 - STANDING) * np.minimum(lengths(v) / FULL_SWAY_MPS, 1.0)
         offset = plan.traits.sway_m[rows] * awake * crowd["sway"][rows].real
         places.append(crowd["xy"][rows] + offset[:, None] * side)
         if rows.size:
             _advance(crowd, progress, plan, rows, noise, frame)
-    return np.concatenate(frames), np.concatenate(people), np.concatenate(places)
+    return RecordedFrames(
+        frame=np.concatenate(frames),
+        person=np.concatenate(people),
+        xy=np.concatenate(places),
+    )
 
 
 def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> None:
@@ -116,11 +124,9 @@ def _enter(crowd: _Records, plan: Plan, number: int, noise: list[Generator]) -> 
         way_share = np.linspace(0.05, 0.85, len(entries))[:, None]
         entries = entries + way_share * (first - entries)
     others = crowd["xy"][crowd["here"]]
-    gap = np.hypot(*np.moveaxis(entries[:, None] - others[None], 2, 0)).min(
-        axis=1, initial=2.0
-    )
+    gap = lengths(entries[:, None] - others[None]).min(axis=1, initial=2.0)
     entry = entries[int(np.argmax(gap))]
-    ahead = (first - entry) / np.hypot(*(first - entry))
+    ahead = (first - entry) / lengths(first - entry)
     draws = np.array([noise[row].standard_normal(4) for row in rows]).T
     crowd["pace"][rows], crowd["wander"][rows] = draws[:2]
     crowd["sway"][rows] = draws[2] + 1j * draws[3]
@@ -170,7 +176,7 @@ def _advance(
 
         ahead = _unit(target[local] - centre[local])
         # The heading of slow people wanders more than by the trait alone.
-        unsteady = np.minimum(STEADY_MPS / (np.hypot(*v.T) + 0.1), 3.0)
+        unsteady = np.minimum(STEADY_MPS / (lengths(v) + 0.1), 3.0)
         angle = traits.turn_rad[rows] * wander * unsteady
         course = _turned(np.stack([np.cos(angle), np.sin(angle)], axis=1), ahead)
         desired = np.where(
@@ -190,7 +196,7 @@ def _advance(
         state |= {"pace": pace, "wander": wander, "sway": sway}
         for name, value in state.items():
             crowd[name][rows] = np.round(value, GRID_DIGITS)
-        moved_m = np.bincount(local, np.hypot(*moved.T)) / head_count
+        moved_m = np.bincount(local, lengths(moved)) / head_count
         walked_m = progress["walked_m"][parties] + moved_m
         progress["walked_m"][parties] = np.round(walked_m, GRID_DIGITS)
     _leave(crowd, plan, rows)
@@ -218,7 +224,7 @@ def _steer(
         state = progress[number]  # A view: assignments change `progress`.
         aim = party.targets_m[state["target"]]
         on_the_way = state["target"] < len(party.targets_m) - 1
-        if on_the_way and np.hypot(*(aim - centre[place])) < REACHED_M:
+        if on_the_way and lengths(aim - centre[place]) < REACHED_M:
             state["target"] += 1
             aim = party.targets_m[state["target"]]
             state["stand_until_s"] = now_s + party.chat_s
@@ -277,11 +283,11 @@ def _turned(vector: Floats, ahead: Floats) -> Floats:
 
 
 def _unit(vector: Floats) -> Floats:
-    return np.asarray(vector / np.maximum(np.hypot(*vector.T), 1e-9)[:, None])
+    return np.asarray(vector / np.maximum(lengths(vector), 1e-9)[:, None])
 
 
 def _capped(vector: Floats, longest: float) -> Floats:
-    length = np.hypot(*vector.T)
+    length = lengths(vector)
     return np.asarray(
         vector * np.minimum(1.0, longest / np.maximum(length, 1e-12))[:, None]
     )

@@ -67,7 +67,7 @@ class Party:
     members: Ints  # (K,) row of each person
     slots_m: Floats  # (K, 2) place in the formation: ahead of and left of its centre
     arrival_s: float
-    # (C, 2) candidate points of entry; the clearest one is taken on arrival
+    # (C, 2) candidate points of entry; the clearest is taken on arrival
     entry_m: Floats
     targets_m: Floats  # (T, 2) waypoints; the last lies beyond the gate of exit
     exit_side: int

@@ -11,6 +11,7 @@ from helpers.patrols import (
     make_network,
     patrol_past,
     straight_walks,
+    with_shapes,
 )
 from scipy.stats import multivariate_t
 
@@ -236,6 +237,41 @@ class TestLinks:
             )
             constants.append(exact - links.features[row, 0])
         np.testing.assert_allclose(constants, constants[0], rtol=1e-9)
+
+    def test_with_shapes_it_is_that_density_of_both_axes(self, crowd):
+        network = with_shapes(crowd, ratio=8.0)
+        disclosure = disclose(network, Near(3.0, window_s=0.8))
+        pieces = collect_pieces(network, disclosure, robots=np.arange(3))
+        links, constants = candidate_links(pieces), []
+        for row in range(0, len(links.before), 17):
+            i, j = links.before[row], links.after[row]
+            gap_s = pieces.start.t[j] - pieces.end.t[i]
+            move = np.array([[1.0, gap_s], [0.0, 1.0]])
+            noise = Q * np.array([[gap_s**3 / 3, gap_s**2 / 2], [gap_s**2 / 2, gap_s]])
+            both, drawn = np.kron(np.eye(2), move), np.kron(np.eye(2), noise)
+            cov = both @ pieces.end.planar[i].reshape(4, 4) @ both.T + drawn
+            cov += pieces.start.planar[j].reshape(4, 4)
+            off = pieces.start.mean[j] - pieces.end.mean[i] @ move.T
+            exact = multivariate_t(shape=cov, df=5).logpdf(off.ravel())
+            constants.append(exact - links.features[row, 0])
+        np.testing.assert_allclose(constants, constants[0], rtol=1e-8)
+
+    @pytest.mark.parametrize("policy", [Near(3.0, window_s=0.8), State()])
+    def test_round_shapes_change_nothing(self, crowd, policy):
+        pieces = [
+            collect_pieces(network, disclose(network, policy), robots=np.arange(3))
+            for network in (crowd, with_shapes(crowd, ratio=1.0))
+        ]
+        expected, got = (candidate_links(each) for each in pieces)
+        np.testing.assert_array_equal(got.after, expected.after)
+        np.testing.assert_allclose(got.features, expected.features, atol=1e-8)
+        for name in ("start", "end"):
+            plain, shaped = (getattr(each, name) for each in pieces)
+            np.testing.assert_allclose(shaped.mean, plain.mean, rtol=0, atol=1e-10)
+            np.testing.assert_allclose(shaped.cov, plain.cov, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(
+            pieces[1].reports.variance, pieces[0].reports.variance, atol=1e-10
+        )
 
     def test_only_later_pieces_within_the_longest_gap_are_candidates(self):
         tracks = straight_walks((0, 4, (0, 0), (0.1, 0)), (20, 24, (1, 0), (0.1, 0)))

@@ -11,6 +11,7 @@ from helpers.patrols import (
     patrol_past,
     straight_walks,
 )
+from scipy.linalg import block_diag
 from scipy.sparse import csr_array, identity
 from scipy.stats import norm
 
@@ -27,9 +28,11 @@ from attacks.following.experts import (
     Entries,
     PosteriorOptions,
     chain_densities,
+    entry_likelihood,
     gap_bins,
     make_clock,
     smooth_gaussians,
+    state_opinions,
 )
 from attacks.following.pool import pool_weights, pooled_log_density
 from attacks.following.posterior import chain_from, choose_targets, posterior_scores
@@ -42,6 +45,7 @@ from attacks.following.walk_chain import (
     velocity_classes,
 )
 from isac_track.errors import DataError
+from isac_track.measurement import scalar_covariance
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import disclose
 from isac_track.policies.samples import Ahead, Everything, Near
@@ -73,6 +77,11 @@ def two_cells():
     move[:2, :2], move[2:, 2:] = stay, go
     switch, law = [[0.8, 0.2], [0.4, 0.6]], [0.35, 0.25, 0.15, 0.25]
     return tiny_chain(move, switch, law, shape=(2, 1))
+
+
+def open_floor():
+    """A chain of one class whose people stay, on a floor of 5 by 5 cells."""
+    return tiny_chain(np.eye(25), [[1.0]], np.full(25, 0.04), shape=(5, 5), cell_m=0.5)
 
 
 def transition(chain):
@@ -223,6 +232,69 @@ class TestExperts:
             )
             exact = np.diag(prior[4:, 4:] - gain @ prior[:4, 4:])
             np.testing.assert_allclose(smoothed.variance[number], exact, rtol=0.02)
+
+    def test_a_smoother_of_shapes_is_the_dense_posterior_of_both_axes(self):
+        rng = np.random.default_rng(3)
+        entry_s, t = np.array([0.0, 0.5, 2.0, 4.0]), np.array([0.2, 1.3, 3.0])
+        factor = 0.3 * rng.standard_normal((4, 2, 2))
+        cov = factor @ factor.swapaxes(1, 2) + 0.01 * np.eye(2)
+        variance = np.trace(cov, axis1=1, axis2=2) / 2.0
+        entries = Entries(entry_s, rng.standard_normal((4, 2)), variance, cov)
+        smoothed = smooth_gaussians(entries, t, options=OPTIONS)
+        times = np.concatenate([entry_s, t])
+        early, late = np.minimum.outer(times, times), np.maximum.outer(times, times)
+        for number, q in enumerate(OPTIONS.q):
+            prior = 100.0**2 + 1.4**2 * early * late
+            prior += q * early**2 * (3.0 * late - early) / 6.0
+            prior = np.kron(prior, np.eye(2))
+            gain = np.linalg.solve(prior[:8, :8] + block_diag(*cov), prior[:8, 8:]).T
+            np.testing.assert_allclose(
+                smoothed.mean[number].ravel(), gain @ entries.xy.ravel(), atol=2e-3
+            )
+            exact = prior[8:, 8:] - gain @ prior[:8, 8:]
+            for row in range(3):
+                block = exact[2 * row : 2 * row + 2, 2 * row : 2 * row + 2]
+                np.testing.assert_allclose(
+                    smoothed.cov[number, row], block, rtol=0.02, atol=1e-3
+                )
+
+    def test_the_shape_of_entries_tells_the_cell(self):
+        """Against counts of draws about the mean of the entries."""
+        chain, rng = open_floor(), np.random.default_rng(5)
+        cov = np.tile([[0.2, 0.15], [0.15, 0.2]], (3, 1, 1))
+        entries = Entries(np.full(3, 1.0), np.full((3, 2), 1.3), np.full(3, 0.2), cov)
+        likelihood = entry_likelihood(chain, entries, step_s=1.0)
+        spread = cov[0] / 3.0 + 0.05**2 * np.eye(2)
+        draws = rng.multivariate_normal([1.3, 1.3], spread, size=200_000)
+        share = np.bincount(chain.cells_at(draws), minlength=chain.n_cells) / len(draws)
+        np.testing.assert_allclose(likelihood, share / share.max(), atol=0.02)
+
+    def test_round_shapes_change_nothing(self):
+        rng, t = np.random.default_rng(7), np.array([0.9, 1.0, 1.1, 1.3])
+        variance, clock = rng.uniform(0.05, 0.4, 4), np.array([1.05, 2.0])
+        xy = rng.uniform(0.5, 2.0, (4, 2))
+        plain = Entries(t, xy, variance)
+        circular = Entries(t, xy, variance, scalar_covariance(variance))
+        expected, got = (
+            entry_likelihood(open_floor(), each, step_s=1.0)
+            for each in (plain, circular)
+        )
+        np.testing.assert_allclose(got, expected, atol=1e-10)
+        expected, got = (
+            state_opinions(
+                open_floor(),
+                each,
+                clock=make_clock(clock, start_s=0.0, step_s=0.5),
+                t=clock,
+                true_xy=np.ones((2, 2)),
+                further=None,
+                epsilon_m=0.3,
+                options=OPTIONS,
+            )
+            for each in (plain, circular)
+        )
+        np.testing.assert_allclose(got.log_density, expected.log_density, atol=1e-7)
+        np.testing.assert_allclose(got.mass, expected.mass, atol=1e-8)
 
     def test_gaps_tell_between_from_beyond_and_nothing(self):
         t = np.array([0.0, 1.0, 3.0, 9.0])

@@ -10,12 +10,14 @@ from helpers.patrols import (
     patrol_past,
     straight_walks,
 )
+from scipy.stats import multivariate_normal
 
 from attacks.following.belief import (
     NOBODY,
     Belief,
     Motion,
     SentStates,
+    _association,
     make_crowd,
     route_gaps,
     standing_gaps,
@@ -105,6 +107,36 @@ class TestBelief:
         far = replace(sent, mean=state + np.array([[3.0, 0.0], [3.0, 0.0]]))
         away = updated_by_states(belief, np.full(4000, 0.99), sent=far, **options)
         assert (away.person == 7).mean() < 0.01
+
+    def test_states_behind_shapes_couple_both_axes(self):
+        belief, rng = some_belief(), np.random.default_rng(6)
+        factor = 0.2 * rng.standard_normal((4, 4))
+        planar = (factor @ factor.T + 0.01 * np.eye(4)).reshape(1, 2, 2, 2, 2)
+        mean = 0.3 * rng.standard_normal((1, 2, 2))
+        sent = SentStates(
+            np.array([7]), np.ones(1, bool), mean, np.eye(2)[None], planar
+        )
+        places, speeds = sent.draw(0, 100_000, rng)
+        both = np.stack([places, speeds], axis=-1).reshape(-1, 4)
+        np.testing.assert_allclose(np.cov(both.T), planar.reshape(4, 4), atol=0.005)
+        # How much likelier than clutter: a Gaussian in place, and one in velocity.
+        got = _association(belief, sent, np.zeros(1, int), some_crowd())[0]
+        blurred = [planar[0, :, k, :, k] + 0.09 * np.eye(2) for k in (0, 1)]
+        exact = multivariate_normal(mean[0, :, 0], blurred[0]).pdf(belief.xy)
+        exact *= multivariate_normal(mean[0, :, 1], blurred[1]).pdf(belief.velocity_mps)
+        np.testing.assert_allclose(got / got.max(), exact / exact.max(), atol=1e-9)
+        axes = 0.02 * np.eye(2)[None]
+        circular = np.einsum("ab,jde->jadbe", np.eye(2), axes)
+        expected, got = (
+            _association(
+                belief,
+                replace(sent, cov=axes, planar=each),
+                np.zeros(1, int),
+                some_crowd(),
+            )
+            for each in (None, circular)
+        )
+        np.testing.assert_allclose(got, expected, rtol=1e-10)
 
     def test_a_person_who_is_followed_takes_the_state_that_is_sent(self):
         belief = replace(some_belief(), person=np.full(4000, 7))

@@ -1,5 +1,7 @@
 """The identity changes nothing; closed forms of the mean over R + 1 releases."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers.walks import context, smooth_walks, walk_release
@@ -54,3 +56,28 @@ def test_with_sigma_each_sample_has_its_weight(first, again, expected):
 def test_without_repeats_it_cannot_run():
     with pytest.raises(KnowledgeDenied, match="REPEATS"):
         averaged(single_walk([[0.0, 0.0]]), granted=(SCENE,))
+
+
+def test_with_covariances_each_axis_has_its_weight():
+    """The least squares solution of both positions, and that of variances if round."""
+    first, again = (single_walk([[0, 10], [5, 0]], sigma=np.ones(2)),) * 2
+    again = replace(again, xy=np.array([[5.0, 0.0], [0.0, 5.0]]))
+    shapes = np.array([[[4.0, 1.0], [1.0, 1.0]], [[1.0, 0.0], [0.0, 9.0]]])
+    first = replace(first, cov=shapes)
+    again = replace(again, cov=shapes[::-1])
+    got = averaged(first, again, granted=(SCENE, REPEATS, SIGMA)).xy
+    for row in range(2):
+        weights = [np.linalg.inv(item.cov[row]) for item in (first, again)]
+        total = sum(
+            w @ item.xy[row] for w, item in zip(weights, (first, again), strict=True)
+        )
+        assert got[row] == pytest.approx(np.linalg.solve(sum(weights), total))
+    sigma = np.array([0.5, 2.0])
+    circular = replace(first, cov=sigma[:, None, None] ** 2 * np.eye(2), sigma=sigma)
+    plain = replace(circular, cov=None)
+    other = replace(again, cov=np.tile(np.eye(2), (2, 1, 1)))
+    got, expected = (
+        averaged(*walks, granted=(SCENE, REPEATS, SIGMA)).xy
+        for walks in ((circular, other), (plain, replace(other, cov=None)))
+    )
+    assert got == pytest.approx(expected, abs=1e-10)

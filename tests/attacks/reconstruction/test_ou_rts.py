@@ -13,7 +13,7 @@ from isac_track.plugins import parse
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.sharing import Fixed, Raw
-from isac_track.types import Knowledge
+from isac_track.types import Knowledge, derived
 
 MECHANISM, REPEATS, SCENE = Knowledge.MECHANISM, Knowledge.REPEATS, Knowledge.SCENE
 ANCHOR, COMPANIONS = Knowledge.ANCHOR, Knowledge.COMPANIONS
@@ -163,3 +163,52 @@ def test_an_anchor_outside_its_track_is_named():
         ValueError, match=r"the anchor of track 1 is at .* s, outside its"
     ):
         beyond(release, anchor=late)
+
+
+def with_shapes(release, white_m, slow_m, *, ratio):
+    """White errors in ellipses of the same trace along an axis that turns."""
+    angle = 0.02 * np.arange(release.t.size)
+    axis = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    along = 2.0 / (1.0 + ratio**2)
+    shape = along * np.eye(2) + along * (ratio**2 - 1.0) * (
+        axis[:, :, None] * axis[:, None, :]
+    )
+    cov = white_m**2 * shape
+    factor = np.linalg.cholesky(cov)
+    rng = stream(0, "test", "ou_rts shapes")
+    error = np.einsum("mab,mb->ma", factor, rng.standard_normal(release.xy.shape))
+    return derived(
+        release,
+        xy=release.xy + error,
+        # As a network declares it under a radial law of the raw error.
+        sigma=np.full(release.t.size, np.sqrt(2.0 * white_m**2 + slow_m**2)),
+        cov=cov + slow_m**2 * np.eye(2),
+    )
+
+
+def test_the_shape_of_the_white_error_helps_and_a_round_one_changes_nothing():
+    smooth_release, truth = walks(0.2, 3.0, white_m=0.0)
+    knows = {"granted": (MECHANISM, Knowledge.SIGMA), "mechanism": Slow(0.2, 3.0)}
+    for attack in (OuRTS(), OuRTS(q=Q)):
+        reconstruct = attack.fit(context(**knows))
+        long, circular = (
+            with_shapes(smooth_release, 1.0, 0.2, ratio=ratio) for ratio in (8.0, 1.0)
+        )
+        square = ((reconstruct(long).xy - truth) ** 2).mean()
+        blind = ((reconstruct(derived(long, cov=None)).xy - truth) ** 2).mean()
+        assert square < 0.97 * blind
+        got, expected = (
+            reconstruct(each) for each in (circular, derived(circular, cov=None))
+        )
+        np.testing.assert_allclose(got.xy, expected.xy, rtol=0, atol=1e-10)
+        np.testing.assert_allclose(got.std, expected.std, rtol=0, atol=1e-10)
+    places = circular.offsets[:-1] + 40
+    anchored = OuRTS(q=Q).fit(
+        context(
+            granted=(*knows["granted"], ANCHOR),
+            mechanism=knows["mechanism"],
+            anchor=known_at(circular, truth, places),
+        )
+    )
+    got, expected = (anchored(each) for each in (circular, derived(circular, cov=None)))
+    np.testing.assert_allclose(got.xy, expected.xy, rtol=0, atol=1e-10)

@@ -20,6 +20,7 @@ from evaluation.compute.patrols import (
     utility_counts,
     utility_tables,
 )
+from evaluation.estimates.differences import compare
 from evaluation.plan.axes import axes
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.pool.failures import failed_lines
@@ -271,6 +272,34 @@ def test_two_workers_and_another_order_give_the_same_rows(made, recording):
     )
     assert set(ours.index) < set(theirs.index)
     pd.testing.assert_frame_equal(theirs.loc[ours.index], ours, check_exact=True)
+    rows = compare(made.out, other.out).rows
+    on_patrol = rows[rows["policy"] != ""]
+    assert len(on_patrol) == ours["value"].notna().sum()
+    assert set(on_patrol["finding"]) == {"identical"}
+    assert set(on_patrol["pairing"]) == {"people and draws"}
+    assert not on_patrol["headline"].any()
+
+
+def test_numbers_of_other_patrols_are_compared_without_pairing(made, recording):
+    other = run(
+        recording,
+        recording.parent / "other-patrols",
+        policies=("near:3",),
+        stages=FEW | {"patrol.robots": 2},
+    )
+    rows = compare(made.out, other.out).rows
+    on_patrol = rows[rows["policy"] != ""]
+    assert set(on_patrol["policy"]) == {"near:3"}
+    assert set(on_patrol["pairing"]) == {"none"}
+    (known,) = on_patrol.query(
+        "mechanism == 'fixed' and consumer == 'log' and knowledge == 'oracle'"
+        " and metric == 'known_share'"
+    ).to_dict("records")
+    before, after = (
+        value(each, "near:3", "log", "known_share", knowledge="oracle")
+        for each in (made, other)
+    )
+    assert known["difference"] == pytest.approx(after - before)
 
 
 def test_a_policy_is_added_to_a_folder_and_other_patrols_replace_its_own(

@@ -4,16 +4,31 @@ import numpy as np
 import pandas as pd
 import pytest
 from helpers.commands import assert_refused
+from helpers.patrols import straight_walks
+from helpers.recordings import write_csv
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation import matrix
-from evaluation.compute.tracking import share_tracked, track_rows, tracking_setup
+from evaluation.compute.current_cell import current_cell
+from evaluation.compute.loops import list_loops
+from evaluation.compute.recipients import strongest
+from evaluation.compute.track_links import LINK_COLUMNS, link_rows
+from evaluation.compute.tracking import (
+    FOLLOWED_COLUMNS,
+    TRACK_COLUMNS,
+    share_tracked,
+    track_rows,
+    tracking_setup,
+)
+from evaluation.compute.work import TrackingWork, compute_cells
 from evaluation.plan.axes import axes
+from evaluation.plan.plan import make_plan
 from evaluation.pool.execute import FailedCellsWarning
+from evaluation.pool.pieces import cut_work, planned_cells
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
-from isac_track import datasets
+from isac_track import compiling, datasets
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.plugins import parse
@@ -114,6 +129,202 @@ def test_with_certain_detection_the_oracle_is_the_policy_everything(recording):
     assert values(rows, "tracks:oracle", "rejoined_share").isna().all()
 
 
+POLICIES = ("everything", "window:2", "near:3", "ahead:1.5", "state", "flag")
+
+
+@pytest.fixture(scope="module")
+def answered(recording):
+    """A run in which policies answer from certain tracks of the oracle, and as usual."""
+    return run(
+        recording,
+        recording.parent / "answered",
+        mechanisms=("raw", "fixed:0.5"),
+        policies=POLICIES,
+        predictors=("kalman_cv",),
+        stages=FEW | CERTAIN | {"tracking.seeds": 1},
+    )
+
+
+@pytest.mark.parametrize("policy", POLICIES)
+def test_a_policy_answers_from_perfect_tracks_as_about_people(answered, policy):
+    rows = answered.summary[answered.summary["mechanism"] == "raw"]
+    on_tracks = f"tracks:oracle,policy={policy}"
+    for metric in (
+        "missed_conflict_rate",
+        "missed_future_rate",
+        "missed_encounter_rate",
+        "missed_future_at_equal_false_alarms",
+        "false_alarms_per_min",
+    ):
+        ours = values(rows, on_tracks, metric, "kalman_cv").dropna()
+        usual = values(rows, policy, metric, "kalman_cv")
+        np.testing.assert_allclose(ours, usual.loc[ours.index], rtol=1e-12)
+    for metric, consumer, within in (
+        ("disclosed_share", "shared", 1e-12),
+        ("known_share", "log", 0.02),  # The usual adversary has more estimators.
+    ):
+        chosen = rows[rows["knowledge"].isin(["", "oracle"])]
+        ours, usual = (
+            values(chosen, name, metric, consumer).item()
+            for name in (on_tracks, policy)
+        )
+        assert ours == pytest.approx(usual, abs=within)
+
+
+def test_a_policy_that_sends_everything_from_tracks_is_the_release(answered):
+    rows = answered.tracks
+    for consumer, metric in (
+        ("kalman_cv", "missed_future_rate"),
+        ("kalman_cv", "false_alarms_per_min"),
+    ):
+        sent, shared = (
+            values(rows, f"tracks:gnn{end}", metric, consumer)
+            for end in ("", ",policy=everything")
+        )
+        pd.testing.assert_series_equal(sent, shared)
+    less = values(rows, "tracks:gnn,policy=near:3", "disclosed_share")
+    assert (
+        less < values(rows, "tracks:gnn,policy=everything", "disclosed_share")
+    ).all()
+    shown = {row[0].text for row in tracking_table(answered).rows}
+    assert "tracks:gnn,policy=near:3" in shown
+    assert "policy=" not in tracking_sentence(answered)
+
+
+LINKED = FEW | {
+    "patrol.segment_s": 100.0,
+    "linkage.handover_period_s": 8.0,
+    "tracking.seeds": 1,
+    "tracking.clutter_per_scan": 1.0,
+}
+TASK = "handover-1s"
+
+
+@pytest.fixture(scope="module")
+def coming(tmp_path_factory):
+    """A recording of 26 people who come one after another."""
+    walks = [
+        (
+            2.0 * n,
+            2.0 * n + 23.0,
+            (0.9 * (n % 7), 1.1 * (n % 5)),
+            (0.3 * (-1) ** n, 0.2),
+        )
+        for n in range(26)
+    ]
+    path = tmp_path_factory.mktemp("coming") / "walks.csv"
+    return write_csv(path, straight_walks(*walks))
+
+
+def linked(recording, tracker, **stages):
+    """The shares of trials of linkers and controls of raw tracks, by consumer."""
+    settings = smoke(
+        recording,
+        mechanisms=("raw",),
+        tasks=(TASK,),
+        attacks=("kinematic", "kinematic@radial_rts"),
+        predictors=(),
+        stages=LINKED | stages,
+    )
+    recorded = datasets.load(str(recording)).tracks
+    setup = tracking_setup(recorded, stages=settings.stages, seed=0)
+    crossed = axes(settings)
+    links = [reader for reader in crossed.track_readers() if reader.task]
+    links = [link for link in links if link.policy.name == tracker]
+    raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
+    releases = share_tracked(raw, plugin, setup)
+    shares = {}
+    for consumer, tables in link_rows(links, releases, setup, mechanism=raw):
+        counts = {name: tables["rows"][name].sum() for name in LINK_COLUMNS[2:]}
+        n = counts.pop("trials")
+        shares[consumer.spec, consumer.knowledge] = {
+            name: count / n for name, count in counts.items()
+        } | {"trials": n}
+    return shares
+
+
+def test_linkers_of_tracks_beat_chance_and_never_the_linkable(coming):
+    perfect, gnn = linked(coming, "oracle"), linked(coming, "gnn")
+    assert {spec for spec, _ in perfect} > {
+        f"{TASK}/{name}"
+        for name in (
+            "kinematic",
+            "kinematic@radial_rts",
+            "control-random",
+            "control-shuffled",
+        )
+    }
+    for shares in (*perfect.values(), *gnn.values()):
+        assert shares["hits"] <= shares["linkable"] + 1e-12
+        assert 0.0 < shares["chance"] < shares["linkable"]
+    kinematic = f"{TASK}/kinematic", "informed"
+    assert perfect[kinematic]["linkable"] > 0.9
+    assert perfect[kinematic]["hits"] > 0.6
+    assert gnn[kinematic]["trials"] == perfect[kinematic]["trials"]
+    assert gnn[kinematic]["hits"] < perfect[kinematic]["hits"]
+    assert perfect[f"{TASK}/control-random", ""]["hits"] < 0.4
+
+
+def test_a_network_that_loses_everybody_has_lost_trials_and_no_error(coming):
+    lost = linked(coming, "gnn", **{"tracking.detection_probability": 0.15})
+    assert all(shares["trials"] > 20 for shares in lost.values())
+    assert all(shares["hits"] <= shares["linkable"] < 0.5 for shares in lost.values())
+
+
+def test_cells_of_tracks_call_no_loop_that_is_not_compiled_ahead(coming, monkeypatch):
+    called, call = {}, compiling.Loop.__call__
+
+    def noted(loop, *arguments):
+        name = f"{loop.function.__module__}:{loop.function.__name__}"
+        called.setdefault(current_cell.names, set()).add(name)
+        return call(loop, *arguments)
+
+    monkeypatch.setattr(compiling.Loop, "__call__", noted)
+    settings = smoke(
+        coming,
+        mechanisms=("raw",),
+        predictors=("kalman_cv",),
+        policies=("state",),
+        tasks=(TASK,),
+        attacks=("kinematic",),
+        stages=LINKED | {"patrol.segment_s": 40.0},
+    )
+    plan = make_plan(settings)
+    (work,) = (
+        work for work in cut_work(plan.units, plan) if isinstance(work, TrackingWork)
+    )
+    for _ in compute_cells(work, tracks=plan.tracks, stages=settings.stages, seed=0):
+        pass
+    listed = {
+        (cell.mechanism.spec, cell.consumer.label): list_loops(
+            [(cell.mechanism, cell.consumer)]
+        )
+        for cell in planned_cells(work)
+    }
+    named = {names: called[names] for names in listed.keys() & called.keys()}
+    assert named
+    for names, loops in named.items():
+        assert loops <= {*listed[names]}, names
+
+
+@pytest.mark.slow
+def test_rows_of_linkers_of_tracks_stand_beside_those_of_the_task(coming):
+    made = run(
+        coming,
+        coming.parent / "run",
+        mechanisms=("raw",),
+        predictors=(),
+        tasks=(TASK,),
+        attacks=("kinematic",),
+        stages=LINKED,
+    )
+    links = made.tracks[made.tracks["consumer"].str.startswith(f"{TASK}/")]
+    assert set(links["metric"]) == {"rank1", "chance", "linkable_share"}
+    assert set(links["policy"]) == {"tracks:oracle", "tracks:gnn"}
+    assert {f"{TASK}/kinematic", f"{TASK}/control-random"} < set(links["consumer"])
+    assert (made.without_policy["consumer"] == f"{TASK}/kinematic").any()
+
+
 def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
     out = recording.parent / "before"
     before = {"tracking.noise": "before"}
@@ -123,6 +334,11 @@ def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
     )
     after = values(made.tracks, "tracks:gnn", "purity")
     assert after.loc[:, "raw"].item() == after.loc[:, "fixed"].item()
+    oracle, gnn = (
+        values(made.tracks, f"tracks:{name}", "hota").loc[:, "raw"].item()
+        for name in ("oracle", "gnn")
+    )
+    assert 0.0 < gnn < oracle < 1.0
     purity = values(noisy.tracks, "tracks:gnn,noise=before", "purity")
     assert purity.loc[:, "fixed"].item() < purity.loc[:, "raw"].item()
     assert purity.loc[:, "raw"].item() == after.loc[:, "raw"].item()
@@ -133,10 +349,48 @@ def test_noise_acts_after_tracking_or_before_it_on_detections(made, recording):
         for tracker in ("oracle", "gnn")
         for form, end in (("tracks", ",noise=before"), ("detections", ""))
     }
+    for metric, consumer in (
+        ("purity", "tracker"),
+        ("missed_future_rate", "kalman_cv"),
+    ):
+        pd.testing.assert_series_equal(
+            *(
+                values(shared, release, metric, consumer)
+                for release in ("detections:gnn", "tracks:gnn,noise=before")
+            )
+        )
+    # The reference has no rival.
     pd.testing.assert_series_equal(
-        values(shared, "detections:gnn", "known_share"),
-        values(shared, "tracks:gnn,noise=before", "known_share"),
+        values(shared, "detections:oracle", "known_share"),
+        values(shared, "tracks:oracle,noise=before", "known_share"),
     )
+
+
+def made_up(known, followed_s):
+    """Tables of a tracker: what each of four blocks, a person each, reveals."""
+    block, none = np.arange(4), np.zeros(4)
+    return {
+        "rows": {"block": block, "purity_sum": known, "instants": np.full(4, 9.0)}
+        | {name: none for name in TRACK_COLUMNS if name.startswith(("known", "rejoin"))}
+        | {"known_smooth": np.array(known, dtype=float)},
+        "followed": dict.fromkeys(FOLLOWED_COLUMNS, none)
+        | {"block": block, "followed_s": np.array(followed_s, dtype=float)},
+    }
+
+
+def test_the_strongest_tracker_is_chosen_on_one_half_and_scored_on_the_other():
+    first = made_up([9, 0, 1, 1], [5, 5, 0, 0])
+    second = made_up([2, 2, 3, 3], [1, 1, 9, 9])
+    made = strongest([first, second], n_blocks=4)
+    # The second knows more in the late half: it is scored in the early half, where it
+    # knows less. The first knows more in the early half, and is scored in the late one.
+    assert made["rows"]["known_smooth"].tolist() == [2, 2, 1, 1]
+    assert made["followed"]["followed_s"].tolist() == [1, 1, 0, 0]
+    # Other metrics stay those of the first.
+    assert made["rows"]["purity_sum"] == [9, 0, 1, 1]
+    alone = strongest([first], n_blocks=4)
+    np.testing.assert_array_equal(alone["rows"]["known_smooth"], [9, 0, 1, 1])
+    assert first["rows"]["known_smooth"].tolist() == [9, 0, 1, 1]
 
 
 def test_the_table_and_the_first_screen_compare_with_perfect_association(made):

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from helpers.estimates import ratio_estimate
 from scipy.stats import norm, ttest_rel
+from scipy.stats import t as student
 
 from evaluation.estimates.differences import difference
 from isac_track.intervals import Estimate, cluster_weights, wilson
@@ -45,6 +46,22 @@ class TestDifference:
         assert [back.ci_low, back.ci_high] == pytest.approx(
             [-result.ci_high, -result.ci_low]
         )
+
+    def test_intervals_without_replicates_are_those_of_independent_numbers(self):
+        a = Estimate(0.20, 0.10, 0.35, n=22)
+        b = Estimate(0.50, 0.35, 0.65, n=22)
+        result = difference(a, b, paired=False, metric="rank1")
+        # Newcombe's interval, by hand.
+        low, high = 0.3 - np.hypot(0.15, 0.15), 0.3 + np.hypot(0.15, 0.10)
+        assert [result.ci_low, result.ci_high] == pytest.approx([low, high])
+        t = 0.3 / (np.hypot(0.15, 0.15) / norm.ppf(0.975))
+        assert result.p_value == pytest.approx(2 * student.sf(t, df=21))
+
+    def test_numbers_without_any_interval_are_not_tested(self):
+        a, b = (Estimate(value, n=22) for value in (0.2, 0.5))
+        result = difference(a, b, paired=False, metric="rank1")
+        assert result.difference == pytest.approx(0.3)
+        assert np.isnan([result.ci_low, result.ci_high, result.p_value]).all()
 
     def test_a_share_of_zero_is_not_taken_for_certain(self):
         never = estimate(np.zeros(40), is_share=True)

@@ -250,7 +250,7 @@ class TestWhatIsKilled:
             run.send_signal(signal.SIGINT)
             _, said = run.communicate(timeout=30)
         assert run.returncode == 130
-        assert said.splitlines()[-1].startswith("interrupted; finished cells are kept")
+        assert said.splitlines()[-1].startswith("interrupted; finished cells stay")
         assert "Traceback" not in said
         assert 0 < len(cells(there)) < 4  # blocks
         wait_for(lambda: cluster.count(n_tasks) == 0, most_s=5)
@@ -264,7 +264,7 @@ class TestWhatIsKilled:
             (
                 "scheduler",
                 signal.SIGKILL,
-                "is gone; finished cells are kept; start it and run the",
+                "is gone; finished cells stay; start it and run the",
             ),
         ],
     )

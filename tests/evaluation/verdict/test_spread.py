@@ -73,19 +73,20 @@ class TestParts:
     def test_gaps_are_those_of_a_curve_drawn_by_hand(self):
         fixed = np.array([[0.1, 0.3, 0.5]]), np.array([[0.2, 0.4, 0.9]])
         at = np.array([[0.05, 0.2, 0.4, 0.5, 0.6]])
-        gaps, side, where = spread.beside_fixed(at, np.full((1, 5), 0.5), fixed)
+        beside = spread.beside_fixed(at, np.full((1, 5), 0.5), fixed)
         curve = np.interp(
             at[0], *(curve_values[0] for curve_values in fixed)
         )  # flat beyond its ends
-        assert gaps[0] == pytest.approx(0.5 - curve)
-        assert side.tolist() == [ONLY_MORE, BOTH, BOTH, BOTH, ONLY_FEWER]
-        assert spread.mixture(where, 3) @ fixed[1][0] == pytest.approx(curve)
+        assert beside.gaps[0] == pytest.approx(0.5 - curve)
+        assert beside.side.tolist() == [ONLY_MORE, BOTH, BOTH, BOTH, ONLY_FEWER]
+        assert spread.mixture(beside.places, 3) @ fixed[1][0] == pytest.approx(curve)
 
     def test_fid_is_read_at_quartiles_of_the_common_range_of_the_logarithm(self):
         fid, fixed = np.array([[0.01, 0.1, 1.0]]), np.array([[0.0001, 1.0]])
-        at, reached, _ = spread.at_quartiles(fid, np.log10(fid) + 2, fixed)
+        read = spread.at_quartiles(fid, np.log10(fid) + 2, fixed)
+        at = read.descriptor
         assert at[0] == pytest.approx(0.01 ** np.array([0.75, 0.5, 0.25]))
-        assert reached[0] == pytest.approx(np.interp(at[0], fid[0], [0, 1, 2]))
+        assert read.success[0] == pytest.approx(np.interp(at[0], fid[0], [0, 1, 2]))
 
 
 class TestEnds:

@@ -1,10 +1,17 @@
 """A track's own descriptor: its correlation with linkage within levels."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 import pytest
 
 from evaluation.estimates.matching import Sweeps
-from evaluation.verdict.within_level import clustered_mean, partial_correlation, within
+from evaluation.verdict.within_level import (
+    LinkedTracks,
+    clustered_mean,
+    partial_correlation,
+    within,
+)
 
 
 def draw(rng, n=400, *, own=0.0, noise=0.0):
@@ -12,21 +19,21 @@ def draw(rng, n=400, *, own=0.0, noise=0.0):
     descriptor = noise * covariate[:, :1] + rng.normal(size=(n, 1)) + np.zeros((n, 2))
     logit = own * descriptor[:, 0] + noise * covariate[:, 0]
     hit = (rng.random(n) < 1 / (1 + np.exp(-logit))).astype(float)
-    return descriptor, hit, covariate, np.arange(n) // 2
+    return LinkedTracks(descriptor, hit, covariate, np.arange(n) // 2)
 
 
 def test_what_the_covariates_explain_is_not_counted():
     rng = np.random.default_rng(2)
-    descriptor, hit, covariate, cluster = draw(rng, 4000, noise=1.5)
-    assert np.corrcoef(descriptor[:, 0], hit)[0, 1] > 0.3
-    result = partial_correlation([(descriptor, hit, covariate, cluster)])
+    tracks = draw(rng, 4000, noise=1.5)
+    assert np.corrcoef(tracks.descriptor[:, 0], tracks.hit)[0, 1] > 0.3
+    result = partial_correlation([tracks])
     assert result.ci_low < 0 < result.ci_high
     assert result.value == pytest.approx(0, abs=0.04)
 
 
 def test_equals_the_residual_correlation_of_a_plain_regression():
     rng = np.random.default_rng(3)
-    descriptor, hit, covariate, cluster = draw(rng, own=1.0)
+    tracks = draw(rng, own=1.0)
 
     def ranks(values):
         order = np.array(
@@ -34,12 +41,12 @@ def test_equals_the_residual_correlation_of_a_plain_regression():
         )
         return (order - 0.5) * 2
 
-    x = np.column_stack([ranks(column) for column in covariate.T])
+    x = np.column_stack([ranks(column) for column in tracks.covariates.T])
     design = np.column_stack([np.ones(len(x)), x, x**2])
-    both = [ranks(descriptor[:, 0]), ranks(hit)]
+    both = [ranks(tracks.descriptor[:, 0]), ranks(tracks.hit)]
     rest = [y - design @ np.linalg.pinv(design) @ y for y in both]
     expected = np.corrcoef(*rest)[0, 1]
-    result = partial_correlation([(descriptor, hit, covariate, cluster)])
+    result = partial_correlation([tracks])
     assert result.value == pytest.approx(expected, abs=1e-6)
 
 
@@ -59,9 +66,11 @@ def test_its_interval_covers_zero_as_often_as_it_says():
 
 def test_nothing_varies_nothing_is_known():
     rng = np.random.default_rng(6)
-    descriptor, hit, covariate, cluster = draw(rng)
-    few = (descriptor[:3], hit[:3], covariate[:3], cluster[:3])
-    for item in ((descriptor * 0, hit, covariate, cluster), few):
+    tracks = draw(rng)
+    constant = replace(tracks, descriptor=tracks.descriptor * 0)
+    names = [field.name for field in fields(tracks)]
+    few = LinkedTracks(*(getattr(tracks, name)[:3] for name in names))
+    for item in (constant, few):
         assert np.isnan(partial_correlation([item]).value)
 
 

@@ -55,7 +55,10 @@ def test_a_label_is_the_person_and_the_id_the_passage(tmp_path):
     assert len(set(tracks.group)) == 4
     assert tracks.group[0] == tracks.group[2] == tracks.group[5]
     details = {note.kind: note.detail for note in dataset.repairs}
-    assert "b.txt: line 12: a passage without a label; kept" in details["unlabelled"]
+    assert (
+        "b.txt: line 12: a passage without a label; of a person"
+        in details["unlabelled"]
+    )
 
 
 def test_sex_and_height_never_reach_the_tracks(tmp_path):

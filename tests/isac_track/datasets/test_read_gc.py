@@ -67,7 +67,7 @@ def test_an_archive_and_its_folder_are_the_same_recording(tmp_path):
     assert packed.tracks.source == ("7", "12#1", "12#2", "13")
     assert packed.tracks.group == ("7", "12", "12", "13")
     counts = kinds(packed.repairs)
-    assert (counts["split"], counts["fast-piece"]) == (1, 1)
+    assert (counts["split"], counts["fast-track"]) == (1, 1)
     assert any(
         "tracks 13: a step above 4 m/s" in repair.detail for repair in packed.repairs
     )
@@ -223,7 +223,7 @@ def test_by_name_it_must_be_the_recording_and_may_be_a_link(
 def test_grand_central_itself():
     dataset = load("gc")
     assert (len(dataset.tracks), len(set(dataset.tracks.group))) == (17_865, 12_682)
-    assert kinds(dataset.repairs)["fast-piece"] == 2175
+    assert kinds(dataset.repairs)["fast-track"] == 2175
     np.testing.assert_allclose(
         np.ptp(dataset.tracks.xy, axis=0), [28.1, 73.0], atol=0.05
     )

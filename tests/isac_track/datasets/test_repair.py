@@ -33,7 +33,7 @@ A, B = walk(0, 1), walk(0, 1, person="b")
         ([*A, *((0, str(person), person) for person in range(9))], {"one-point": 9},
          "f: lines 4, 5, 6, 7, 8 and 4 more: a single sample"),
         (walk(0, 1, 2, 6, 7, 8), {"gap": 1},
-         "f: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); kept"),
+         "f: line 5: behind a gap (longest 1.6 s, usual step 0.4 s); to be interpolated"),
         ([(step, "a", x) for step, x in enumerate((0, 0.4, 0.8, 9, 9.4))],
          {"id-reuse": 1}, "f: line 5: at another place, where no walk leads; the id"),
         ([(step, "a", x) for step, x in enumerate((0, 0.4, 9, 9.4, 1.6, 2))],

@@ -78,7 +78,7 @@ class TestAgainstTheTextbook:
 def test_transitions_are_the_matrix_exponential(stay_s, step_s):
     leave, come = 1.0 / np.array(stay_s)
     moods = kalman.Moods((1.0, 1.0), stay_s)
-    matrix = moods.arrays(np.array([0.0, step_s]))[2][1]
+    matrix = moods.transitions(np.array([0.0, step_s]))[1]
     jumps = step_s * max(leave, come)
     limit = 1e-16 * max(jumps, 1e5)  # what scipy loses itself
     close(matrix, expm(np.array([[-leave, leave], [come, -come]]) * step_s), limit)

@@ -107,7 +107,8 @@ def test_a_useless_linker_is_hardly_counted_and_none_speaks_against_a_match():
 def test_nodes_are_people_in_runs():
     values = scores(stream(0, "test", "nodes"))
     laws = np.tile([1.0, 0.0], (7, 1))
-    measured, person, session = node_scores([values], laws, RETURNING)
+    nodes = node_scores([values], laws, RETURNING)
+    person, session = nodes.person, nodes.session
     assert person.size == 18
     for u in range(18):
         for v in range(18):
@@ -116,7 +117,7 @@ def test_nodes_are_people_in_runs():
             expected = values[0][np.ix_(rows, columns)].mean()
             if session[u] == session[v]:
                 expected = 0.0
-            assert measured[u, v] == pytest.approx(expected)
+            assert nodes.values[u, v] == pytest.approx(expected)
 
 
 def test_the_control_of_a_person_is_chosen_on_the_others():

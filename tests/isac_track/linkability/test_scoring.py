@@ -143,7 +143,7 @@ def test_the_scorecard_says_what_its_parts_say(is_grouped):
             np.uint8
         )
         mated, counts = mated_probes(searched_people(s)), np.zeros((1, 2), dtype=int)
-        ranked = rank_rows(s.scores, s.mate, np.empty(0), counts)[0]
+        ranked = rank_rows(s.scores, s.mate, np.empty(0), counts).log_rank
         columns = shuffled_mates(mated, rng, 999)
         add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     observed = 42 * mean_log_rank([large, small])

@@ -90,10 +90,11 @@ def test_the_shuffles_are_those_of_all_rows_however_many_are_ranked_at_a_time(
         results.append(
             shuffled_log_ranks([clustered, whole], stream(0, "test", "shuffles"), 999)
         )
-    for observed, null, standings in results[:2]:
-        assert observed == pytest.approx(results[2][0], abs=1e-10)
-        assert null == pytest.approx(results[2][1], abs=1e-10)
-        assert all(map(np.array_equal, standings, results[2][2]))
+    *in_parts, whole_rows = results
+    for result in in_parts:
+        assert result.observed == pytest.approx(whole_rows.observed, abs=1e-10)
+        assert result.null == pytest.approx(whole_rows.null, abs=1e-10)
+        assert all(map(np.array_equal, result.standings, whole_rows.standings))
 
 
 @pytest.mark.parametrize("sizes", CLUSTERED)
@@ -110,7 +111,7 @@ def test_the_null_is_the_law_over_all_possible_mates(sizes):
     n = 300 * len(mates)
     null, null_bins = np.zeros(n), np.zeros((3, n), np.uint16)
     mated, counts = mated_probes(searched_people(case)), np.zeros((1, 2), dtype=int)
-    ranked = rank_rows(case.scores, case.mate, np.empty(0), counts)[0]
+    ranked = rank_rows(case.scores, case.mate, np.empty(0), counts).log_rank
     columns = shuffled_mates(mated, stream(17, "test", "law"), n)
     observed = add_shuffles(mated, columns, ranked, score_bin, null, null_bins)
     assert observed == pytest.approx(

@@ -10,13 +10,17 @@ from helpers.patrols import (
     make_network,
     patrol_past,
     straight_walks,
+    with_shapes,
 )
 
+from isac_track.measurement import scalar_covariance
 from isac_track.patrols import make_patrol, walked_map
 from isac_track.patrols.answers import disclose
 from isac_track.patrols.knowledge import (
     ESTIMATORS,
     Log,
+    Reports,
+    average_draws,
     fleet_log,
     guesses_from_map,
     known_places,
@@ -420,3 +424,87 @@ class TestErrorsOfEveryQuery:
         )
         assert again["smooth"] > once["smooth"] + 0.02
         assert again["interpolate"] > once["interpolate"] + 0.1
+
+
+class TestShapes:
+    @pytest.mark.parametrize("policy", [Near(3.0, window_s=0.8), State(), Everything()])
+    def test_round_shapes_change_no_estimate(self, crowd, policy):
+        logs = [
+            fleet_log(network, disclose(network, policy), robots=np.arange(3))
+            for network in (crowd, with_shapes(crowd, ratio=1.0))
+        ]
+        otherwise = np.zeros_like(crowd.patrol.grid.xy)
+        for estimator in ESTIMATORS:
+            expected, got = (
+                positions_on_grid(
+                    log, crowd.patrol, estimator=estimator, otherwise=otherwise
+                )
+                for log in logs
+            )
+            np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10)
+
+    def test_draws_are_averaged_by_their_information(self):
+        rng, key = np.random.default_rng(0), np.array([3, 1, 3, 3])
+        factor = rng.standard_normal((4, 2, 2))
+        cov = factor @ factor.swapaxes(1, 2) + 0.1 * np.eye(2)
+        reports = Reports(rng.standard_normal((4, 2)), np.ones(4), cov)
+        keys, mean = average_draws(key, reports)
+        assert keys.tolist() == [1, 3]
+        weights = np.linalg.inv(cov[key == 3])
+        total = np.linalg.inv(weights.sum(axis=0))
+        pull = np.einsum("lab,lb->a", weights, reports.xy[key == 3])
+        np.testing.assert_allclose(mean.xy[1], total @ pull)
+        np.testing.assert_allclose(mean.cov[1], total)
+        np.testing.assert_allclose(mean.xy[0], reports.xy[1])
+        variance = rng.uniform(0.1, 1.0, 4)
+        plain = Reports(reports.xy, variance, None)
+        circular = Reports(reports.xy, variance, scalar_covariance(variance))
+        expected, got = (average_draws(key, each)[1] for each in (plain, circular))
+        np.testing.assert_allclose(got.xy, expected.xy, atol=1e-10)
+        np.testing.assert_allclose(got.variance, expected.variance, atol=1e-10)
+
+    @pytest.mark.parametrize("estimator", ["smooth", "extrapolate"])
+    def test_estimates_are_those_of_the_dense_posterior(self, estimator):
+        rng, t = np.random.default_rng(2), np.array([0.0, 0.4, 1.1, 2.0])
+        factor = 0.3 * rng.standard_normal((4, 2, 2))
+        cov = factor @ factor.swapaxes(1, 2) + 0.01 * np.eye(2)
+        log = Log(
+            sample=np.arange(4),
+            t=t,
+            xy=rng.standard_normal((4, 2)),
+            variance=np.trace(cov, axis1=1, axis2=2) / 2.0,
+            offsets=np.array([0, 4]),
+            cov=cov,
+        )
+        at_s = np.array([0.2, 1.5, 3.0])
+        got = state_positions(
+            log,
+            t=at_s,
+            offsets=np.array([0, 3]),
+            estimator=estimator,
+            otherwise=np.zeros((3, 2)),
+        )
+        for row, now_s in enumerate(at_s):
+            used = t <= now_s if estimator == "extrapolate" else t >= 0.0
+            times = np.append(t[used], now_s)
+            early = np.minimum.outer(times, times)
+            late = np.maximum.outer(times, times)
+            prior = 100.0**2 + 10.0**2 * early * late
+            prior += 0.04 * early**2 * (3.0 * late - early) / 6.0
+            noise = np.kron(np.diag(used[used]), np.zeros((2, 2)))
+            for k, shape in enumerate(cov[used]):
+                noise[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = shape
+            seen = np.kron(prior[:-1, :-1], np.eye(2)) + noise
+            across = np.kron(prior[-1:, :-1], np.eye(2))
+            start = log.xy[0]
+            off = (log.xy[used] - start).ravel()
+            exact = start + across @ np.linalg.solve(seen, off)
+            np.testing.assert_allclose(got[row], exact, atol=1e-4)
+
+    def test_shapes_tell_more(self, crowd):
+        """Errors are round; what is declared is wrong, and so known less."""
+        right, wrong = (
+            know_places(network, Everything()).known.sum(axis=(1, 2))
+            for network in (crowd, with_shapes(crowd, ratio=8.0))
+        )
+        assert wrong[0] < right[0]
