@@ -29,7 +29,7 @@ COMMANDS = {
         "evaluation.sensitivity",
         "repeat a run's verdict under other assumptions",
     ),
-    "study": ("evaluation.study", "answer several recordings as one"),
+    "study": ("evaluation.study", "answer several recordings together"),
     "datasets": ("isac_track.datasets.__main__", "list and fetch data sets"),
     "attacks": ("attacks.__main__", "list, check and begin attacks"),
 }
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("usage: isac-track COMMAND [OPTIONS]\n")
         for name, (_, about) in COMMANDS.items():
             print(f"  {name:<11} {about}")
-        print("\nisac-track COMMAND --help describes one; isac-track --version")
+        print("\nisac-track COMMAND --help describes a command; isac-track --version")
         return 0 if words else 2
     if words[0] == "--version":
         print(f"isac-track {__version__}")

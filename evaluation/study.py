@@ -38,8 +38,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = Parser(
         prog="python -m evaluation.study",
         description=(
-            "Run the matrix over several recordings, seeds and laws; answer them as"
-            " one."
+            "Run the matrix over several recordings, seeds and laws; answer them"
+            " together."
         ),
         epilog=_EPILOG,
     )

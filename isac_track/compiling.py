@@ -82,7 +82,7 @@ class Loop:
     """A loop for fixed argument types, compiled when it is first needed.
 
     The loop returns nothing; it writes to its arguments. The machine code comes from
-    numba's cache where there is one. Where no cache can be written, or its disk is
+    numba's cache where it is there. Where no cache can be written, or its disk is
     full, the loop is compiled for this process alone. Damaged code in the cache is
     removed and compiled again.
     """

@@ -220,7 +220,7 @@ class SensingSettings(_Stage):
     # antennas of the uniform linear array that measures the bearing
     n_antennas: int = _number(8, 2, 100_000)
     scaling: Scaling = "trace"
-    """what a range and bearing error shares with the scalar one: `trace`: the mean
+    """what a range and bearing error shares with the scalar error: `trace`: the mean
     squared error, so that only the shape differs; `information`: the mean Fisher
     information of both axes"""
 

@@ -322,7 +322,7 @@ def ratio_estimates(
 def _small_sample_interval(
     numerator: Floats, denominator: Floats, *, effective: float, is_share: bool
 ) -> tuple[float, float]:
-    """Return the jackknife's interval, or the exact one of a count, or NaN."""
+    """Return the jackknife's interval, or the exact of a count, or NaN."""
     contributes = denominator > 0
     hits, trials = numerator[contributes], denominator[contributes]
     if effective >= LEAST_CLUSTERS:

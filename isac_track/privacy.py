@@ -31,9 +31,9 @@ class Exposure:
     plr : Floats
         Share of leaked samples, (N,), 0..1 (eq. plr_definition).
     ael_s : Floats
-        Mean duration of a trajectory's leaked segments, (N,) s; 0 without one.
+        Mean duration of a trajectory's leaked segments, (N,) s; 0 without any.
     mel_s : Floats
-        Duration of its longest leaked segment, (N,) s; 0 without one.
+        Duration of its longest leaked segment, (N,) s; 0 without any.
     segments : Ints
         Number of leaked segments, (N,).
     """

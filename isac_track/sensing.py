@@ -163,7 +163,7 @@ def unit_errors(
       needs the `offsets`, (N + 1,).
 
     All laws use the same draws, sample by sample: a shorter batch is a prefix of a
-    longer one. ValueError for an unknown law, or `fixed_direction` without `offsets`.
+    longer batch. ValueError for an unknown law, or `fixed_direction` without `offsets`.
     """
     draws = rng.standard_normal((n_samples, 3))
     if law == "isotropic":

@@ -18,11 +18,8 @@ from typing import Final, TypeAlias
 import numpy as np
 
 import evaluation
-from evaluation.api.estimated import (
-    compare_attacks,
-    link_estimates,
-    scene_estimates,
-)
+from evaluation.api.estimated import link_estimates
+from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, entry_families
 from evaluation.estimates.frontier import Quantity, frontier_quantities
 from evaluation.estimates.keys import judged_at
@@ -35,13 +32,16 @@ from evaluation.estimates.matching import (
     with_ends,
 )
 from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.summary import scene_numbers
 from evaluation.plan.address import parse_consumer
+from evaluation.plan.world import World
 from evaluation.store.manifest import read_manifest
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.types import Floats
 
 SHAPED: Final = (0.07, 0.075, 0.08, 0.085, 0.09, 0.1, 0.11, 0.12, 0.13, 0.145, 0.16)
-OU: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.27, 0.32)
+OU: Final = (0.08, 0.11, 0.14, 0.17, 0.2, 0.23, 0.27, 0.32, 0.4)
 TIMES_S: Final = (5, 15)
 ROBOTS: Final = ("kalman_cv", "kalman_cv:aware=true")
 TARGETS: Final = (0.03, 0.1)  # Rises of missed future conflicts over raw.
@@ -49,6 +49,16 @@ HORIZON_S: Final = 3.0
 COMPARED: Final = "shaped"
 RIVALS: Final = ("ou", "ou:tau_s=15")
 _ENDS: Final = ("value", "ci_low", "ci_high")
+_LABELS: Final = {
+    "kalman_cv": "unaware",
+    "kalman_cv:aware=true": "aware",
+    "informed": "one release",
+    "repeats": "four releases",
+    "anchor": "a known position",
+    "handover-1s": "links over 1 s",
+    "handover-5s": "links over 5 s",
+}
+"""Names of robots, adversaries and tasks in the table."""
 
 
 def mechanisms() -> list[str]:
@@ -66,11 +76,16 @@ def read_run(out: Path) -> Readings:
     """Return the readings of a finished run; DataError if a cell cannot be read."""
     manifest = read_manifest(out)
     families = entry_families(manifest["cells"])
-    scenes = scene_estimates(out, manifest)
-    compared = compare_attacks(scenes, link_estimates(out, manifest), families)
-    quantities, crossed = frontier_quantities(compared.sweeps, compared.by_mechanism)
-    estimates = {**compared.sweeps.estimates, **crossed}
-    at_horizon = judged_at(estimates, scenes.later[HORIZON_S].all_estimates)
+    now = scene_numbers(out, manifest)
+    ahead = scene_numbers(out, manifest, world=World(horizon_s=HORIZON_S))
+    robots = decisions(ahead, manifest, dataset=manifest["dataset"]["name"])
+    links = link_estimates(out, manifest)
+    estimates = {**now.estimates, **links.estimates}
+    attacks = strongest_on_each(estimates, {**links.sums, **now.attacked}, families)
+    quantities, crossed = frontier_quantities(Sweeps(estimates, families), attacks)
+    at_horizon = judged_at(
+        {**estimates, **crossed}, {**ahead.estimates, **robots.at_raw_alarms}
+    )
     return readings(Sweeps(at_horizon, families), quantities, robots=ROBOTS)
 
 
@@ -142,13 +157,17 @@ def lines(
     heads = [*rivals, compared, *(f"less {name}" for name in rivals)]
     yield f"| robot, rise | after | {' | '.join(heads)} |"
     yield f"|:--|:--|{'--:|' * len(heads)}"
-    for (robot, target, reader), by_name in values.items():
+    order = [*dict.fromkeys(robot for robot, _, _ in values)]
+    keys = sorted(values, key=lambda key: (order.index(key[0]), key[1]))
+    for robot, target, reader in keys:
+        by_name = values[robot, target, reader]
         own = by_name[compared]
         cells = [_text(by_name[name]) for name in (*rivals, compared)]
         for name in rivals:
             n_rows = min(len(own), len(by_name[name]))
             cells.append(_text(own[:n_rows] - by_name[name][:n_rows]))
-        yield f"| {robot}, +{100 * target:.0f} | {reader} | {' | '.join(cells)} |"
+        about = f"{_LABELS.get(robot, robot)}, +{100 * target:.0f}"
+        yield f"| {about} | {_LABELS.get(reader, reader)} | {' | '.join(cells)} |"
 
 
 def _text(values: Floats) -> str:

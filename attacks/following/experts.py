@@ -85,7 +85,7 @@ class Opinions:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Gaussians:
-    """Gaussians of several smoothers at K instants; round ones without a shape."""
+    """Gaussians of several smoothers at K instants; round without a shape."""
 
     mean: Floats  # (X, K, 2) m
     variance: Floats  # (X, K) m^2, the mean of both axes.

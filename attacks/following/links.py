@@ -141,7 +141,7 @@ def _axis_surprise(
     """Return the normalised square of differences and a determinant, (C,).
 
     The determinant is that of either axis, the root of that of both. States after a gap
-    are `difference`, (C, 2, 2), from the predicted ones; `cov` and `other` are the
+    are `difference`, (C, 2, 2), from the predicted; `cov` and `other` are the
     covariances before and after the gap.
     """
     # F P F' + Q + P' of constant velocity, of either axis.

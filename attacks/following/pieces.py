@@ -91,7 +91,7 @@ def collect_pieces(
     rows, offsets = stretches(entries.offsets[:-1][order], sizes[order])
     people = network.patrol.people
     begins = entries.offsets[:-1][order]
-    start, end, states = _end_states(
+    states = _piece_states(
         network,
         disclosure,
         entries,
@@ -103,10 +103,10 @@ def collect_pieces(
         person=np.searchsorted(people.offsets, entries.sample[begins], side="right")
         - 1,
         sample=entries.sample[rows],
-        reports=(entries.reports if states is None else _state_reports(states))[rows],
+        reports=states.reports[rows],
         offsets=offsets,
-        start=start,
-        end=end,
+        start=states.start,
+        end=states.end,
     )
 
 
@@ -243,7 +243,16 @@ def _first_new(network: Network, entries: _Entries) -> Ints:
     return np.minimum(begins + n_old, ends - 1)
 
 
-def _end_states(
+@dataclass(frozen=True, eq=False, slots=True)
+class _PieceStates:
+    """States of K pieces at both ends, and positions of all M entries."""
+
+    start: States  # (K,)
+    end: States  # (K,)
+    reports: Reports  # (M,)
+
+
+def _piece_states(
     network: Network,
     disclosure: Disclosure,
     entries: _Entries,
@@ -251,18 +260,16 @@ def _end_states(
     starts: Ints,
     begins: Ints,
     ends: Ints,
-) -> tuple[States, States, States | None]:
-    """Return the states at the start and the end of each piece, and of all states.
-
-    The third is None for a log of samples.
-    """
+) -> _PieceStates:
+    """Return the states at the start and the end of each piece."""
     if disclosure.form == "state":
         states = _filtered_states(network, entries.row)
-        return states[starts], states[ends - 1], states
+        return _PieceStates(states[starts], states[ends - 1], _state_reports(states))
     t, reports = entries.t, entries.reports
     rows, offsets = stretches(begins, ends - begins)
     end = last_states(t[rows], reports[rows], offsets)
-    return _first_states(t, reports, starts=starts, ends=ends), end, None
+    start = _first_states(t, reports, starts=starts, ends=ends)
+    return _PieceStates(start, end, reports)
 
 
 def end_states(t: Floats, reports: Reports, offsets: Ints) -> tuple[States, States]:
@@ -275,7 +282,7 @@ def end_states(t: Floats, reports: Reports, offsets: Ints) -> tuple[States, Stat
 
 
 def _first_states(t: Floats, reports: Reports, *, starts: Ints, ends: Ints) -> States:
-    """Return the states at the first samples, filtered back from the last ones."""
+    """Return the states at the first samples, filtered back from the last."""
     sizes = ends - starts
     offsets = np.concatenate([[0], np.cumsum(sizes)])
     turned = np.repeat(ends + offsets[:-1] - 1, sizes) - np.arange(offsets[-1])

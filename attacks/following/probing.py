@@ -11,7 +11,7 @@ so that the adversary can only continue a route. A *limit* refuses queries above
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -109,7 +109,7 @@ class _Task:
 
     @property
     def power(self) -> float:
-        """Weight of an answer: answers within the memory of an error share one."""
+        """Weight of an answer: answers within the memory of an error share it."""
         return min(1.0, 1.0 / max(self.probes_per_s * self.options.memory_s, 1e-9))
 
     @property
@@ -184,12 +184,11 @@ def probe_targets(
         )
         for target in targets.tolist()
     ]
-    instants, known, claimed, answered = np.array(results, dtype=np.float64).T
     return Probed(
-        instants.astype(np.int64),
-        known.astype(np.int64),
-        claimed,
-        answered.astype(np.int64),
+        instants=np.array([result.instants for result in results], dtype=np.int64),
+        known=np.array([result.known for result in results], dtype=np.int64),
+        claimed=np.array([result.claimed for result in results], dtype=np.float64),
+        answered=np.array([result.answered for result in results], dtype=np.int64),
     )
 
 
@@ -243,10 +242,19 @@ def _learn_crowd(task: _Task, *, people: Bools, seed: int) -> Crowd:
     )
 
 
+class _ProbedTarget(NamedTuple):
+    """Result of probing a target: the numbers of `Probed`."""
+
+    instants: int
+    known: int
+    claimed: float
+    answered: int
+
+
 def _probe_target(
     task: _Task, target: int, *, crowd: Crowd, rng: Generator
-) -> tuple[float, ...]:
-    """Return instants, known instants, stated probabilities and answers of a target."""
+) -> _ProbedTarget:
+    """Probe a person for `longest_s`, from `_LATE_S` after the first sample."""
     grid, options = task.network.patrol.grid, task.options
     t = grid.t[grid.offsets[target] : grid.offsets[target + 1]]
     xy = grid.xy[grid.offsets[target] : grid.offsets[target + 1]]
@@ -277,7 +285,7 @@ def _probe_target(
         place, share = belief.best_place(task.epsilon_m)
         n_known += bool(squared_lengths(place - xy[row]) < task.epsilon_m**2)
         claimed += share
-    return float(last - start - 1), float(n_known), claimed, float(n_answered)
+    return _ProbedTarget(last - start - 1, n_known, claimed, n_answered)
 
 
 def _probe_times(start_s: float, end_s: float, per_s: float) -> Iterator[float]:

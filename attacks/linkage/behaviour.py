@@ -45,7 +45,7 @@ class Behaviour:
     """Distance of two walks' features, in a metric that separates people.
 
     A blind adversary divides each feature by a fixed scale; the score is minus the
-    squared distance. For an informed one the score is minus ``x' (W^-1 - T^-1) x`` of
+    squared distance. If informed, the score is minus ``x' (W^-1 - T^-1) x`` of
     the difference x, with W its covariance over mated pairs and T over strangers. That
     is the log likelihood ratio of two Gaussians, up to a constant. Both covariances are
     shrunk by `shrinkage` towards their diagonals, since some 90 pairs cannot estimate

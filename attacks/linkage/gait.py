@@ -69,7 +69,7 @@ class Gait:
 
     An informed adversary learns line and metric on other people. The score is minus
     ``x' (W^-1 - T^-1) x`` of the difference x, with W its covariance over mated pairs
-    and T over strangers, as in `Behaviour`; a blind one divides by fixed scales.
+    and T over strangers, as in `Behaviour`; a blind adversary divides by fixed scales.
 
     Only times and positions are read: no height, no sex, no declared error.
 

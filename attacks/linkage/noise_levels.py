@@ -26,7 +26,7 @@ _RELATIVE_VARIANCE: Final = 3.0
 It exceeds that without overlap, since neighbours share samples. It is 3 for radial
 errors and 1.9 for Gaussian errors (tested).
 """
-# Variance of the log level of a track that is too short to have one.
+# Variance of the log level of a track that is too short for a level.
 _UNKNOWN: Final = 1e6
 # (1 cm)^2: below it innovations show how people accelerate, not noise.
 _LEAST_M2: Final = 1e-4

@@ -22,7 +22,7 @@ _CLOCK_S = 1e-6
 SLOW_M_S = 0.4  # Below it a walk hardly has a direction; its turning rate is damped.
 _WIDTH_S = 3.0  # Of smoothing at errors of 1 m: tuned on the bundled crowd.
 WIDTHS_S = read_only(0.5 * 2.0 ** (np.arange(7) / 2.0))
-"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that many walks share one."""
+"""0.5 s to 4 s, in steps of a factor of 1.4: few, so that many walks share a width."""
 # Factors of the widths that an informed adversary tries, the default first.
 _FACTORS = (1.0, 0.5, 2.0)
 FULL_CELLS = 48.0  # 12 s: an overlap of this length keeps its cost.

@@ -126,7 +126,7 @@ def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
 def samples_at_shares(shares: Floats, tracks: Tracks) -> Ints:
     """Return the samples at shares, (N,) in [0, 1), of the time that people were seen.
 
-    A sample stands for the time to the next one of its track, the last for that before
+    A sample stands for the time to the next of its track, the last for that before
     it. No sample stands for more than the usual step of the slowest track: otherwise a
     gap would be drawn too often. If all samples stand for equal times, each is as
     likely as another.

@@ -190,10 +190,18 @@ def _slices(offsets: Ints, rows: Ints) -> list[slice]:
     return [slice(int(offsets[row]), int(offsets[row + 1])) for row in rows.tolist()]
 
 
-def _closeness(
-    tracks: Tracks, person: Ints, session: Ints, rows: Ints
-) -> dict[str, Floats]:
-    """Return the closeness of chosen tracks by each circumstance, (N, N) each."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Circumstances:
+    """How each of T tracks was walked, apart from the person."""
+
+    place: Floats  # (T,) place in the queue of its session, 0 to 1
+    ahead: Ints  # (T,) person in front in the queue, or -1
+    behind: Ints  # (T,)
+    scalars: Mapping[str, Floats]  # (T,) by name: logarithms, and a time in s.
+
+
+def _circumstances(tracks: Tracks, person: Ints, session: Ints) -> _Circumstances:
+    """Measure the circumstances of all tracks, session by session."""
     n = len(tracks)
     place, ahead, behind = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
     density, speed, length_s, time_s = np.empty((4, n))
@@ -221,14 +229,23 @@ def _closeness(
         "length": np.log(np.maximum(length_s, 1e-3)),
         "time of day": time_s,
     }
-    apart = np.abs(place[rows][:, None] - place[rows])
-    shared = (ahead[rows][:, None] == ahead[rows]) & (ahead[rows] >= 0)
-    next_shared = (behind[rows][:, None] == behind[rows]) & (behind[rows] >= 0)
+    return _Circumstances(place, ahead, behind, scalars)
+
+
+def _closeness(
+    tracks: Tracks, person: Ints, session: Ints, rows: Ints
+) -> dict[str, Floats]:
+    """Return the closeness of chosen tracks by each circumstance, (N, N) each."""
+    walked = _circumstances(tracks, person, session)
+    place, ahead, behind = walked.place[rows], walked.ahead[rows], walked.behind[rows]
+    apart = np.abs(place[:, None] - place)
+    shared = (ahead[:, None] == ahead) & (ahead >= 0)
+    next_shared = (behind[:, None] == behind) & (behind >= 0)
     closeness = {
         "queue place": -np.minimum(apart, 1.0 - apart),
         "neighbours": shared.astype(float) + next_shared,
     }
-    for name, values in scalars.items():
+    for name, values in walked.scalars.items():
         chosen = values[rows]
         scale = float(chosen.std()) or 1.0
         closeness[name] = -np.abs(chosen[:, None] - chosen) / scale

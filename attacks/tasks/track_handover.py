@@ -230,7 +230,7 @@ def _sessions(
     people, n_people = patrol.people, len(patrol.people)
     group = (*people.group, NOBODY)
     fold = (np.arange(used.size) * N_FOLDS) // used.size
-    # Whoever owns a window is seen, and so is nobody: no adversary learns from those.
+    # The owner of a window is seen, and so is nobody: no adversary learns from those.
     seen = np.ones((used.size, n_people + 1), dtype=bool)
     seen[:, :n_people] = present
     for side in sides:

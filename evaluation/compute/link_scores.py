@@ -234,20 +234,12 @@ def _cohort_hits(
 ) -> dict[str, dict[str, float]]:
     """Return rank 1 of each cohort: only its people are probes and candidates."""
     trials = _cohort_trials(setup)
-    hits = []
-    for search, part in zip(searches, trials.searches, strict=True):
-        mate_scores = search.scores[part.mated, part.mate][:, None]
-        counts = np.empty((2, part.mated.size, 2), np.float32)
-        for first in range(0, part.mated.size, _AT_ONCE):
-            rows = slice(first, first + _AT_ONCE)
-            scores, own = search.scores[part.mated[rows]], mate_scores[rows]
-            # How many candidates of each cohort score above the mate, and as high:
-            # exact in single precision.
-            for place, is_counted in enumerate((scores > own, scores == own)):
-                counts[place, rows] = is_counted.astype(np.float32) @ part.candidates
-        above, tied = counts[:, part.probe, part.cohort]
-        hits.append(expected_hit(above, tied.astype(np.float64)))
-    hit = np.concatenate(hits)
+    hit = np.concatenate(
+        [
+            _trial_hits(search, part)
+            for search, part in zip(searches, trials.searches, strict=True)
+        ]
+    )
     n_places, shape = trials.counts.size, trials.counts.shape
     sums = cluster_sums(values=hit, cluster=trials.place, n_clusters=n_places)
     estimates = ratio_estimates(
@@ -275,6 +267,21 @@ def _cohort_hits(
             "n_mated": int(in_cohort.sum()),
         }
     return cohorts
+
+
+def _trial_hits(search: linkability.Search, part: _CohortSearch) -> Floats:
+    """Return the expected hit of each trial of a search, (t,)."""
+    mate_scores = search.scores[part.mated, part.mate][:, None]
+    counts = np.empty((2, part.mated.size, 2), np.float32)
+    for first in range(0, part.mated.size, _AT_ONCE):
+        rows = slice(first, first + _AT_ONCE)
+        scores, own = search.scores[part.mated[rows]], mate_scores[rows]
+        # How many candidates of each cohort score above the mate, and as high: exact
+        # in single precision.
+        for place, is_counted in enumerate((scores > own, scores == own)):
+            counts[place, rows] = is_counted.astype(np.float32) @ part.candidates
+    above, tied = counts[:, part.probe, part.cohort]
+    return expected_hit(above, tied.astype(np.float64))
 
 
 # Of the newest four tasks of this process.

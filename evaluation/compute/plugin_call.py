@@ -151,7 +151,7 @@ def _least_time(
 def check_plugin(
     plugin_call: PluginCall, *, stages: StageSettings
 ) -> Iterator[tuple[str, str]]:
-    """Yield the message and the traceback of a plug-in's error, if a call shows one."""
+    """Yield the message and the traceback of a plug-in's error, if a call shows any."""
     plugin = plugin_call.plugin
     note_cell(plugin.spec)
     try:

@@ -84,7 +84,7 @@ def recipient_tables(
 
 
 def strongest(trackers: list[dict[str, Rows]], *, n_blocks: int) -> dict[str, Rows]:
-    """Return the tables of the first tracker, with what the strongest one reveals.
+    """Return the tables of the first tracker, with what the strongest reveals.
 
     Known places and followed people are chosen apart. In either half of the blocks
     stand the numbers of the tracker that reveals most in the other half.

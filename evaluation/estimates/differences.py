@@ -44,6 +44,7 @@ from isac_track.types import Floats
 
 Manifest = Mapping[str, Any]
 Apart = dict[str, tuple[Any, Any]]
+"""Values in run A and in run B, by name."""
 
 # Findings of a row.
 IDENTICAL: Final = "identical"

@@ -32,7 +32,7 @@ class Family:
 
     mechanism: str  # As in the results: `fid:adding=independent`.
     family: str  # The plug-in's name without parameters: `fid`.
-    # Adding rule that it declares: `linear`, `independent`, or empty without one.
+    # Adding rule that it declares: `linear`, `independent`, or empty.
     adding: str
     # Whether it claims to protect: controls, raw and clean do not.
     protects: bool = True

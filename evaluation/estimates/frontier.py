@@ -71,7 +71,7 @@ _LOG_SPAN: Final = 30.0
 
 
 def front(x: Floats, y: Floats) -> Bools:
-    """Return which points no other beats: as low in both coordinates, lower in one.
+    """Return which points no other beats: as low in both coordinates, lower in either.
 
     `x` and `y` are (N,), less is better in either; a point that is not known is on no
     front.

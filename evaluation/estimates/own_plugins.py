@@ -140,7 +140,7 @@ def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | N
 def _predictor_record(
     spec: str, *, own_predictors: Collection[str], run: Estimates
 ) -> dict[str, Any] | None:
-    """Return the comparison of a predictor at its first horizon; None without one."""
+    """Return the comparison of a predictor at its first horizon, if any."""
     for horizon_s, estimates in (*run.later.items(), (None, run.own)):
         robots = {key.consumer for key in estimates if key.metric == MISSED_FUTURE}
         if spec not in robots:

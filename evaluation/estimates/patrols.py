@@ -1,7 +1,7 @@
 """Estimates of patrols: what robots miss and what logs reveal, by disclosure policy.
 
 Intervals draw people and routes, both with replacement. The numbers are rows of
-`summary.csv` with a value in its last column, `policy`; no other number has one.
+`summary.csv` with a value in its last column, `policy`, empty for other numbers.
 """
 
 from __future__ import annotations

@@ -252,7 +252,7 @@ def _less(estimate: Estimate, known: float) -> Estimate:
 
 
 class Pooled(NamedTuple):
-    """Several recordings as one."""
+    """Several recordings, answered together."""
 
     value: float
     ci_low: float

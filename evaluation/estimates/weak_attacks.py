@@ -63,7 +63,7 @@ _ABOUT = {
     ),
     DOES_NOT_FALL: (
         "PLR after the attack does not fall from the least noisy level (raw included)"
-        " to the noisiest, the one named. `difference`: PLR at the noisiest minus PLR"
+        " to the noisiest, which is named. `difference`: PLR at the noisiest minus PLR"
         " at the least noisy. `compared`: mechanisms for which this was asked."
     ),
     FAR: (

@@ -50,7 +50,7 @@ TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
 HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
-"""Adversaries with a log: the informed one knows routes and policy, the oracle knows
+"""Adversaries with a log: the informed knows routes and policy, the oracle knows
 which answers are about the same person."""
 
 
@@ -487,7 +487,7 @@ def _utility_predictors(
 
 
 def _with_tracks(run_axes: Axes, settings: Settings, preset: Preset) -> Axes:
-    """Return axes with the tracks of a run's tracker; as they are without one."""
+    """Return axes with the tracks of a run's tracker; as they are without a tracker."""
     releases = _track_releases(settings)
     if not releases:
         return run_axes

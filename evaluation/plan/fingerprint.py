@@ -8,10 +8,11 @@ import json
 import re
 import sysconfig
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import isac_track
 
@@ -155,33 +156,64 @@ def digest(content: object) -> str:
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def source_digest(module: str) -> str:
+@dataclass(frozen=True, slots=True)
+class _ModuleFile:
+    """A module's file: its sha256, and the full names that it may import."""
+
+    sha256: bytes
+    imports: tuple[str, ...]
+
+
+ModuleFiles: TypeAlias = dict[
+    tuple[Path | None, tuple[str, ...], str], _ModuleFile | None
+]
+"""The files of modules by folder, packages that count and name; None without a file."""
+
+
+def source_digest(module: str, *, known: ModuleFiles | None = None) -> str:
     """Return the sha256 of a module and of all modules beside it that it imports.
 
     These are its own top-level package and, unless it was installed, all modules in the
-    same folder as that; the project's own packages count as a single one. Imports are
+    same folder as that; the project's own packages count as a folder. Imports are
     read, not run, lazy imports too. Imports for types alone do not count, and imports
     that are composed at run time are not seen. A module without a file, such as
     `__main__`, has the digest of no bytes.
+
+    `known` holds files that are not read again, and takes those that are read. It is
+    for digests of one plan: most of their files are the same.
     """
     root, tops = _import_root(module)
-    sources_by_name: dict[str, bytes] = {}
-    names = [module]
+    known = {} if known is None else known
+    digests: dict[str, bytes] = {}
+    names, seen = [module], set[str]()
     while names:
         name = names.pop()
-        if name in sources_by_name:
+        if name in seen:
             continue
-        content = _read(name, root=root, tops=tops)
-        if content is not None:
-            source, is_package = content
-            sources_by_name[name] = source
-            parent = name.rpartition(".")[0]  # its package runs first
-            package = name if is_package else parent
-            names += [*_imported(source, package=package), parent]
+        seen.add(name)
+        if (root, tops, name) not in known:
+            known[root, tops, name] = _read_file(name, root=root, tops=tops)
+        source = known[root, tops, name]
+        if source is not None:
+            digests[name] = source.sha256
+            names += source.imports
     sha = hashlib.sha256()
-    for name, source in sorted(sources_by_name.items()):
-        sha.update(name.encode() + b"\0" + hashlib.sha256(source).digest())
+    for name, file_digest in sorted(digests.items()):
+        sha.update(name.encode() + b"\0" + file_digest)
     return sha.hexdigest()
+
+
+def _read_file(
+    name: str, *, root: Path | None, tops: tuple[str, ...]
+) -> _ModuleFile | None:
+    """Read the file of a module; None where there is none, or it does not count."""
+    content = _read(name, root=root, tops=tops)
+    if content is None:
+        return None
+    source, is_package = content
+    parent = name.rpartition(".")[0]  # its package runs first
+    imports = _imported(source, package=name if is_package else parent)
+    return _ModuleFile(hashlib.sha256(source).digest(), (*imports, parent))
 
 
 def has_source(module: str) -> bool:

@@ -110,8 +110,8 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
-    run_axes, walks = _returning(run_axes, settings, recorded)
-    run_axes, tracks = _cut_or_none(run_axes, settings, recorded)
+    run_axes, walks = _find_passages(run_axes, settings, recorded)
+    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
     if run_axes.horizons_s:
         # Horizons for which the recording has too few long tracks are left out.
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
@@ -146,7 +146,7 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     )
 
 
-def _returning(
+def _find_passages(
     run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Passages | None]:
     """Return the axes, and the passages of people who come back if there are any.
@@ -200,7 +200,7 @@ def _check_confirming(name: str | None, walks: Passages) -> None:
         )
 
 
-def _cut_or_none(
+def _cut_for_scenes(
     run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Cut]:
     """Return the axes and the tracks of scenes.
@@ -381,7 +381,7 @@ class _Crossing(NamedTuple):
 
 
 def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
-    """Return all that a run crosses: scenes and tasks, in its world and in others."""
+    """Return the products whose parts are units: scenes and tasks, in all worlds."""
     n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
     attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
@@ -422,16 +422,24 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     return crossings
 
 
+@dataclass(frozen=True, slots=True)
+class _CodeRead:
+    """What a plan has read of the code: modules' digests, and the files behind them."""
+
+    digests: dict[str, str]
+    files: fingerprint.ModuleFiles
+
+
 def _units(
     run_axes: Axes, settings: Settings, *, identity: Mapping[str, Any]
 ) -> tuple[tuple[Unit, ...], dict[str, str]]:
     """Return the units of work, and the digest of every module that they depend on."""
-    digests: dict[str, str] = {}
+    code_read = _CodeRead({}, {})
     units = []
     for mechanisms, consumers, blocks in _crossings(run_axes, settings):
-        by_stage = _consumers_by_stage(consumers, settings, digests)
+        by_stage = _consumers_by_stage(consumers, settings, code_read)
         for mechanism, stage in product(mechanisms, by_stage):
-            code = _code(stage, mechanism, digests=digests)
+            code = _code_digests(stage, mechanism, code_read=code_read)
             readers = {
                 key: consumer
                 for key, consumer in by_stage[stage].items()
@@ -444,7 +452,7 @@ def _units(
             for block in blocks if readers else ():
                 key = fingerprint.digest([identity, stage, block, *about])
                 units.append(Unit(stage, block, mechanism, key, code, readers))
-    return tuple(units), digests
+    return tuple(units), code_read.digests
 
 
 def _own_settings(stage: str, settings: Settings) -> list[Any]:
@@ -460,29 +468,30 @@ def _own_settings(stage: str, settings: Settings) -> list[Any]:
 
 
 def _consumers_by_stage(
-    consumers: Iterable[Consumer], settings: Settings, digests: dict[str, str]
+    consumers: Iterable[Consumer], settings: Settings, code_read: _CodeRead
 ) -> dict[str, dict[str, Consumer]]:
-    """Return consumers by stage and by their keys; `digests` as of `_code`."""
+    """Return consumers by stage and by their keys; `code_read` grows, as in `_code_digests`."""
     by_stage: dict[str, dict[str, Consumer]] = {}
     for consumer in consumers:
         key = fingerprint.consumer_key(
             consumer,
-            code=_code("", *consumer.plugins, digests=digests).values(),
+            code=_code_digests("", *consumer.plugins, code_read=code_read).values(),
             keep_scores=settings.keep_scores,
         )
         by_stage.setdefault(_stage(consumer), {})[key] = consumer
     return by_stage
 
 
-def _code(stage: str, *used: Plugin, digests: dict[str, str]) -> dict[str, str]:
+def _code_digests(stage: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
     """Return the digests of the modules of a stage and of plug-ins, by module.
 
-    `digests` holds those that are known by now; new digests are added to it.
+    `code_read` holds those that are known by now; new digests are added to it.
     """
-    modules = fingerprint.sources(stage, *used)
+    modules, digests = fingerprint.sources(stage, *used), code_read.digests
     for module in modules:
         if module not in digests:
-            digests[module] = fingerprint.source_digest(module)[:16]
+            digest = fingerprint.source_digest(module, known=code_read.files)
+            digests[module] = digest[:16]
     return {module: digests[module] for module in modules}
 
 

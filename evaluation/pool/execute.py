@@ -3,12 +3,13 @@
 import time
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.loops import GAIN, prepare_loop
-from evaluation.plan.plan import Plan
+from evaluation.plan.plan import Plan, Unit
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
 from evaluation.pool.gallery import write_sample_tracks
@@ -62,16 +63,49 @@ def execute(
     Raises IsacTrackError for anything that a user can mend; finished cells stay.
     """
     started, out = time.monotonic(), plan.out
+    begun = _begin(plan)
+    manifest = begun.manifest
+    earlier_s = float(manifest.get("wall_time_s", 0.0))
+    write_manifest(out, manifest | {"state": "running"})
+    computed = compute_missing(begun.missing, plan, progress, begun.names)
+    failed = _note_computed(computed, plan, manifest)
+    progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
+    may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
+    if may_be_shown and not plan.axes.no_scenes:
+        plugins = {entry.spec for entry in failed}
+        plugins |= {entry.address.consumer for entry in failed}
+        manifest["gallery_without"] = write_sample_tracks(plan, plugins, begun.names)
+    else:
+        manifest["gallery_without"] = []
+        write_gallery([], out=out)
+    _note_scene_faults(out, manifest)
+    is_approximate = plan.settings.stages.linkage.candidates > 0
+    if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
+        manifest["linkage"]["candidates"] = losses
+    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
+    write_manifest(out, manifest | {"state": "finished"})
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Begun:
+    """A run whose folder is open."""
+
+    manifest: dict[str, Any]  # With an entry for each cell, finished or missing.
+    missing: list[Unit]
+    names: Mapping[str, str]  # Of every id, as cells hold it.
+
+
+def _begin(plan: Plan) -> _Begun:
+    """Try the plug-ins, open the folder of a run, and find the cells that it lacks."""
     untried = try_plugins(plan)
     if not plan.settings.fresh:
-        check_preset(out, preset=plan.settings.preset)
-    opened = open_run(out, identity=plan.identity, fresh=plan.settings.fresh)
+        check_preset(plan.out, preset=plan.settings.preset)
+    opened = open_run(plan.out, identity=plan.identity, fresh=plan.settings.fresh)
     manifest, index_by_file = opened.manifest, opened.index_by_file
     deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
     names = prepare_names(plan, is_continued=bool(index_by_file))
-    earlier_s = float(manifest.get("wall_time_s", 0.0))
     places = cell_places(index_by_file)
-    units = pieces.missing_units(plan, places)
+    missing = pieces.missing_units(plan, places)
     earlier_plugins = manifest.get("own_plugins", {})
     manifest["cells"] = without_other_patrols(manifest, plan)
     manifest |= describe(plan) | {
@@ -81,34 +115,19 @@ def execute(
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    entries = cell_entries(plan, places, units)
+    entries = cell_entries(plan, places, missing)
     manifest["failed"] = other_entries(failures, than=entries)
     manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
-    write_manifest(out, manifest | {"state": "running"})
-    computed = compute_missing(units, plan, progress, names)
-    failed = _note_computed(computed, plan, manifest)
-    progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
-    may_be_shown = NOT_PASSED_ON not in plan.dataset.licence
-    if keeps_walks and may_be_shown and not plan.axes.no_scenes:
-        failed_plugins = {entry.spec for entry in failed}
-        failed_plugins |= {entry.address.consumer for entry in failed}
-        manifest["gallery_without"] = write_sample_tracks(plan, failed_plugins, names)
-    else:
-        manifest["gallery_without"] = []
-        write_gallery([], out=out)
-    manifest["exhausted_redraws"] = _exhausted_redraws(
-        out, manifest["cells"], OWN_WORLD
-    )
+    return _Begun(manifest, missing, names)
+
+
+def _note_scene_faults(out: Path, manifest: dict[str, Any]) -> None:
+    """Note in the manifest how many agents stand without clearance, by horizon."""
+    cells = manifest["cells"]
+    manifest["exhausted_redraws"] = _exhausted_redraws(out, cells, OWN_WORLD)
     for horizon_s, horizon_entry in manifest["horizons"].items():
         world = World(horizon_s=float(horizon_s))
-        horizon_entry["exhausted_redraws"] = _exhausted_redraws(
-            out, manifest["cells"], world
-        )
-    is_approximate = plan.settings.stages.linkage.candidates > 0
-    if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
-        manifest["linkage"]["candidates"] = losses
-    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
-    write_manifest(out, manifest | {"state": "finished"})
+        horizon_entry["exhausted_redraws"] = _exhausted_redraws(out, cells, world)
 
 
 def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> None:

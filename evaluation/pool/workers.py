@@ -182,7 +182,7 @@ def dismiss() -> None:
 
 
 def _idle_worker() -> "_Worker[Any, Any] | None":
-    """Take an idle worker that is alive, if there is one."""
+    """Take an idle worker that is alive, if there is any."""
     while _idle_workers:
         worker = _idle_workers.pop()
         if worker.is_alive():

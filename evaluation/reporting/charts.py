@@ -370,7 +370,7 @@ def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stro
 
 
 def share_text(estimate: Estimate) -> str:
-    """Return a share in % with its interval, if it has one: `12.3 % [10.1, 14.5]`."""
+    """Return a share in % with its interval, if known: `12.3 % [10.1, 14.5]`."""
     value = f"{PERCENT * estimate.value:.1f} %"
     if not np.isfinite(estimate.ci_low):
         return value

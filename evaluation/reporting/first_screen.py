@@ -451,7 +451,7 @@ def _untried_text(run: Results) -> str:
 
 
 def _no_interval_text(table: Headline) -> str:
-    """Return which numbers have no interval at any level; empty if all have one."""
+    """Return which numbers have no interval at any level; empty if all have."""
     bare = []
     for column in table.columns:
         numbers = [table.at(where, column) for where in table.wheres]

@@ -369,7 +369,7 @@ class Results:
         `x` and `y` are metrics as in `frame`, or `plr_after`: after the strongest
         attack; `x` may be `level`, on a logarithmic axis, where raw is a line in its
         interval. A mechanism looks as on the page. `ax` are the axes to draw on, else
-        new ones.
+        new axes.
         """
         from matplotlib import (  # noqa: PLC0415 - slow to import, and seldom needed
             pyplot as plt,

@@ -279,7 +279,7 @@ def write_docs(run: Results, *, root: Path) -> list[Path]:
     Returns the files that changed.
 
     `root` has README.md and docs/. Raises DataError if there is no README.md, a setting
-    of the run is not the usual one (the heads of these tables name the usual epsilon),
+    of the run is not the usual (the heads of these tables name the usual epsilon),
     a block names what is not there, or a file cannot be written.
     """
     if changed := changed_settings(run.manifest):

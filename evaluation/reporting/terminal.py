@@ -25,7 +25,7 @@ class _Console(Console):
 
 
 def standard_output() -> Console:
-    """Return standard output, as wide as the terminal, or `PIPE_WIDTH` without one."""
+    """Return standard output, as wide as the terminal, or `PIPE_WIDTH` into a pipe."""
     piped = not (sys.stdout.isatty() or os.environ.get("COLUMNS", "").strip("0"))
     width = PIPE_WIDTH if piped else shutil.get_terminal_size().columns
     return _Console(width=width, highlight=False, force_jupyter=False)

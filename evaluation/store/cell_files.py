@@ -133,31 +133,35 @@ def pack_units(
         sizes.append(n_rows)
     whole = pa.concat_tables(tables, promote_options="default").combine_chunks()
     whole = _with_precision(whole, pa.float32())
+    return _write_groups(whole, sizes, index=encode_index(index))
+
+
+def _write_groups(table: pa.Table, sizes: Sequence[int], *, index: bytes) -> bytes:
+    """Return a parquet file whose row groups have these numbers of rows."""
     # The leading bytes of similar numbers are equal: split off, they compress.
-    floats = {field.name for field in whole.schema if pa.types.is_floating(field.type)}
-    elements = ["scores.list.element"] if _SCORES in whole.column_names else []
+    floats = {field.name for field in table.schema if pa.types.is_floating(field.type)}
+    elements = ["scores.list.element"] if _SCORES in table.column_names else []
+    split = list(floats - _REPEATED) + elements
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
         sink,
-        whole.schema,
+        table.schema,
         write_statistics=False,
         compression="zstd",
         compression_level=9,
         store_schema=False,
         write_page_checksum=True,
         use_dictionary=[
-            name for name in whole.column_names if name not in floats | {_SCORES}
+            name for name in table.column_names if name not in floats | {_SCORES}
         ],
-        column_encoding=dict.fromkeys(
-            [*(floats - _REPEATED), *elements], "BYTE_STREAM_SPLIT"
-        ),
+        column_encoding=dict.fromkeys(split, "BYTE_STREAM_SPLIT"),
     ) as writer:
         first = 0
         for n_rows in sizes:
-            unit_rows = whole.slice(first, n_rows)
+            unit_rows = table.slice(first, n_rows)
             writer.write_table(unit_rows, row_group_size=max(n_rows, 1))
             first += n_rows
-        writer.add_key_value_metadata({INDEX_KEY: encode_index(index)})
+        writer.add_key_value_metadata({INDEX_KEY: index})
     return bytes(sink.getvalue())
 
 

@@ -94,7 +94,7 @@ def _decode_unit(content: Mapping[str, Any], *, row_group: int | None) -> UnitIn
 
 
 def read_index(content: bytes | Path) -> FileIndex | None:
-    """Return the index of a file of cells, from its bytes or path; None without one."""
+    """Return the index of a file of cells, from its bytes or path, if it has any."""
     try:
         if isinstance(content, bytes):
             return decode_index(pq.read_metadata(pa.BufferReader(content)).metadata)

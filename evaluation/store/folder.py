@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.plan.fingerprint import has_source, source_digest
+from evaluation.plan.fingerprint import ModuleFiles, has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
@@ -143,7 +143,12 @@ def _drop_other_code(
     for unit in units:
         for consumer in unit.consumers.values():
             modules.update(consumer.code)
-    digests = {name: source_digest(name)[:16] for name in modules if has_source(name)}
+    known: ModuleFiles = {}
+    digests = {
+        name: source_digest(name, known=known)[:16]
+        for name in modules
+        if has_source(name)
+    }
 
     def is_unchanged(unit: UnitIndex, label: str) -> bool:
         code = {**unit.code, **unit.consumers[label].code}

@@ -1,4 +1,4 @@
-"""The new files of a run: which of its missing units of work share one."""
+"""The new files of a run: which of its missing units of work share a file."""
 
 from __future__ import annotations
 

@@ -157,7 +157,7 @@ def _private(out: Path) -> dict[str, Any]:
 
 
 def _read_json(path: Path) -> dict[str, Any]:
-    """Return the object that a JSON file holds; an empty one if there is no file."""
+    """Return the object that a JSON file holds; an empty object if there is no file."""
     try:
         content = json.loads(read_regular_file(path))
         if not isinstance(content, dict):

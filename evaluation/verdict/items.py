@@ -37,7 +37,7 @@ class Draft:
     below: str  # Answer to an effect that is surely smaller.
     unit: str
     sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
-    subject: str = ""  # The attack of the item, if it has one.
+    subject: str = ""  # The attack of the item, if it has any.
     # Reason that nothing can be decided, other than too few people.
     untestable: str = ""
     descriptor: str = ""

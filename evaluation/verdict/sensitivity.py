@@ -42,7 +42,7 @@ COLUMNS: Final = (
 # Entries of the identity that must be equal; an entry may be missing in both.
 _SAME: Final = ("seed", "scenes", "scenes_utility")
 _OWN_COLUMNS: Final = ("decision", "effect", "ci_low", "ci_high", "n", "sign")
-"""Columns of the variant's own item; unknown without one."""
+"""Columns of the variant's own item; unknown without an item."""
 
 
 def attack_tasks(items: Iterable[Mapping[str, Any]]) -> dict[str, frozenset[str]]:

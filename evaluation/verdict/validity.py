@@ -161,7 +161,7 @@ def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
 
 
 def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
-    """Return the squared prediction error of a descriptor, and that without one."""
+    """Return the squared prediction error of a descriptor, and that of none."""
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
     families = [panel.families[place] for place in levels]

@@ -157,7 +157,7 @@ class Check:
 
     @property
     def unknown(self) -> Unknown | None:
-        """Reason that there is no answer; None if there is one."""
+        """Reason that there is no answer; None with an answer."""
         if self.missing is not None:
             return self.missing
         if math.isnan(self.measured.value):
@@ -269,16 +269,17 @@ class Offer:
         An unknown number is 0: it then neither orders levels nor rules one out. A level
         with an unknown limit is never proposed (`met`).
         """
-        left = self.attacked if self.attacked.source else self.shared
+        exposed = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
-        numbers = np.nan_to_num([self.cost.value, left.value(EXPOSURE).value, linked])
+        plr = exposed.value(EXPOSURE).value
+        numbers = np.nan_to_num([self.cost.value, plr, linked])
         cost, plr, rank1 = numbers.tolist()
         return cost, plr, rank1
 
 
 @dataclass(frozen=True, slots=True)
 class Recommendation:
-    """The answer: the levels that hold all limits, or the nearest one."""
+    """The answer: the levels that hold all limits, or the nearest."""
 
     question: Question
     robots: tuple[str, ...]
@@ -289,7 +290,7 @@ class Recommendation:
     proposals: tuple[Offer, ...]  # Non-dominated, cheapest first.
     refused: tuple[Offer, ...]  # Levels that do not hold, nearest first.
     missing: tuple[Unknown, ...]  # Reasons that no level has an answer to some limit.
-    task: str  # The leading handover; empty without one.
+    task: str  # The leading handover; empty if there is none.
 
     @property
     def robot(self) -> str:
@@ -330,7 +331,7 @@ def recommend(
     dataset: str,
     scenes: tuple[int, int] = (0, 0),
 ) -> Recommendation:
-    """Return the levels that hold the limits of a question, or the nearest one.
+    """Return the levels that hold the limits of a question, or the nearest.
 
     `table` is `levels.csv` of a run, `scenes` the number of scenes for attacks and the
     number for robots. Raises SettingsError for a family or a robot that the run does
@@ -380,7 +381,7 @@ def recommend(
 
 
 def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
-    """Return the offers that no other beats: as low in all coordinates, lower in one.
+    """Return the offers that no other beats: as low in all coordinates, lower in any.
 
     Only an offer under the same adding rules can beat another: a network that cannot
     add linearly has no use for a level that does. Of equal offers the first stays.

@@ -391,7 +391,7 @@ def _read_file(
     unit: str | None,
     reading: Reading,
 ) -> _Recording:
-    """Read one file of tracks, and its file of walking groups if there is one."""
+    """Read one file of tracks, and its file of walking groups, if any."""
     data, where = registry.read_bytes(path, data_set=known), shown(path)
     sha256 = hashlib.sha256(data).hexdigest()
     if known.session is not None:

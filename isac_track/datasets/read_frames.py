@@ -153,7 +153,7 @@ def _choose_rate(
 
 
 def read_header(format_name: str, *, data: bytes, path: str) -> Header:
-    """Read the header, if the format has one; DataError if it is ambiguous."""
+    """Read the header, if the format has any; DataError if it is ambiguous."""
     if format_name != "pedpy":
         return Header()
     recording.check_text(data=data, path=path)

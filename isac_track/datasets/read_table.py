@@ -456,7 +456,7 @@ def _build_rows(
 def _common_unit(
     units: Mapping[str, str], xy: Floats, *, place: recording.Place
 ) -> tuple[str, tuple[recording.Repair, ...]]:
-    """Return the unit of x and y, empty if neither has one; two units become m.
+    """Return the unit of x and y, empty if neither has a unit; two units become m.
 
     `xy`, (M, 2), is then converted in place, with a note. A common unit is left for the
     caller to convert.

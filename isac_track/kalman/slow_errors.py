@@ -229,8 +229,7 @@ class Motions:
     def arrays(self, prior_std: tuple[float, ...]) -> Floats:
         """Return variance of the first velocity, time and q of each motion, (K, 3).
 
-        The first velocity is drawn from the stationary law of its process, if it has
-        one.
+        The first velocity is drawn from the stationary law of its process, if any.
         """
         lasting = np.isfinite(self.tau_s)
         first = np.full(len(self), prior_std[1] ** 2)

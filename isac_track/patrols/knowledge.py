@@ -68,7 +68,7 @@ class Log:
 
     @property
     def ellipse(self) -> Floats | None:
-        """Shape of the errors, (L, 2, 2) in units of `variance`; None: round ones."""
+        """Shape of the errors, (L, 2, 2) in units of `variance`; None: round errors."""
         return None if self.cov is None else error_ellipses(self.cov)
 
 
@@ -350,7 +350,7 @@ def _variance(network: Network, release: Release) -> Floats:
 def _state_entries(network: Network, sent: Bools) -> tuple[Ints, Reports]:
     """Return the samples at which states give an entry, and the entries.
 
-    Forecasts have a shape if the release declares one.
+    Forecasts have a shape if the release declares it.
     """
     patrol, forecast = network.patrol, network.shared_forecast
     n_samples = patrol.people.t.size
@@ -411,6 +411,18 @@ def _smooth_entries(log: Log, offsets: Ints) -> Log:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class _Neighbours:
+    """The entries of a log around G instants.
+
+    Outside of a person's entries both are the first or last of them.
+    """
+
+    before: Ints  # (G,) entry at the instant or before it
+    after: Ints  # (G,) the next entry
+    share: Floats  # (G,) place of the instant between both, 0 to 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Gaps:
     """Instants between the entries of a log, of people with at least one entry."""
 
@@ -419,11 +431,8 @@ class Gaps:
     t: Floats  # (G,) s, instants.
     person: Ints  # (G,) person of each instant, rising.
 
-    def neighbours(self) -> tuple[Ints, Ints, Floats]:
-        """Return the entries before and after each instant, and its place between.
-
-        (G,) each. Outside of a person's entries both are the first or last of them.
-        """
+    def neighbours(self) -> _Neighbours:
+        """Return the entries before and after each instant."""
         first, last = self.offsets[self.person], self.offsets[self.person + 1] - 1
         owner = np.repeat(np.arange(self.offsets.size - 1), np.diff(self.offsets))
         # Place all people on one rising axis, where their times do not overlap.
@@ -438,15 +447,15 @@ class Gaps:
         gap_s = self.log.t[after] - self.log.t[before]
         share = np.zeros(self.t.size)
         np.divide(self.t - self.log.t[before], gap_s, out=share, where=gap_s > 0)
-        return before, after, share
+        return _Neighbours(before, after, share)
 
     def interpolate(self, *, is_held: bool) -> Floats:
         """Interpolate between the entries, or hold the entry before, (G, 2) m."""
-        before, after, share = self.neighbours()
-        xy = self.log.xy
+        near, xy = self.neighbours(), self.log.xy
+        start = xy[near.before]
         if is_held:
-            return xy[before]
-        return np.asarray(xy[before] + share[:, None] * (xy[after] - xy[before]))
+            return start
+        return np.asarray(start + near.share[:, None] * (xy[near.after] - start))
 
 
 def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
@@ -456,7 +465,7 @@ def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
     variance so large that they carry no information.
     """
     log, n_entries = gaps.log, gaps.log.t.size
-    before, _, _ = gaps.neighbours()
+    before = gaps.neighbours().before
     owner = np.repeat(np.arange(gaps.offsets.size - 1), np.diff(gaps.offsets))
     person = np.concatenate([owner, gaps.person])
     t = np.concatenate([log.t, gaps.t + _APART_S])

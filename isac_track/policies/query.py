@@ -21,7 +21,7 @@ def check_reach(horizon_s: float, *, ahead_s: Floats) -> None:
     if horizon_s > ahead_s[-1] + _ROUNDING_SCANS * (ahead_s[1] - ahead_s[0]):
         raise ValueError(
             f"horizon_s={horizon_s:g} is beyond the {ahead_s[-1]:.3g} s that the network"
-            " forecasts: name a shorter horizon_s, or a longer one of conflicts by"
+            " forecasts: name a shorter horizon_s, or a longer horizon of conflicts by"
             f" --set conflict.horizons_s=3,{horizon_s:g}"
         )
 
