@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from rich.console import Console
 
-from evaluation.estimates.families import families_in
+from evaluation.estimates.families import entry_families
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.metrics import (
     EXPOSURE,
@@ -101,7 +101,7 @@ def answer_question(
         limits,
         robot=question.robot,
         horizon_s=question.criterion.horizon_s,
-        families=families_in(manifest["cells"]),
+        families=entry_families(manifest["cells"]),
     )
     if not (advice.proposals or advice.refused or on_patrol.proposal):
         raise SettingsError(
@@ -364,7 +364,7 @@ def _full_parts(answer: Answer) -> list[Part]:
         parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
     parts += ["", answer.on_patrol.text]
     if options := answer.on_patrol.options:
-        parts += [patrol_table(options, families_in(manifest["cells"]))]
+        parts += [patrol_table(options, entry_families(manifest["cells"]))]
     if remarks := [f"Note: {note}" for note in notes(answer)]:
         parts += ["", *remarks]
     return parts
