@@ -10,11 +10,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import (
-    connected_components,
-    min_weight_full_bipartite_matching,
-)
 
 from attacks.following.links import Links, learn_weights, probabilities, true_links
 from attacks.following.pieces import Pieces
@@ -49,6 +44,9 @@ def follow(pieces: Pieces, links: Links, *, is_first_half: Bools) -> Chains:
 
 def join(links: Links, probability: Floats) -> Ints:
     """Return the chain of each piece, (K,), given probabilities of links, (C,)."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 - heavy to import
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - heavy to import
+
     stop_probability = 1.0 - np.bincount(
         links.before, weights=probability, minlength=links.n_pieces
     )
@@ -70,6 +68,11 @@ def _assigned(links: Links, log_odds: Floats) -> Ints:
 
     A link whose log odds are not above 0 is never chosen.
     """
+    from scipy.sparse import coo_array  # noqa: PLC0415 - heavy to import
+    from scipy.sparse.csgraph import (  # noqa: PLC0415 - heavy to import
+        min_weight_full_bipartite_matching,
+    )
+
     useful = np.flatnonzero(log_odds > 0.0)
     if not useful.size:
         return useful

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from isac_track.kalman import kalman_last, planar_last
 from isac_track.patrols.answers import Disclosure, Network
@@ -162,6 +160,9 @@ def _joined_runs(network: Network, runs: _Runs, pseudonyms: Pseudonyms) -> Ints:
     """
     if not runs.begin.size:
         return np.zeros(0, dtype=np.int64)
+    from scipy.sparse import coo_array  # noqa: PLC0415 - heavy to import
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415 - heavy to import
+
     by_start = np.lexsort((runs.end, runs.begin))
     reached = np.maximum.accumulate(runs.end[by_start])
     # Samples of different people have different rows: runs that overlap are of one

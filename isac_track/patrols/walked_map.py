@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from scipy.ndimage import convolve
 
 from isac_track.patrols.intervals import cluster_numbers
 from isac_track.types import Floats, Ints
@@ -85,6 +84,8 @@ def _guesses_on_large_map(
 
 def _time_around(cell: Ints, weight: Floats, shape: tuple[int, ...]) -> Floats:
     """Return the weight of the instants in a disc around each cell of the map."""
+    from scipy.ndimage import convolve  # noqa: PLC0415 - heavy to import
+
     time = np.zeros(shape)
     np.add.at(time, (cell[:, 0], cell[:, 1]), weight)
     reach = np.arange(-_CELLS_PER_RADIUS, _CELLS_PER_RADIUS + 1)

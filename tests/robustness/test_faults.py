@@ -33,8 +33,8 @@ END_S = 2.0
 PLUGINS = '''
 """Plug-ins that go wrong; TASK_FILES is a folder for what they leave behind."""
 
+import ctypes
 import os
-import re
 import threading
 import time
 from pathlib import Path
@@ -62,7 +62,7 @@ class ShareHolds(Fixed):
     def share(self, sensed, rng):
         if not is_trial(sensed):
             is_first("held")
-            re.match("(a+)+$", 64 * "a" + "b")
+            ctypes.PyDLL(None).sleep(1000)  # PyDLL: with the interpreter's lock
         return super().share(sensed, rng)
 
 

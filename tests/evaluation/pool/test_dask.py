@@ -57,6 +57,8 @@ class Killer(LeastSquares):
             os._exit(1)
         return super().predict(release, t_future)
 """
+# A profiler would take samples of every worker all the time.
+OWN = {"SLOW_S": "0.3", "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False"}
 SLOW = "cluster_plugins:Slow:0.1..0.8/8"
 
 
@@ -90,7 +92,7 @@ def started(folder, *, threads=(1, 2), options=("--no-nanny",), modules=None):
     def start(module, *arguments, modules=modules):
         process = subprocess.Popen(
             [sys.executable, "-m", f"distributed.cli.{module}", *arguments],
-            env=dict(os.environ, SLOW_S="0.3", PYTHONPATH=cell_path(modules or folder)),
+            env=os.environ | OWN | {"PYTHONPATH": cell_path(modules or folder)},
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
