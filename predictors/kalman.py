@@ -22,6 +22,7 @@ from isac_track.kalman import (
 )
 from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
 from isac_track.measurement import (
+    axis_share,
     covariance_without,
     error_ellipses,
     mean_variance,
@@ -185,9 +186,11 @@ class KalmanCV:
         """Return the white variance per axis of samples with declared std, (M,) m^2."""
         error = self._slow_error
         slow_m2 = 0.0 if error is None else self.added_std_m**2
-        axis_share = 0.5 if self.law == "radial" else 1.0
         least_m2 = _LEAST_DECLARED_M2 if error is None else MIN_VARIANCE_M2
-        return np.asarray(np.maximum((sigma**2 - slow_m2) * axis_share, least_m2))
+        # Releases declare sqrt(raw^2 + added^2), of which the added std is per axis:
+        # the law is that of the raw error alone.
+        raw_m2 = sigma**2 - slow_m2
+        return np.asarray(np.maximum(raw_m2 * axis_share(self.law), least_m2))
 
     def _estimated_level(
         self, t: Floats, xy: Floats, offsets: Ints, *, is_causal: bool

@@ -198,11 +198,16 @@ def test_only_declared_noise_asks_for_sigma():
 
 
 @pytest.mark.parametrize(
-    ("law", "noise_m"), [("radial", 0.4), ("isotropic", 0.4 * np.sqrt(2.0))]
+    ("law", "noise_m"),
+    [
+        ("radial", 0.4),
+        ("fixed_direction", 0.4),
+        ("isotropic", 0.4 * np.sqrt(2.0)),
+    ],
 )
 def test_the_declared_std_is_read_by_the_law(law, noise_m):
     release, t_future, _ = walks(60, noise_m=0.4)
-    # sigma is 0.4 sqrt(2): 0.4 per axis if radial, all of it if isotropic.
+    # sigma is 0.4 sqrt(2): all of it per axis if isotropic, else 0.4.
     variance = (
         KalmanCV(noise="declared", law=law).predict(release, t_future).cov[0, 0, 0, 0]
     )
