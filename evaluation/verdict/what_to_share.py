@@ -266,14 +266,16 @@ class Offer:
     def coordinates(self) -> tuple[float, float, float]:
         """Cost, PLR after attack, and linkage: less is better.
 
-        An unknown number is 0: it then neither orders levels nor rules one out. A level
-        with an unknown limit is never proposed (`met`).
+        An unknown number is infinite: it beats no known number, and equals another
+        unknown one. A level with an unknown limit is never proposed (`met`).
         """
         exposed = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
         plr = exposed.value(EXPOSURE).value
-        numbers = np.nan_to_num([self.cost.value, plr, linked])
-        cost, plr, rank1 = numbers.tolist()
+        cost, plr, rank1 = (
+            math.inf if math.isnan(value) else value
+            for value in (self.cost.value, plr, linked)
+        )
         return cost, plr, rank1
 
 
@@ -711,7 +713,7 @@ def _linked(level: _Level, task: str) -> Linked:
     if rank1.invalid:
         missing = "shortcut"
     elif rank1.outcome == WEAK:
-        missing = "attack too weak"
+        missing = WEAK
     numbers = {name: row.measured for name, row in rows.items()}
     share = numbers.get(LINKAGE_SHARE, UNKNOWN)
     chance = numbers.get("chance", UNKNOWN).value

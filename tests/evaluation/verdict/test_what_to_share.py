@@ -225,6 +225,17 @@ class TestSet:
             assert names(answer.proposals) == expected
             assert names(cheapest(non_dominated(answer.proposals))) == expected
 
+    @pytest.mark.parametrize("name", ["plr", "rank1"])
+    def test_an_unknown_number_beats_no_known_number(self, name):
+        # Without limits every level holds.
+        known, unknown = changed(level=0.3), changed(level=0.2, **{name: np.nan})
+        answer = asked((RAW, unknown, known), limits={})
+        assert names(answer.proposals) == [("ou", 0.3)]
+
+    def test_of_unknown_numbers_the_first_stays(self):
+        levels = [changed(level=level, rank1=np.nan) for level in (0.2, 0.3)]
+        assert names(asked((RAW, *levels), limits={}).proposals) == [("ou", 0.2)]
+
     def test_is_of_those_that_hold(self):
         cheap = changed(level=0.1, missed=0.1, plr=0.7, wide=0.8, rank1=0.1)
         assert names(asked((RAW, cheap, GOOD)).proposals) == [AT]
