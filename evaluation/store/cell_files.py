@@ -21,14 +21,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.compute.link_scores import (
-    ABOUT,
-    COMPANIONS,
-)
+from evaluation.compute.link_scores import ABOUT
 from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column
@@ -43,7 +39,6 @@ from evaluation.store.cell_index import (
 from evaluation.store.files import CELLS_FOLDER, GALLERY_FILE, open_regular, write_whole
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
-from isac_track.types import Floats
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -52,13 +47,8 @@ if TYPE_CHECKING:
 
 _SCORES: Final = "scores"
 _NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
-_NAMED = ("metric", "group", "assigned")
-_COUNTED = ("above", "tied", "chance", *COMPANIONS)
-_OUTCOME: Final = (*_NAMED, *_COUNTED, "about", "value", "ci_low", "ci_high", "n")
-"""Columns of a linkage cell beside its replicates."""
 _PEOPLE: Final = ("source", "group")
 _AS_THEY_ARE: Final[Mapping[str, str]] = MappingProxyType({})
-_NONE: Final[Floats] = np.zeros(0, dtype=np.float32)
 _REPEATED: Final = {
     "plr",
     "plr_wide",
@@ -107,7 +97,7 @@ class ComputedUnit(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class CellFile:
+class ReadUnit:
     """A unit of work that was read from a file of cells."""
 
     path: Path
@@ -253,7 +243,7 @@ def check_columns(rows: pa.Table, columns: Iterable[str], *, path: Path) -> None
             )
 
 
-def consumer_tables(file: CellFile, entry: Entry) -> ConsumerTables:
+def consumer_tables(file: ReadUnit, entry: Entry) -> ConsumerTables:
     """Return the tables of an entry's consumer; DataError if the file has none."""
     label = entry.label
     if label not in file.index.consumers:
@@ -265,7 +255,7 @@ def consumer_tables(file: CellFile, entry: Entry) -> ConsumerTables:
 
 def open_files(
     out: Path, entry: Entry, columns: Collection[str] | None
-) -> list[CellFile]:
+) -> list[ReadUnit]:
     """Return the files of a cell at its level: some columns, or all but raw scores."""
     stamped = []
     for name in entry.files:
@@ -290,7 +280,7 @@ class _Stamped(NamedTuple):
 @lru_cache(maxsize=1)
 def _read_files(
     stamped: tuple[_Stamped, ...], spec: str, columns: frozenset[str] | None
-) -> list[CellFile]:
+) -> list[ReadUnit]:
     """Return a level of some files."""
     files = []
     for file in stamped:
@@ -305,7 +295,7 @@ def _read_files(
             table = _read_columns(file.path, metadata.parquet, unit, columns)
             table = _with_precision(table, pa.float64())
             labels = read_labels(file.path.parent.parent)
-            files.append(CellFile(file.path, _with_labels(table, labels), unit))
+            files.append(ReadUnit(file.path, _with_labels(table, labels), unit))
     return files
 
 
@@ -331,8 +321,9 @@ def _read_columns(
 ) -> pa.Table:
     """Return some columns of a unit in a file, or all but raw scores."""
     present = metadata.schema.to_arrow_schema().names
-    wanted = columns or {*present} - {_SCORES}
-    names = [name for name in present if name in wanted]
+    if columns is None:
+        columns = frozenset(present) - {_SCORES}
+    names = [name for name in present if name in columns]
     # Not pq.read_table: its data set machinery takes longer than the read.
     with (
         open_regular(path) as opened,

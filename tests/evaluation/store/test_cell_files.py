@@ -13,6 +13,7 @@ from evaluation.store import cell_files
 from evaluation.store.cell_files import (
     ComputedCell,
     ComputedUnit,
+    open_files,
     pack_units,
     read_rows,
 )
@@ -49,6 +50,11 @@ def column_span(path):
     chunk = pq.read_metadata(path).row_group(0).column(0)
     first = chunk.data_page_offset
     return range(first, first + chunk.total_compressed_size)
+
+
+def test_no_columns_are_none_and_not_all(cell):
+    assert open_files(cell.parent.parent, ENTRY, None)[0].table.num_columns == 1
+    assert open_files(cell.parent.parent, ENTRY, [])[0].table.num_columns == 0
 
 
 def test_no_flipped_bit_of_a_page_is_read_as_another_number(cell):
