@@ -103,37 +103,71 @@ class OuRTS:
         )
         companions = context.companions if Knowledge.COMPANIONS in granted else ()
         anchor = context.anchor if Knowledge.ANCHOR in granted else None
-        mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
-        q = self.DEFAULT_Q if self.q is None else self.q
-        motion = None if self._has_own_motion else q
-        radial = RadialRTS(self.q, own_motion=self.own_motion)
         # Companions do not help against white errors.
         if known_error == (0.0, 0.0) and not (repeats or anchor):
-            return radial.fit(context)
-        sees_more = repeats or companions or anchor is not None
-        white_smoother = None if sees_more else radial.fit(context)
-        if Knowledge.TRAIN in context.granted and known_error != (0.0, 0.0):
-            best = self._learnt_choice(context, known_error, q)
-            if white_smoother and best.std_m == 0.0:
-                return white_smoother
-            if white_smoother:
-                return lambda release: smooth(release, best)
-            motion = best.q
+            return self._white.fit(context)
+        if not (repeats or companions or anchor is not None):
+            return self._fit_alone(context, known_error)
+        mechanism = context.mechanism if Knowledge.MECHANISM in granted else None
+        has_session_error = getattr(mechanism, "reuse", "release") == "session"
+        motion = self._motion
+        # Averages and anchors take only the density of the motion from what is learnt:
+        # error and passes are those of the release. A given q, or a motion of each
+        # track, leaves no density to learn.
+        learns_density = self.q is None and not self.own_motion
+        if learns_density and self._learns(context, known_error):
+            motion = self._learnt_choice(context, known_error).q
 
         def reconstruct(release: Release) -> Reconstruction:
-            std_m, tau_s = known_error or fit_slow_error(release, q)
-            if white_smoother and std_m == 0.0:
-                return white_smoother(release)
-            averaged, n = release, np.ones(())
-            if sees_more:
-                averaged, n = _averaged(release, repeats, companions, std_m)
-            if getattr(mechanism, "reuse", "release") == "session":
-                n = np.ones_like(n)  # every release of a session has the same error
-            passes = RadialRTS.USUAL_PASSES if looks_radial(averaged) else 1
-            choice = _Choice(std_m / np.sqrt(n), tau_s, motion, passes)
+            std_m, tau_s = known_error or fit_slow_error(release, self._assumed_q)
+            averaged, n = _averaged(release, repeats, companions, std_m)
+            if has_session_error:  # every release of a session has the same error
+                n = np.ones_like(n)
+            choice = _Choice(std_m / np.sqrt(n), tau_s, motion, _usual_passes(averaged))
             return smooth(averaged, choice, anchor)
 
         return reconstruct
+
+    def _fit_alone(
+        self, context: AttackContext, known_error: tuple[float, float] | None
+    ) -> Reconstructor:
+        """Return the smoother of a release without repeats, companions or an anchor."""
+        white_smoother = self._white.fit(context)
+        if self._learns(context, known_error):
+            best = self._learnt_choice(context, known_error)
+            if best.std_m == 0.0:
+                return white_smoother
+            return lambda release: smooth(release, best)
+
+        def reconstruct(release: Release) -> Reconstruction:
+            std_m, tau_s = known_error or fit_slow_error(release, self._assumed_q)
+            if std_m == 0.0:
+                return white_smoother(release)
+            passes = _usual_passes(release)
+            return smooth(release, _Choice(std_m, tau_s, self._motion, passes))
+
+        return reconstruct
+
+    @property
+    def _white(self) -> RadialRTS:
+        """The attack without a slow error."""
+        return RadialRTS(self.q, own_motion=self.own_motion)
+
+    @property
+    def _assumed_q(self) -> float:
+        """Density of the motion where none is learnt, m^2/s^3."""
+        return self.DEFAULT_Q if self.q is None else self.q
+
+    @property
+    def _motion(self) -> float | None:
+        """Density of the motion of a choice, m^2/s^3; None: of each track its own."""
+        return None if self._has_own_motion else self._assumed_q
+
+    def _learns(
+        self, context: AttackContext, known_error: tuple[float, float] | None
+    ) -> bool:
+        """Return whether there is a training set, and a slow error to learn."""
+        return Knowledge.TRAIN in context.granted and known_error != (0.0, 0.0)
 
     @property
     def _has_own_motion(self) -> bool:
@@ -157,21 +191,20 @@ class OuRTS:
         return None
 
     def _learnt_choice(
-        self, context: AttackContext, known_error: tuple[float, float] | None, q: float
+        self, context: AttackContext, known_error: tuple[float, float] | None
     ) -> _Choice:
         """Return the choice that reconstructs the training set best.
 
         Candidates are the known error and the error fitted to the training set, with
-        several passes or one; then several densities of the motion.
+        several passes or one; then several densities of a motion of all tracks.
         """
         errors = [] if known_error is None else [known_error]
         if self.std_m is None:
-            fitted_error = fit_slow_error(context.train.release, q)
+            fitted_error = fit_slow_error(context.train.release, self._assumed_q)
             if fitted_error not in errors:
                 errors.append(fitted_error)
-        motion = None if self._has_own_motion else q
         choices = [
-            _Choice(std_m, tau_s, motion, passes)
+            _Choice(std_m, tau_s, self._motion, passes)
             for std_m, tau_s in errors
             for passes in (RadialRTS.USUAL_PASSES, 1)
         ]
@@ -183,11 +216,17 @@ class OuRTS:
         )
         best = choose_best(candidates=choices)
         if self._has_own_motion:
-            return choose_best(candidates=[best._replace(q=None)])
-        densities = candidate_values(self.q, candidates_around(q, factor=4.0))
+            return best
+        around = candidates_around(self._assumed_q, factor=4.0)
+        densities = candidate_values(self.q, around)
         return choose_best(
             candidates=[best._replace(q=density) for density in densities]
         )
+
+
+def _usual_passes(release: Release) -> int:
+    """Return the number of smoothers of a release when it is not learnt."""
+    return RadialRTS.USUAL_PASSES if looks_radial(release) else 1
 
 
 def _averaged(
