@@ -20,7 +20,12 @@ from isac_track.kalman import (
     kalman_last,
     planar_last,
 )
-from isac_track.kalman.slow_errors import SlowError, added_error, filter_tracks
+from isac_track.kalman.slow_errors import (
+    LEAST_REST,
+    SlowError,
+    added_error,
+    filter_tracks,
+)
 from isac_track.measurement import (
     axis_share,
     covariance_without,
@@ -41,8 +46,6 @@ from isac_track.types import (
 
 GATE = 18.4  # Chi-square quantile of 0.9999 with two degrees of freedom.
 WINDOW = 160  # Samples; earlier samples no longer change the prediction (tested).
-# Least share of the innovations' variance that is not attributed to a slow error.
-LEAST_REST = 0.05
 _LEAST_DECLARED_M2 = 1e-12
 # m around the first sample, m/s, m/s^2: more than in any walk.
 _PRIOR_STD = (100.0, 10.0, 10.0)

@@ -15,13 +15,17 @@ from scipy.special import chndtr, ndtr
 from attacks.following.chain_smoother import smooth_chain
 from attacks.following.walk_chain import Chain, ChainOptions
 from isac_track.measurement import mass_within, scalar_covariance
-from isac_track.patrols.knowledge import Reports, smooth_reports
+from isac_track.patrols.knowledge import (
+    ANNEAL,
+    APART_S,
+    PASSES,
+    UNINFORMATIVE_M2,
+    Reports,
+    smooth_reports,
+)
 from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 _PRIOR_STD: Final = (100.0, 1.4)  # m and m/s
-_UNINFORMATIVE_M2: Final = 1e12
-_APART_S: Final = 1e-6  # Added to an instant, so that an entry at the time comes first.
-_PASSES, _ANNEAL = 5, 0.15  # Options of the radial smoother, as in `known_places`.
 _SLACK_M: Final = 0.05  # Walks curve within a step.
 _PARTS: Final = (
     4  # Of a cell, in each of which a conditional law stands for its middle.
@@ -104,7 +108,7 @@ def smooth_gaussians(
     middle = options.q[len(options.q) // 2]
     offsets = np.array([0, entries.t.size])
     batch = entries.reports.batch(entries.t, offsets, prior_std=_PRIOR_STD)
-    closer = smooth_reports(batch, q=middle, passes=_PASSES, anneal=_ANNEAL)
+    closer = smooth_reports(batch, q=middle, passes=PASSES, anneal=ANNEAL)
     near = _smooth_instants(
         Entries(entries.t, closer.xy, closer.variance, closer.cov), t, q=middle
     )
@@ -122,10 +126,10 @@ def _smooth_instants(entries: Entries, t: Floats, *, q: float) -> Reports:
 
     The instants are added as measurements that carry no information.
     """
-    times = np.concatenate([entries.t, t + _APART_S])
+    times = np.concatenate([entries.t, t + APART_S])
     order = np.argsort(times, kind="stable")
     xy = np.concatenate([entries.xy, np.repeat(entries.xy[:1], t.size, axis=0)])
-    nothing = np.full(t.size, _UNINFORMATIVE_M2)
+    nothing = np.full(t.size, UNINFORMATIVE_M2)
     cov = entries.cov
     if cov is not None:
         cov = np.concatenate([cov, scalar_covariance(nothing)])[order]

@@ -30,6 +30,7 @@ from attacks.reconstruction.own_motion import (
 from attacks.remembered import memoised, noise_m2
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import (
+    LEAST_REST,
     SlowError,
     added_error,
     filter_tracks,
@@ -54,8 +55,6 @@ _N_FITTED = 40  # The error is fitted to at most so many tracks.
 _LEAST_GAIN = 2.0
 _LEAST_TOGETHER = 20  # Samples that a companion shares with a walk.
 _KNOWN_M2 = 1e-4  # Error variance per axis of a known position.
-# Share of the innovations' variance that is never attributed to a slow error.
-_LEAST_REST = 0.05
 
 
 class _Choice(NamedTuple):
@@ -341,7 +340,7 @@ def _rest_m2(release: Release, error: SlowError) -> Floats:
         t=release.t, offsets=release.offsets
     )
     return np.repeat(
-        np.maximum(rest_m2, _LEAST_REST * level_m2), np.diff(release.offsets)
+        np.maximum(rest_m2, LEAST_REST * level_m2), np.diff(release.offsets)
     )
 
 

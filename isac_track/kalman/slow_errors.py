@@ -16,7 +16,7 @@ Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 
 
 from dataclasses import dataclass
 from importlib import import_module
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,9 @@ from isac_track.kalman import (
 from isac_track.measurement import mean_variance
 from isac_track.noise import running_means
 from isac_track.types import Floats, Ints, positive
+
+LEAST_REST: Final = 0.05
+"""Least share of the innovations' variance that is not attributed to a slow error."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

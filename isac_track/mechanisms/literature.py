@@ -27,6 +27,7 @@ from numpy.random import Generator
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
 from isac_track.kalman.steady import INTERVAL_S, Q_M2_PER_S3
+from isac_track.measurement import axis_variance
 from isac_track.mechanisms.perturb import add_isotropic, check_at_least
 from isac_track.mechanisms.protections import Laplace, Reuse, check_slow
 from isac_track.mechanisms.stationary import (
@@ -334,9 +335,8 @@ class Remap:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the reports, each moved by the prior of those before it."""
         reports = Laplace(self.std_m).share(sensed, rng)
-        # A radial error |N(0, sigma)| has the variance sigma^2 / 2 per axis.
-        axis_share = 1.0 if sensed.law == "isotropic" else 0.5
-        variance = self.std_m**2 + axis_share * np.square(sensed.sigma_raw)
+        raw_m2 = axis_variance(sigma_m=sensed.sigma_raw, law=sensed.law)
+        variance = self.std_m**2 + raw_m2
         batch = Batch(
             reports.t,
             reports.xy,

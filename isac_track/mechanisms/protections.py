@@ -13,7 +13,12 @@ import numpy as np
 from numpy.random import Generator
 
 from isac_track.kalman import Batch, kalman_last, planar_last
-from isac_track.measurement import error_ellipses, mean_variance, scalar_covariance
+from isac_track.measurement import (
+    axis_variance,
+    error_ellipses,
+    mean_variance,
+    scalar_covariance,
+)
 from isac_track.mechanisms.controls import correlated_errors
 from isac_track.mechanisms.paper import Fid, fid_d_sigma
 from isac_track.mechanisms.perturb import add_isotropic, check_at_least, draw_pseudonyms
@@ -264,8 +269,6 @@ class Forecast:
     def share(self, sensed: Sensed, rng: Generator) -> Release:
         """Return the filtered positions of the samples that are shared."""
         white = rng.standard_normal((sensed.t.size, 2))
-        # A radial error |N(0, sigma)| has the variance sigma^2 / 2 per axis.
-        axis_share = 1.0 if sensed.law == "isotropic" else 0.5
         owner = np.repeat(np.arange(len(sensed)), np.diff(sensed.offsets))
         end_s = sensed.t[sensed.offsets[1:] - 1][owner]
         interval = np.floor((end_s - sensed.t) / self.every_s)
@@ -278,9 +281,8 @@ class Forecast:
         first = np.searchsorted(order, owner[rows] + 1j * (sensed.t[rows] - _MEMORY_S))
         first = np.maximum(first, sensed.offsets[owner[rows]])
         sample, offsets = stretches(first, rows + 1 - first)
-        variance = np.maximum(
-            axis_share * sensed.sigma_raw[sample] ** 2, np.finfo(float).tiny
-        )
+        raw_m2 = axis_variance(sigma_m=sensed.sigma_raw[sample], law=sensed.law)
+        variance = np.maximum(raw_m2, np.finfo(float).tiny)
         filtered = _filter_positions(sensed, sample, variance, offsets, q=self.q)
         cov = None
         if sensed.cov is not None:

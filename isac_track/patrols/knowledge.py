@@ -13,6 +13,7 @@ import numpy as np
 from isac_track.kalman import Batch, smooth_ellipses, smooth_positions
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
 from isac_track.measurement import (
+    axis_variance,
     covariance_without,
     error_ellipses,
     mean_variance,
@@ -47,11 +48,10 @@ ESTIMATORS: Final = (
 """
 _Q: Final = 0.04  # m^2/s^3, of people's acceleration, as in the robot's `kalman_cv`.
 _PRIOR_STD: Final = (100.0, 10.0)  # m and m/s, more than in any walk.
-_UNINFORMATIVE_M2: Final = 1e12  # Variance of a measurement without information.
-_APART_S: Final = (
-    1e-6  # Added to every instant, so that an entry at the same time comes first.
-)
-_PASSES, _ANNEAL = 5, 0.15  # Options of the radial smoother.
+UNINFORMATIVE_M2: Final = 1e12  # Variance of a measurement without information.
+# Added to every instant, so that an entry at the same time comes first.
+APART_S: Final = 1e-6
+PASSES, ANNEAL = 5, 0.15  # Options of the radial smoother.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -344,7 +344,7 @@ def _variance(network: Network, release: Release) -> Floats:
             t=release.t, xy=release.xy, offsets=release.offsets
         )
         return np.repeat(variance, np.diff(release.offsets))
-    return np.asarray(sigma**2 * (1.0 if network.sensed.law == "isotropic" else 0.5))
+    return axis_variance(sigma_m=sigma, law=network.sensed.law)
 
 
 def _state_entries(network: Network, sent: Bools) -> tuple[Ints, Reports]:
@@ -406,7 +406,7 @@ def state_positions(
 def _smooth_entries(log: Log, offsets: Ints) -> Log:
     """Return the log with its entries smoothed for errors of the radial law."""
     batch = Batch(log.t, log.xy, log.variance, offsets, _PRIOR_STD, log.ellipse)
-    smoothed = smooth_reports(batch, q=_Q, passes=_PASSES, anneal=_ANNEAL)
+    smoothed = smooth_reports(batch, q=_Q, passes=PASSES, anneal=ANNEAL)
     return replace(log, xy=smoothed.xy, variance=smoothed.variance, cov=smoothed.cov)
 
 
@@ -468,9 +468,9 @@ def _filter_gaps(gaps: Gaps, *, is_causal: bool) -> Floats:
     before = gaps.neighbours().before
     owner = np.repeat(np.arange(gaps.offsets.size - 1), np.diff(gaps.offsets))
     person = np.concatenate([owner, gaps.person])
-    t = np.concatenate([log.t, gaps.t + _APART_S])
+    t = np.concatenate([log.t, gaps.t + APART_S])
     order = np.lexsort((t, person))
-    no_information = np.full(gaps.t.size, _UNINFORMATIVE_M2)
+    no_information = np.full(gaps.t.size, UNINFORMATIVE_M2)
     ellipse = log.ellipse
     if ellipse is not None:
         round_shapes = np.tile(np.eye(2), (gaps.t.size, 1, 1))
