@@ -328,7 +328,7 @@ def _criterion_text(item: Mapping[str, Any]) -> str:
 def _people_needed(row: Mapping[str, Any]) -> Cell:
     """Return how many people would show that linkage is equal, if so many can exist."""
     needed = row["n_needed"]
-    if needed is not None and needed >= rules.MOST_PEOPLE:
+    if needed is not None and not rules.is_realistic(needed):
         return make.text_cell("no realistic number")
     return make.number_cell(needed, digits=0)
 

@@ -39,6 +39,7 @@ from evaluation.reporting.return_words import (
 )
 from evaluation.reporting.rows import Results
 from evaluation.verdict import rules
+from evaluation.verdict.validity import ATTACKS, SHOWN
 from isac_track.intervals import Estimate
 
 _MATTERS: Final = 0.05  # Difference between the adding rules that a sentence mentions.
@@ -368,7 +369,7 @@ def _decision_sentence(
     head = descriptor_name(item["descriptor"])
     match item["decision"]:
         # A flat descriptor: no difference at equal values is needed to show a miss.
-        case rules.DOES_NOT if (item["spread_low"] or 0.0) <= rules.SUCCESS_MARGIN:
+        case decision if rules.is_flat_miss(decision, item["spread_low"]):
             return (
                 f"{subject} {says_not} how linkable people are: linkage falls where the"
                 f" {head} hardly changes{noise}."
@@ -398,9 +399,7 @@ def _decision_sentence(
 
 def people_needed(n: float) -> str:
     """Return how many people would decide an item that is open now."""
-    if not n < rules.MOST_PEOPLE:
-        return "No realistic number of people would decide it."
-    return f"About {float(f'{n:.2g}'):,.0f} people would decide it."
+    return f"{sentence_case(rules.people_amount(n))} people would decide it."
 
 
 def _descriptors_details(
@@ -417,9 +416,9 @@ def _descriptors_details(
     sentences = [f"The widest spread is {spread} of 100 people at equal {head}, {how}."]
     if lead["decision"] == rules.NOT_TESTABLE:
         sentences = [f"Not testable {how}: {lead['why']}."]
-    if "shown" in lead["evidence"]:
+    if SHOWN in lead["evidence"]:
         sentences.append("An attack that links more people shows it.")
-    if "attacks" in lead["evidence"]:
+    if ATTACKS in lead["evidence"]:
         sentences.append(
             "It holds as far as these attacks go; a stronger attack may change it."
         )

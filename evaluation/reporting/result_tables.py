@@ -40,6 +40,7 @@ from evaluation.reporting.rows import (
     source_rows,
 )
 from evaluation.reporting.table import Cell, Column, Table
+from evaluation.verdict.what_to_share import WEAK
 from isac_track.intervals import Estimate
 from isac_track.linkability import LEVEL
 from isac_track.mechanisms.protections import Laplace
@@ -48,7 +49,6 @@ PAPER_REPORTS: Final = 366  # Samples of a track of the paper.
 MARKS = dict(zip(REMARKS, "~^!", strict=True))
 """By remark: the mark of a linkage cell that does not simply link."""
 MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
-TOO_WEAK = "attack too weak"
 _SCORES_TELL = "1 - Cllr_min"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
@@ -455,12 +455,12 @@ def doubt_table(run: Results) -> Table:
     rows = run.linkability[run.linkability["cohort"] == "all"]
     texts = rows[["knowledge", "outcome", "invalid"]].astype(object).fillna("")
     rows = rows.assign(**texts)
-    is_doubtful = (rows["invalid"] != "") | (rows["outcome"] == TOO_WEAK)
+    is_doubtful = (rows["invalid"] != "") | (rows["outcome"] == WEAK)
     rows = rows[(rows["knowledge"] != "") & is_doubtful]
 
     def reason(row: Mapping[str, Any]) -> str:
         name = row["invalid"]
-        return f"invalid: {name} tells people apart" if name else REMARKS[TOO_WEAK]
+        return f"invalid: {name} tells people apart" if name else REMARKS[WEAK]
 
     columns = [
         make.text_column("task/attack", "consumer"),

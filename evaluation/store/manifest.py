@@ -30,6 +30,7 @@ import numpy as np
 import isac_track
 from attacks.tasks.returns import LEAST_S, LONGEST_S
 from attacks.tasks.task_list import RETURNS
+from evaluation.compute.return_columns import CLEAN
 from evaluation.plan.axes import TRACK_KINDS
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import digest, list_user_plugins
@@ -160,7 +161,7 @@ def with_ceiling(entries: list[Entry]) -> list[Entry]:
     The ceiling decides what an attack without success means; in other worlds an attack
     is compared with the optimum instead.
     """
-    ceilings = {entry.address.source for entry in entries if entry.spec == "clean"}
+    ceilings = {entry.address.source for entry in entries if entry.spec == CLEAN}
     return [
         entry
         for entry in entries

@@ -40,8 +40,29 @@ LEAST_FALL: Final = 0.20
 FEWEST_DISCORDANT: Final = 10
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates show nothing.
 MOST_PEOPLE: Final = 100_000  # More people than any recording has.
+_NOBODY_HAS: Final = "no realistic number of"
 # Share of its span by which a point may lie beyond the fixed sweep.
 REACH: Final = 0.02
+
+
+def is_flat_miss(decision: str, spread_low: float | None) -> bool:
+    """Return whether an item does not track only because its descriptor is flat.
+
+    `spread.decided` has two grounds for `DOES_NOT`: a spread that is surely above the
+    margin, or linkage that falls while the descriptor hardly changes. Without the first
+    it was the second.
+    """
+    return decision == DOES_NOT and (spread_low or 0.0) <= SUCCESS_MARGIN
+
+
+def is_realistic(n: float) -> bool:
+    """Return whether a recording can have so many people."""
+    return n < MOST_PEOPLE
+
+
+def people_amount(n: float) -> str:
+    """Return a number of people in words, to two digits, for "... people"."""
+    return f"about {float(f'{n:.2g}'):,.0f}" if is_realistic(n) else _NOBODY_HAS
 
 
 def numbers(effect: Estimate) -> dict[str, Any]:

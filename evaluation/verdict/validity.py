@@ -210,7 +210,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     if tested.beside is not None:
         beside_wide = spread.widths(tested.beside, section)
         beside = _contrasts(panel, panel.beside, tested.beside, beside_wide)
-    is_flat = decision == rules.DOES_NOT and low <= rules.SUCCESS_MARGIN
+    is_flat = rules.is_flat_miss(decision, low)
     # A difference by construction decided nothing. Equality, and a miss by a flat
     # descriptor, hold as far as these attacks go.
     sure = {gap["evidence"] for gap in compared if gap["reading"] == rules.DIFFERS}
@@ -382,7 +382,7 @@ def _sentence(tested: Tested, item: Mapping[str, Any]) -> str:
     if decision == BETWEEN:
         would = _people_needed(item["n_needed"])
         return f"{equal}, mechanisms let {item['why']} {either}{would}."
-    if low <= rules.SUCCESS_MARGIN:
+    if rules.is_flat_miss(decision, low):
         own = tested.contrasts
         fall, span = _points(own.fall[0]), np.exp(own.span[0])
         return (
@@ -412,10 +412,7 @@ def _people_needed(n: float | None) -> str:
     """Return the number of people that would show equal linkage; empty if unknown."""
     if not n:
         return ""
-    number = "no realistic number of"
-    if n < rules.MOST_PEOPLE:
-        number = f"about {float(f'{n:.2g}'):,.0f}"
-    return f"; if truly equal, {number} people would show it"
+    return f"; if truly equal, {rules.people_amount(n)} people would show it"
 
 
 def _points(share: float, digits: int = 1) -> str:
