@@ -129,7 +129,6 @@ def _returning_screen(run: Results, *, before: int) -> list[str]:
         *_next_lines(run),
     ]
     room = LINES - before - len([*top, *last])
-    labels, grid = screen_table(run, most=_LEAST_ROWS)
     for most in range(_MOST_RETURN_ROWS, _LEAST_ROWS - 1, -1):
         labels, grid = screen_table(run, most=most)
         grid += _legend(labels)
