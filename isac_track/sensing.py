@@ -286,8 +286,8 @@ def _draw_batches(
     for sizes, key in zip(n_samples, keys, strict=True):
         total, offsets = sum(sizes), np.cumsum([0, *sizes])
         large_scale = draw("large scale", *key)
-        # The first gain of each track is drawn first: if the gain is constant along a
-        # walk, no other draw counts.
+        # Draw all first gains before the innovations: with infinite decorrelation only
+        # they matter, and they do not shift with the number of samples.
         first_gains = large_scale.standard_normal(len(sizes))
         innovations = large_scale.standard_normal(total)
         innovations[offsets[:-1]] = first_gains
@@ -397,7 +397,9 @@ def sense(
     unit_error, cov = channel.unit_error, None
     if settings.measurement == "range_bearing":
         shaped = _shape_error(xy, sigma_raw, unit_error, settings)
-        info = info * np.square(sigma_raw) * shaped.information_m2
+        # The scalar information times sigma_raw^2 is the square of the estimator's gap.
+        # It turns the inverse variance of the shaped errors into their information.
+        info = info * np.square(sigma_raw) * shaped.information_per_m2
         sigma_raw, unit_error, cov = shaped.sigma_m, shaped.unit_error, shaped.cov
     return Sensed(
         t=t,
@@ -419,7 +421,7 @@ class _Shaped(NamedTuple):
     cov: Floats  # (M, 2, 2) m^2
     sigma_m: Floats  # (M,) of a round error with the same mean square.
     unit_error: Floats  # (M, 2), in units of `sigma_m`.
-    information_m2: Floats  # (M,) 1/m^2, mean of both axes, of an efficient estimator.
+    information_per_m2: Floats  # (M,) mean of both axes, of an efficient estimator.
 
 
 def _shape_error(
@@ -434,7 +436,7 @@ def _shape_error(
         cov=cov,
         sigma_m=shaped_m,
         unit_error=error / shaped_m[:, None],
-        information_m2=share * mean_information(cov),
+        information_per_m2=share * mean_information(cov),
     )
 
 

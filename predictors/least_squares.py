@@ -16,7 +16,7 @@ class LeastSquares:
     all its samples; a track of a single sample is predicted to stand still.
     """
 
-    window: int = 16  # Number of samples, q of the paper.
+    window: int = 16  # Samples; q in the equations of the paper.
 
     requires: ClassVar[frozenset[Knowledge]] = frozenset()
 
@@ -27,11 +27,11 @@ class LeastSquares:
     def predict(self, release: Release, t_future: Floats) -> Prediction:
         """Return the extrapolated lines at `t_future`, (N, H) s; no covariance."""
         first, last = release.offsets[:-1, None], release.offsets[1:, None] - 1
-        sample = last - np.arange(self.window)[::-1]  # (N, q), newest last
+        sample = last - np.arange(self.window)[::-1]  # (N, window), newest last
         weight = (sample >= first).astype(np.float64)
         count = weight.sum(axis=1, keepdims=True)
         sample = np.maximum(sample, first)
-        t, xy = release.t[sample], release.xy[sample]  # (N, q), (N, q, 2) m
+        t, xy = release.t[sample], release.xy[sample]  # (N, window) s, (N, window, 2) m
         t_mean = (weight * t).sum(axis=1, keepdims=True) / count
         xy_mean = (weight[..., None] * xy).sum(axis=1, keepdims=True) / count[..., None]
         # Centred times: absolute times would cancel badly late in a recording.

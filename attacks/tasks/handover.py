@@ -16,38 +16,44 @@ from isac_track.types import Bools, Floats, Ints
 def handover(draft: Draft) -> Sessions:
     """Return windows before and after each instant at which all pseudonyms rotate.
 
-    Some people come or go meanwhile. DataError if there are too few instants, too.
+    Some people come or go meanwhile. Raises DataError if too few people or too few
+    rotations remain.
     """
     tracks, settings, gap_s = draft.tracks, draft.settings.linkage, draft.task.gap_s
     # The same instants whatever the gap, so that the gaps can be compared.
     first_s, last_s = float(tracks.t.min()), float(tracks.t.max())
     at_s = rotation_times(first_s, last_s, settings=settings)
     before, after = _presence(draft, at_s)
-    # An instant at which nobody can be linked has no search.
-    used = np.flatnonzero((before & after).any(axis=1))
-    n_everybody = int((before | after)[used].any(axis=0).sum())
-    used = np.intersect1d(used, _draw_instants(draft, at_s, longest_gap_s()))
-    present = (before | after)[used]
+    # At other instants nobody can be linked: they have no search.
+    linkable = np.flatnonzero((before & after).any(axis=1))
+    n_lasting = int((before | after)[linkable].any(axis=0).sum())
+    drawn = np.intersect1d(linkable, _draw_instants(draft, at_s, longest_gap_s()))
+    present = (before | after)[drawn]
     rows = np.flatnonzero(present.any(axis=0))
     draft.require_people(rows.size, "people are there when pseudonyms rotate")
-    if used.size < N_FOLDS:
+    if drawn.size < N_FOLDS:
         raise DataError(
-            f"task {draft.task.name}: {used.size} rotations of pseudonyms have people"
-            " to link, but 2 are needed; use a longer recording or a shorter"
+            f"task {draft.task.name}: {drawn.size} rotations of pseudonyms have people"
+            f" to link, but {N_FOLDS} are needed; use a longer recording or a shorter"
             " linkage.handover_period_s"
         )
     # By the time since the recording began: an instant has the same draws whatever the
     # clock says.
-    labels = [f"{since_s:g} s" for since_s in at_s[used] - float(tracks.t.min())]
+    labels = [f"{since_s:g} s" for since_s in at_s[drawn] - float(tracks.t.min())]
     window_s = settings.handover_window_s
     windows = partial(
-        _rotation_windows, draft, used=used, at_s=at_s[used], rows=rows, labels=labels
+        _rotation_windows,
+        draft,
+        drawn=drawn,
+        at_s=at_s[drawn],
+        rows=rows,
+        labels=labels,
     )
     probe = windows("probe", before, since_s=-window_s, until_s=0.0)
     gallery = windows("gallery", after, since_s=gap_s, until_s=gap_s + window_s)
-    gallery_row = np.full((used.size, rows.size), -1)
+    gallery_row = np.full((drawn.size, rows.size), -1)
     gallery_row[gallery.search, gallery.person] = np.arange(len(gallery))
-    fold = (np.arange(used.size) * N_FOLDS) // used.size
+    fold = (np.arange(drawn.size) * N_FOLDS) // drawn.size
     group = tuple(tracks.group[row] for row in rows)
     return draft.sessions(
         rows,
@@ -58,8 +64,8 @@ def handover(draft: Draft) -> Sessions:
         mate=gallery_row[probe.search, probe.person],
         fold=fold,
         searches=tuple(labels),
-        too_short=len(tracks) - n_everybody,
-        not_drawn=n_everybody - rows.size,
+        too_short=len(tracks) - n_lasting,
+        not_drawn=n_lasting - rows.size,
     )
 
 
@@ -68,7 +74,7 @@ def _rotation_windows(
     side: str,
     present: Bools,
     *,
-    used: Ints,
+    drawn: Ints,
     at_s: Floats,
     rows: Ints,
     labels: Sequence[str],
@@ -77,16 +83,16 @@ def _rotation_windows(
 ) -> Windows:
     """Return one side of every rotation, the walks of each in an order of its own.
 
-    `present`, (S, N), tells the tracks at each instant. `used` are the numbers of the
+    `present`, (S, N), tells the tracks at each instant. `drawn` are the numbers of the
     instants, `at_s` their times. Windows last from `since_s` to `until_s` after them.
     """
     # By number among all instants: an instant has the same draws whatever the gap.
     order = [
         draft.rng("order", side, number).permutation(np.flatnonzero(present[number]))
-        for number in used.tolist()
+        for number in drawn.tolist()
     ]
     row = np.concatenate(order)
-    search = np.repeat(np.arange(used.size), [part.size for part in order])
+    search = np.repeat(np.arange(drawn.size), [part.size for part in order])
     keys = [labels[number] for number in search.tolist()]
     start_s, end_s = at_s[search] + since_s, at_s[search] + until_s
     stretches = draft.cut(side, row, start_s, end_s, keys)

@@ -1,6 +1,7 @@
-"""Tracks of a mechanism: what trackers make of detections, adversaries and robots of both.
+"""Cells of tracks.
 
-Everything is drawn anew for each seed of sensing. Rows are per seed and block of the
+They have how well trackers track, what robots miss with tracks, and whom an adversary
+follows. Everything is drawn anew for each seed of sensing. Rows are per seed and block of the
 recording, which intervals draw.
 """
 
@@ -461,7 +462,7 @@ def robot_tables(
         np.append(seed.by_distance.alarms, seed.by_distance.alarms[-1:], axis=0)
         for seed in counts
     ]
-    alarms["alarms"] = np.concatenate([by_step.T.ravel() for by_step in repeated])
+    alarms["alarms"] = np.concatenate([alarm.T.ravel() for alarm in repeated])
     alarms["warned"] = np.concatenate(
         [seed.by_distance.warned.T.ravel() for seed in counts]
     )
@@ -490,7 +491,7 @@ def by_seed(rows: Mapping[str, Floats], column: str) -> Floats:
     return np.asarray(rows[column].reshape(n_seeds, -1).T)
 
 
-def by_distance(alarms: Mapping[str, Floats], column: str) -> Floats:
+def by_step(alarms: Mapping[str, Floats], column: str) -> Floats:
     """Return a column of `ALARMS`, (1 + D, B, S), or of `HOTA`, (A, B, S)."""
     n_seeds, n_steps = (int(alarms[name].max()) + 1 for name in ("seed", "step"))
     return np.asarray(

@@ -64,7 +64,7 @@ class PatrolNumber(NamedTuple):
     address: Address  # Without the recording, which all numbers of a run share.
     estimate: Estimate
     # Whether it follows from how policy and robot are built: then it is no result.
-    is_built_in: bool = False
+    is_by_construction: bool = False
     claims_protection: bool = True  # Whether the policy does; of a robot's number.
 
 
@@ -83,14 +83,14 @@ def _numbers(out: Path, entry: Entry, *, seed: int) -> list[PatrolNumber]:
     reader = entry.address
     if entry.kind == "patrol":
         rows, group = _read(out, entry, ROBOT_COLUMNS, beside=_ROBOT_BESIDE)
-        is_built_in = bool(rows["by_construction"].all())
+        is_by_construction = bool(rows["by_construction"].all())
         counts = utility_counts({ROWS: rows} | _read_alarms(out, entry, group))
         metrics = estimate_utility(counts, group=group, seed=seed)
         return [
             PatrolNumber(
                 reader.measured(name),
                 estimate,
-                is_built_in=is_built_in and name == WITHHELD,
+                is_by_construction=is_by_construction and name == WITHHELD,
                 claims_protection=bool(rows["protects"].all()),
             )
             for name, estimate in metrics.items()
@@ -124,8 +124,9 @@ def _read(
     """Return the rows of a cell, and the cluster of each person."""
     table = read_rows(out, entry, columns=[*_PEOPLE, *columns], beside=beside)
     rows = {name: table[name].to_numpy() for name in columns}
+    # The rows of a person, one for each route, follow each other.
     n_routes = int(rows["route"].max()) + 1
-    return rows, tuple(_names(table)[::n_routes])
+    return rows, tuple(_clusters(table)[::n_routes])
 
 
 def _read_alarms(out: Path, entry: Entry, group: Sequence[str]) -> dict[str, Rows]:
@@ -138,7 +139,7 @@ def _read_alarms(out: Path, entry: Entry, group: Sequence[str]) -> dict[str, Row
     read = partial(read_rows, out, entry, beside=_ROBOT_BESIDE)
     conflicts = read(columns=["group", *CONFLICT_COLUMNS], table=CONFLICTS)
     alarms = read(columns=ALARM_COLUMNS, table=ALARMS)
-    track = np.array([first[name] for name in _names(conflicts)], dtype=np.int64)
+    track = np.array([first[name] for name in _clusters(conflicts)], dtype=np.int64)
     rows = {name: conflicts[name].to_numpy() for name in CONFLICT_COLUMNS}
     return {
         CONFLICTS: rows | {"track": track},
@@ -146,7 +147,7 @@ def _read_alarms(out: Path, entry: Entry, group: Sequence[str]) -> dict[str, Row
     }
 
 
-def _names(table: pa.Table) -> list[str]:
+def _clusters(table: pa.Table) -> list[str]:
     """Return the cluster of each row."""
     coded = table["group"].combine_chunks()
     names = coded.dictionary.to_pylist()

@@ -31,8 +31,8 @@ from evaluation.compute.tracking import (
     ROBOT_SHARES,
     TRACK_COLUMNS,
     TRACK_METRICS,
-    by_distance,
     by_seed,
+    by_step,
 )
 from evaluation.estimates.metrics import (
     DISCLOSED,
@@ -105,8 +105,8 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     }
     levels = _read(out, entry, HOTA_COLUMNS, table=HOTA)
     metrics[entry.address, "hota"] = block_hota(
-        association=by_distance(levels, "association"),
-        pairs=by_distance(levels, "pairs"),
+        association=by_step(levels, "association"),
+        pairs=by_step(levels, "pairs"),
         seed=seed,
     )
     known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]
@@ -209,8 +209,8 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     alarms = _read(out, entry, ALARM_COLUMNS, table=ALARMS)
     metrics[robot, FUTURE_EQUAL_ALARMS] = block_missed_at_equal_alarms(
         # The last row repeats the row before.
-        alarms=by_distance(alarms, "alarms")[:-1],
-        warned=by_distance(alarms, "warned"),
+        alarms=by_step(alarms, "alarms")[:-1],
+        warned=by_step(alarms, "warned"),
         allowed=by_seed(rows, "allowed"),
         seed=seed,
     )

@@ -33,10 +33,11 @@ class Where(NamedTuple):
 
 
 class _KnownHash:
-    """A place beside the parts of an address; copies and pickles leave it out.
+    """Slot for the cached hash.
 
-    It has the hash of that address from the first call on, for the address's life: a
-    report asks half a million times.
+    A base class, so that dataclass fields, copies and pickles do not include it. The
+    hash is cached at the first call, for the life of the address: a report asks half a
+    million times.
     """
 
     __slots__ = ("_hash",)

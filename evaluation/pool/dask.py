@@ -27,8 +27,9 @@ from isac_track.errors import SettingsError, error_text
 
 W = TypeVar("W")
 R = TypeVar("R")
+# Both are of `distributed`: an optional dependency, without types.
 Client: TypeAlias = Any
-Task: TypeAlias = Any  # A future. Neither has types, and both are an extra.
+Future: TypeAlias = Any
 
 _CONNECT_S: Final = 5.0
 _FIRST_WORKER_S: Final = 10.0
@@ -41,7 +42,7 @@ _LOOK_S: Final = 0.02
 _FETCH_S: Final = 10.0
 # Works handed out per thread: no worker waits, and nobody holds many.
 _AHEAD: Final = 2
-# Ours holds tracks.
+# Graphs with tracks are larger than the usual limit: no warning.
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
@@ -110,7 +111,7 @@ class _Cluster(Generic[W, R]):
         self._completed = untyped(loop=client.loop)
         self._expected = _describe_process(modules, seen={})
         self.n_threads = 1
-        self.under_way: dict[Task, W] = {}
+        self.under_way: dict[Future, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
         self._check_workers()
         # Packed for the workers only: the scheduler may lack a user's plug-in.
@@ -148,7 +149,7 @@ class _Cluster(Generic[W, R]):
         self.under_way[task] = work
         self._completed.add(task)
 
-    def _submit(self, function: Callable[..., Any], *arguments: object) -> Task:
+    def _submit(self, function: Callable[..., Any], *arguments: object) -> Future:
         return self._client.submit(
             function, *arguments, key=f"isac-track-{uuid.uuid4().hex}"
         )
@@ -181,7 +182,7 @@ class _Cluster(Generic[W, R]):
             start = f"some (`dask worker {self._scheduler}`)"
             raise self._lost_error(f"has had no worker for {_NO_WORKER_S:g} s", start)
 
-    def _task_results(self, task: Task) -> list[R | Failure] | None:
+    def _task_results(self, task: Future) -> list[R | Failure] | None:
         """Return the results of a task; None if they cannot be fetched (any more)."""
         from distributed import CancelledError  # noqa: PLC0415 - an extra
         from distributed.scheduler import KilledWorker  # noqa: PLC0415 - an extra

@@ -68,17 +68,16 @@ def spread(
     in_workers: bool = False,
     is_separate: bool = False,
 ) -> Generator[tuple[W, R | Failure]]:
-    """Yield every result with its work, as it comes.
+    """Yield each work with each of its results, in the order in which results come.
 
-    The function calls `note_cell` before each cell. Works may be added while this runs.
-    With one job and no limit, all is computed in this process, while the results are
-    read, unless it must be done `in_workers`. A worker that takes longer than `limit_s`
-    for a cell is killed: the results that it has sent stay. The last of several works
-    still gets a worker, since it may kill its process.
+    The function calls `note_cell` before each cell. The caller may add works meanwhile.
+    With one job, no limit and not `in_workers`, this process computes a work when the
+    caller asks for its results. Otherwise workers compute, even a single work: it may
+    kill its process. A worker that takes longer than `limit_s` for a cell is killed;
+    the results that it has sent are yielded.
 
-    Workers without work wait for the next call until `start_workers_early` ends. If
-    `is_separate`, the workers of this call end with it, and only those that it did not
-    take wait. Raises the errors of the function.
+    Afterwards the workers wait for the next call until `start_workers_early` ends. If
+    `is_separate`, they end with this call instead. Raises the errors of the function.
     """
     if limit_s is None and jobs == 1 and not in_workers:
         return _compute_here(function, works)
@@ -234,7 +233,8 @@ class _Worker(Generic[W, R]):
             return [content]
         if kind == "cell":
             self._cell, self._cell_since_s = content, time.monotonic()
-            self._is_late = False  # what was killed for it had ended in time
+            # A late cell may still end before the kill takes effect.
+            self._is_late = False
         elif kind == "done":
             self.is_busy = False
         elif kind == "ended":
@@ -249,7 +249,7 @@ class _Worker(Generic[W, R]):
 
     def _next_message(self) -> tuple[str, Any]:
         """Return the next message; "nothing" if none has come, "ended" if none will."""
-        # First: the messages of a process that has ended are still in the pipe.
+        # Ask this before the pipe: a process may send its last message and end between.
         has_ended = not self.is_alive()
         with contextlib.suppress(EOFError, ConnectionError):
             if self.pipe.poll():

@@ -68,10 +68,10 @@ def check_folder(out: Path) -> None:
 
 
 def check_preset(out: Path, *, preset: str) -> None:
-    """Raise SettingsError if a folder has a run of another preset, one being `quick`.
+    """Raise SettingsError if a folder has another preset's run, and either is `quick`.
 
-    The levels of both presets would add up to a run that no command makes. `open_run`
-    reports a manifest that cannot be read.
+    Continued, the run would have the levels of both presets, as no single command does.
+    A manifest that cannot be read passes: `open_run` reports it.
     """
     with contextlib.suppress(DataError):
         earlier = read_manifest(out)["settings"].get("preset", preset)
@@ -156,6 +156,7 @@ def _drop_other_code(
 
     def is_current(entry: Entry) -> bool:
         for name in entry.files:
+            # A damaged file has no index: its cells are computed again in any case.
             index = index_by_file.get(name)
             unit = None if index is None else index.unit_at(entry.spec)
             if index is not None and (
@@ -170,7 +171,9 @@ def _drop_other_code(
     before = sum(len(entry.files) for entry in manifest["cells"])
     after = sum(len(entry.files) for entry in cells)
     manifest["cells"] = cells
+    # If nothing is dropped now, the count of an earlier start stays.
     manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
+    # A file goes when none of its tables is of this code.
     for name, index in [*index_by_file.items()]:
         if any(
             is_unchanged(unit, label)

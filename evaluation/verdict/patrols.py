@@ -258,7 +258,7 @@ def built_in(numbers: Iterable[PatrolNumber]) -> list[dict[str, Any]]:
             "world": number.address.world.text,
         }
         for number in numbers
-        if number.is_built_in
+        if number.is_by_construction
     ]
 
 

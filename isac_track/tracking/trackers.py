@@ -43,7 +43,7 @@ METHODS: Final[tuple[Method, ...]] = get_args(Method)
 REFERENCES: Final[tuple[Method, ...]] = ("oracle", "genie")
 """Methods that read the truth."""
 _TENTATIVE: Final = -1
-_HALF: Final = 0.5
+_LEAST_CLAIM: Final = 0.5  # Probability at which tracks use a detection.
 _NEGLIGIBLE: Final = 1e-6  # Probability of an association that is left out.
 
 
@@ -173,7 +173,7 @@ def track_detections(detections: Detections, *, settings: TrackerSettings) -> Tr
         raise SettingsError(f"{settings.method} needs the truth: use run_tracker")
     live, history, n_begun = _no_tracks(), _History(), 0
     for scan in range(detections.scan_s.size):
-        live = _moved(live, detections, scan, settings)
+        live = _predict_tracks(live, detections, scan, settings)
         points = np.arange(*detections.offsets[scan : scan + 2])
         live, free = _associate(live, detections, points, settings)
         live = _survivors(live, scan, settings)
@@ -181,8 +181,8 @@ def track_detections(detections: Detections, *, settings: TrackerSettings) -> Tr
         n_begun += free.size
         is_first_enough = settings.confirm_hits == 1
         confirmed = np.full(free.size, scan if is_first_enough else _TENTATIVE)
-        live = _joined(
-            live, _begun(detections, free, numbers, confirmed, settings=settings)
+        live = _join(
+            live, _begin(detections, free, numbers, confirmed, settings=settings)
         )
         history.write(scan, live)
     return history.tracked()
@@ -199,17 +199,17 @@ def track_by_truth(detected: DetectedPatrol, *, settings: TrackerSettings) -> Tr
     np.maximum.at(last, person[known], detections.scan[known])
     live, history = _no_tracks(), _History()
     for scan in range(detections.scan_s.size):
-        live = _moved(live, detections, scan, settings)
+        live = _predict_tracks(live, detections, scan, settings)
         live = live.take(last[live.number] >= scan)
         point = np.full(n_people, UNASSIGNED)
         points = np.arange(*detections.offsets[scan : scan + 2])
         points = points[person[points] >= 0]
         point[person[points]] = points
-        live = _updated(live, detections, point[live.number])
+        live = _update_tracks(live, detections, point[live.number])
         new = points[first[person[points]] == scan]
         confirmed = np.full(new.size, scan)
-        live = _joined(
-            live, _begun(detections, new, person[new], confirmed, settings=settings)
+        live = _join(
+            live, _begin(detections, new, person[new], confirmed, settings=settings)
         )
         history.write(scan, live)
     return history.tracked()
@@ -278,7 +278,7 @@ def _no_tracks() -> _Live:
     return _Live(states, none, none, none, none, none, none)
 
 
-def _begun(
+def _begin(
     detections: Detections,
     points: Ints,
     numbers: Ints,
@@ -296,7 +296,7 @@ def _begun(
     return _Live(states, numbers, ones, ones, np.zeros_like(points), confirmed, points)
 
 
-def _joined(first: _Live, second: _Live) -> _Live:
+def _join(first: _Live, second: _Live) -> _Live:
     """Return the tracks of both, in turn."""
     return _Live(
         join_states(first.states, second.states),
@@ -307,7 +307,7 @@ def _joined(first: _Live, second: _Live) -> _Live:
     )
 
 
-def _moved(
+def _predict_tracks(
     live: _Live, detections: Detections, scan: int, settings: TrackerSettings
 ) -> _Live:
     """Return the tracks as predicted for a scan."""
@@ -328,14 +328,14 @@ def _associate(
     is_old = live.confirmed != _TENTATIVE
     old, new = live.take(is_old), live.take(~is_old)
     if settings.method == "jpda":
-        old, free = _weighed(old, detections, points, settings)
+        old, free = _weigh(old, detections, points, settings)
     else:
-        old, free = _assigned(old, detections, points, settings)
-    new, free = _assigned(new, detections, free, settings)
-    return _joined(old, new), free
+        old, free = _assign(old, detections, points, settings)
+    new, free = _assign(new, detections, free, settings)
+    return _join(old, new), free
 
 
-def _assigned(
+def _assign(
     live: _Live, detections: Detections, points: Ints, settings: TrackerSettings
 ) -> tuple[_Live, Ints]:
     """Return the tracks after the best assignment, and the points that none uses."""
@@ -349,16 +349,16 @@ def _assigned(
     detection = np.full(column.size, UNASSIGNED)
     detection[column >= 0] = points[column[column >= 0]]
     free = points[unused_detections(points.size, column)]
-    return _updated(live, detections, detection), free
+    return _update_tracks(live, detections, detection), free
 
 
-def _weighed(
+def _weigh(
     live: _Live, detections: Detections, points: Ints, settings: TrackerSettings
 ) -> tuple[_Live, Ints]:
     """Return the tracks after weighing all points, and the points that none uses.
 
     The point of a track is its most probable; it has none if a miss is more probable. A
-    point is used if tracks claim more than half of its probability.
+    point is used if tracks claim half of its probability or more.
     """
     xy, cov = detections.xy[points], detections.cov[points]
     ratios = likelihood_ratios(
@@ -383,11 +383,11 @@ def _weighed(
         best = taken.argmax(axis=1)
         is_hit = taken.max(axis=1) > missed
         detection[is_hit] = points[best[is_hit]]
-    free = points[taken.sum(axis=0) < _HALF]
-    return _counted(live, states, detection), free
+    free = points[taken.sum(axis=0) < _LEAST_CLAIM]
+    return _count_hits(live, states, detection), free
 
 
-def _updated(live: _Live, detections: Detections, detection: Ints) -> _Live:
+def _update_tracks(live: _Live, detections: Detections, detection: Ints) -> _Live:
     """Return the tracks after a detection each; those without stay as predicted."""
     hit = np.flatnonzero(detection >= 0)
     after = update(
@@ -397,21 +397,21 @@ def _updated(live: _Live, detections: Detections, detection: Ints) -> _Live:
     )
     states = States(
         *(
-            _replaced(getattr(live.states, name), hit, getattr(after, name))
+            _replace_rows(getattr(live.states, name), hit, getattr(after, name))
             for name in ("position", "velocity", "pp", "pv", "vv")
         )
     )
-    return _counted(live, states, detection)
+    return _count_hits(live, states, detection)
 
 
-def _replaced(values: Floats, rows: Ints, new: Floats) -> Floats:
+def _replace_rows(values: Floats, rows: Ints, new: Floats) -> Floats:
     """Return values with some of the rows replaced."""
     changed = values.copy()
     changed[rows] = new
     return changed
 
 
-def _counted(live: _Live, states: States, detection: Ints) -> _Live:
+def _count_hits(live: _Live, states: States, detection: Ints) -> _Live:
     """Return the tracks with new states, and their detections counted."""
     is_hit = detection >= 0
     return _Live(
