@@ -190,8 +190,8 @@ class KalmanCV:
         error = self._slow_error
         slow_m2 = 0.0 if error is None else self.added_std_m**2
         least_m2 = _LEAST_DECLARED_M2 if error is None else MIN_VARIANCE_M2
-        # Releases declare sqrt(raw^2 + added^2), of which the added std is per axis:
-        # the law is that of the raw error alone.
+        # With an isotropic added error of std s per axis, releases declare sqrt(raw^2 +
+        # s^2): the law is that of the raw error alone.
         raw_m2 = sigma**2 - slow_m2
         return np.asarray(np.maximum(raw_m2 * axis_share(self.law), least_m2))
 

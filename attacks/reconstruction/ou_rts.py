@@ -326,8 +326,8 @@ def _rest_m2(release: Release, error: SlowError) -> Floats:
     """Return the variance per axis of the white error, (M,) m^2."""
     slow_m2 = np.square(error.std_m)
     if release.sigma is not None:
-        # Releases declare sqrt(raw^2 + added^2), of which the added std is per axis:
-        # the law is that of the raw error alone.
+        # With an isotropic added error of std s per axis, releases declare sqrt(raw^2 +
+        # s^2): the law is that of the raw error alone.
         return np.maximum(
             RADIAL_PER_AXIS * (release.sigma**2 - slow_m2), MIN_VARIANCE_M2
         )
