@@ -15,6 +15,7 @@ from evaluation.compute.model_walks import recording_own_motions
 from evaluation.compute.tables import Rows, track_means
 from isac_track.kalman import Batch, smooth_ellipses, smooth_positions
 from isac_track.measurement import (
+    axis_share,
     error_ellipses,
     mean_variance,
     share_within,
@@ -89,8 +90,8 @@ def benchmark(
     shared_m2, raw_m2 = release.sigma**2, sensed.sigma_raw**2
     # A mechanism that reduces the raw error scales it; an added error has the law
     # of the mechanism. An error of standard deviation 1 has this variance per axis.
-    variance = _axis_variance(sensed.law) * np.minimum(shared_m2, raw_m2)
-    variance += _axis_variance(law) * np.maximum(shared_m2 - raw_m2, 0.0)
+    variance = axis_share(sensed.law) * np.minimum(shared_m2, raw_m2)
+    variance += axis_share(law) * np.maximum(shared_m2 - raw_m2, 0.0)
     variance = np.maximum(variance, _LEAST_VARIANCE_M2, out=variance)
     batch = Batch(release.t, release.xy, variance, release.offsets, PRIOR_STD)
     square_m2 = 2.0 * smooth_positions(batch, q=BENCHMARK_Q)[1]
@@ -118,8 +119,3 @@ def _benchmark_rows(square_m2: Floats, leaked: Floats, release: Release) -> Rows
         "benchmark_mse_m2": track_means(square_m2, release.offsets),
         "benchmark_plr": track_means(leaked, release.offsets),
     }
-
-
-def _axis_variance(law: str) -> float:
-    """Return the variance per axis of an error of standard deviation 1."""
-    return 0.5 if law == "radial" else 1.0

@@ -465,6 +465,7 @@ class TestBenchmark:
         [
             (Raw(), "radial", 0.09 / 2),
             (Raw(), "isotropic", 0.09),
+            (Raw(), "fixed_direction", 0.09 / 2),
             (Fixed(0.5), "radial", 0.64 / 2),
             (Fixed(0.5), "isotropic", 0.64),
             (Fixed(0.4, adding="independent"), "radial", 0.25 / 2),
