@@ -24,7 +24,7 @@ from evaluation.compute.board import (
 )
 from evaluation.compute.log_attacks import LogAttack, log_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, share_level
-from evaluation.estimates.cards import card_score, primary_scores
+from evaluation.estimates.cards import card_score, cut_digests, primary_scores
 from evaluation.plan.fingerprint import source_digest
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.store.cards import (
@@ -163,10 +163,10 @@ class Maker:
         stages = self.protocol.stages(entry.law)
         dataset = datasets.load(entry.recording)
         if dataset.sha256 != expected:
+            ours, others = cut_digests(dataset.sha256, expected)
             raise DataError(
-                f"{entry.recording} at {dataset.path} has the sha256"
-                f" {dataset.sha256[:12]}..., and protocol {self.protocol.version} has"
-                f" {expected[:12]}...; get the file anew"
+                f"{entry.recording} at {dataset.path} has the sha256 {ours}, and"
+                f" protocol {self.protocol.version} has {others}; get the file anew"
             )
         return board_setup(dataset.tracks, stages=stages, seed=self.seed.value)
 

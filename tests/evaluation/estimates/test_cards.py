@@ -45,18 +45,26 @@ class TestAgreement:
 
     def test_under_equal_circumstances_the_last_bit_counts(self):
         card = made_up_card()
-        other = made_up_card(known=np.nextafter(0.3, 1.0))
+        other = made_up_card(known=float(np.nextafter(0.3, 1.0)))
         answer = agreement(card, other, PROTOCOL)
         assert answer.verdict == "differs"
-        assert "known_share by ou_rts" in answer.reason
+        assert "known_share by ou_rts: card 0.3, computed 0.30000000000000004" in (
+            answer.reason
+        )
 
     def test_another_seed_agrees_within_its_errors(self):
         card, other = made_up_card(), made_up_card(known=0.32, seed=1)
-        assert agreement(card, other, PROTOCOL).verdict == "agrees"
+        answer = agreement(card, other, PROTOCOL)
+        assert answer.verdict == "agrees"
+        # 0.02 / (0.01 sqrt 2), and the quantile of 1 - 0.05 / 2 / 4.
+        assert "at most 1.41 of 2.50 joint standard errors allowed" in answer.reason
+        assert "verify with the seed that the card names" in answer.reason
         far = made_up_card(known=0.36, seed=1)
         answer = agreement(card, far, PROTOCOL)
         assert answer.verdict == "differs"
-        assert "4.2 joint standard errors" in answer.reason  # 0.06 / (0.01 sqrt 2)
+        assert (
+            "card 0.3, computed 0.36; 4.2 joint standard errors" in answer.reason
+        )  # 0.06 / (0.01 sqrt 2)
 
     def test_holm_holds_over_the_scores_of_a_card(self):
         rng = stream(0, "test", "holm")
