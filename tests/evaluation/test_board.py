@@ -70,7 +70,7 @@ class TestPage:
         assert rows == {
             "raw": "front",
             "ou:0.4": "front",
-            "fid:1": "beaten",
+            "fid:1": "beaten by ou:0.4",
             "clean": "control",
         }
         marks = {
@@ -81,6 +81,50 @@ class TestPage:
             name.partition(",")[0] for name, is_hollow in marks.items() if is_hollow
         }
         assert hollow == {"fid:1", "clean"}
+
+    def test_a_world_of_a_single_entry_compares_nothing(self):
+        first, second = make_board(self.CARDS).worlds
+        assert first.finding.startswith("2 of 4 entries are on the front.")
+        assert second.finding.startswith(
+            "ou:0.4 is alone in this world, nothing to compare. The strongest"
+        )
+        assert second.table.rows[0][3].text == "alone"
+        pair = (self.CARDS[1], self.CARDS[2])
+        finding = make_board(pair).worlds[0].finding
+        assert finding.startswith("1 of 2 entries is on the front.")
+
+    def test_an_entry_that_has_not_met_an_attack_is_marked(self):
+        raw, ou, fid, *_ = self.CARDS
+        further = CardPlugin("my.module:Mine", "4" * 64, adversary="informed")
+        met = [replace(card, attacks=(*card.attacks, further)) for card in (ou, fid)]
+        table = make_board([raw, *met]).worlds[0].table
+        rows = {row[0].text: row[3].text for row in table.rows}
+        assert rows["raw"] == "has not met Mine"
+        assert rows["ou:0.4"] == "front"
+        (note,) = table.notes
+        assert note == (
+            "1 entry of 3 has not met Mine, and stays off the front. This fills the"
+            " gap: python -m evaluation.board --attack my.module:Mine CARDS"
+        )
+
+    def test_a_look_does_not_depend_on_other_entries(self):
+        stranger = made_up_card(mechanism="a_first:Mine")
+
+        def look(cards, name):
+            return make_board(cards).worlds[0].figure.key[name]
+
+        ou, ahead = self.CARDS[1], made_up_card(mechanism="raw", policy="ahead:1.2")
+        for name in ("ou", "raw, ahead"):
+            assert look([ou, ahead], name) == look([stranger, ahead, ou], name)
+
+    def test_everybody_followed_is_said_only_where_it_is_so(self):
+        noises = [
+            made_up_card(followed=0.9),
+            made_up_card(mechanism="fid:1", followed=0.8),
+        ]
+        said = "Every noise alone leaves 80 % or more"
+        assert said in make_board(noises).worlds[0].finding
+        assert "Every noise" not in make_board(self.CARDS).worlds[0].finding
 
     def test_links_lead_somewhere_and_nothing_is_fetched(self, tmp_path):
         page = write_board(self.CARDS, tmp_path / "board")
