@@ -136,9 +136,9 @@ def _difference(score: CardScore, other: CardScore) -> str:
     """Return the first number in which two scores of a reader differ, in full."""
     ours, others = asdict(score), asdict(other)
     name = next((name for name in ours if ours[name] != others[name]), "value")
-    what = "" if name == "value" else f" ({name})"
+    detail = "" if name == "value" else f" ({name})"
     return (
-        f"{score.metric} by {score.by}{what}: card {_full(ours[name])},"
+        f"{score.metric} by {score.by}{detail}: card {_full(ours[name])},"
         f" computed {_full(others[name])}"
     )
 
