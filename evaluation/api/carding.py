@@ -134,6 +134,8 @@ class Maker:
         """
         known = {attack.spec for attack in card.attacks}
         new = [item for item in self.all_attacks() if item.plugin.spec not in known]
+        if not new:
+            return card
         with limit_threads(), np.errstate(all="warn", under="ignore"):
             scores = attack_scores(self.share(entry), entry.policy, new)
         plain = [card_score(score.metric, score.by, score.estimate) for score in scores]

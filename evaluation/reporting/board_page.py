@@ -1,4 +1,4 @@
-"""The page of a board: for each world its front, a table, and what breaks each entry."""
+"""The page of a board: for each world its front, a table, and who knows how much."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ _MOST_PEOPLE: Final = 0.5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Broken:
+class Readings:
     """An entry, and how far each reader gets against it."""
 
     card: Card
@@ -93,7 +93,7 @@ class World:
     finding: str
     figure: Figure
     table: Table
-    entries: Sequence[Broken]
+    entries: Sequence[Readings]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -171,7 +171,7 @@ def _world(
         finding=_finding(ordered, placed),
         figure=_figure(anchor, title, ordered, is_front, looks),
         table=_table(anchor, title, ordered, placed),
-        entries=[_broken(card) for card in ordered],
+        entries=[_readings(card) for card in ordered],
     )
 
 
@@ -264,8 +264,8 @@ def _digits(card: Card) -> Cell:
     return Cell("say nothing")
 
 
-def _broken(card: Card) -> Broken:
-    """Return what breaks an entry: all its readers, those who know most first."""
+def _readings(card: Card) -> Readings:
+    """Return all readers of an entry, those who know most first."""
     known = [score for score in card.scores if score.metric == "known_share"]
     known.sort(key=lambda score: -(score.value or 0.0))
     others = [score for score in card.scores if score.metric != "known_share"]
@@ -295,7 +295,7 @@ def _broken(card: Card) -> Broken:
             f" Low-order digits explain {100 * card.digits.explained:.0f} % of where"
             " people are: the release hides a message."
         )
-    return Broken(card, _anchor("entry", card), sentence, table)
+    return Readings(card, _anchor("entry", card), sentence, table)
 
 
 def _scored(score: CardScore) -> Cell:

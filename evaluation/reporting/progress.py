@@ -60,8 +60,9 @@ def counting(items: Iterable[Item], *, total: int, noun: str) -> Iterator[Item]:
     """Yield items, with a line on standard error after each: `1 of 4 cards, 2:10`."""
     clock = Clock()
     for done, item in enumerate(items, start=1):
-        amount = f"{done} of {counted(total, noun)}"
-        sys.stderr.write(f"{amount}, {clock.text(done, total)}\n")
+        passed, comma, left = clock.text(done, total).partition(", ")
+        rest = f"{comma}{left}" if done < total else ""
+        sys.stderr.write(f"{done} of {counted(total, noun)}, {passed}{rest}\n")
         sys.stderr.flush()
         yield item
 
