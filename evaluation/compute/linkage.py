@@ -247,7 +247,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
         setup=setup,
         calibration=calibration,
         matched=matched,
-        drawn_from=(consumer.spec, consumer.knowledge),
+        drawn_from=(consumer.spec, consumer.adversary),
     )
 
 
@@ -332,7 +332,7 @@ def _lag_distribution(sessions: Sessions) -> tuple[Floats, Floats]:
 
 def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return the result of an attack that scores only each probe's best candidates."""
-    setup, name = level.setup, (consumer.spec, consumer.knowledge)
+    setup, name = level.setup, (consumer.spec, consumer.adversary)
     rng = stream(setup.seed, "linkage", "candidates", *name)
     results = {}
     for fold, pairings in enumerate(setup.folds):
@@ -508,7 +508,7 @@ def _fitted_linker(
             for release in view.pair_windows(learns)
         )
         train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
-    names = ("attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
+    names = ("attacks", consumer.spec, consumer.adversary, level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
     attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
     return partial(score_releases, attack, plugin=plugin, name=name), view

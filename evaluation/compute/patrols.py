@@ -214,7 +214,7 @@ def policy_rows(
             guesses=shared.setup.guesses,
             epsilon_m=shared.setup.stages.privacy.epsilon_m,
         )
-        if consumer.knowledge == ORACLE:
+        if consumer.adversary == ORACLE:
             yield consumer, {ROWS: known_rows(known)}
         else:
             following = _follow(consumer, shared, known=known)
@@ -268,7 +268,7 @@ def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Follow
         epsilon_m=setup.stages.privacy.epsilon_m,
         seed=setup.seed,
         pseudonyms=setup.stages.patrol.pseudonyms,
-        knows_policy=policy.instance if consumer.knowledge == "informed" else None,
+        knows_policy=policy.instance if consumer.adversary == "informed" else None,
     )
 
 

@@ -466,7 +466,7 @@ def _context(
     companions = (release.tracks(victims.tracks) for release in level.companions)
     return AttackContext(
         rng=stream(
-            seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold
+            seed, "attacks", consumer.spec, consumer.adversary, *level.key, fold
         ),
         epsilon_m=level.block.stages.privacy.epsilon_m,
         granted=granted,

@@ -76,7 +76,7 @@ class Consumer:
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
-    knowledge: str = ""
+    adversary: str = ""
     granted: frozenset[Knowledge] = frozenset()
     # Of a linkage attack, a control, or the descriptors of windows.
     task: str = ""
@@ -129,7 +129,7 @@ class Consumer:
             task=self.task,
             plugin=name,
             reconstruction=behind,
-            adversary=self.knowledge,
+            adversary=self.adversary,
         )
 
     @property
@@ -229,7 +229,7 @@ class Axes:
     def consumers(self) -> tuple[Consumer, ...]:
         """Consumers of a block of scenes: descriptors first, attacks by adversary."""
         attacks = tuple(
-            Consumer("attack", plugin, knowledge=adversary, granted=granted)
+            Consumer("attack", plugin, adversary=adversary, granted=granted)
             for plugin in self.attacks
             for adversary, granted in self._attacking(
                 grants(plugin.instance, asked=self.adversaries)
@@ -283,7 +283,7 @@ class Axes:
             if plugin.spec in self.utility
         ]
         adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
-        logs = [Consumer("log", knowledge=name) for name in adversaries]
+        logs = [Consumer("log", adversary=name) for name in adversaries]
         readers = robots if world else robots + logs
         return tuple(
             replace(reader, policy=policy)
@@ -303,7 +303,7 @@ class Axes:
             for plugin in self.predictors
             if plugin.spec in self.utility
         ]
-        log = Consumer("track_log", knowledge=ORACLE)
+        log = Consumer("track_log", adversary=ORACLE)
         readers = [
             replace(reader, policy=release)
             for release in self.track_releases
@@ -349,7 +349,7 @@ class Axes:
     @property
     def return_readers(self) -> tuple[Consumer, ...]:
         """Consumer of people who come back: all linkers and controls at once."""
-        reader = Consumer("returns", task=RETURNS.name, knowledge="informed")
+        reader = Consumer("returns", task=RETURNS.name, adversary="informed")
         return (reader,) if self.links_returns else ()
 
     def without_scenes(self, why: str) -> "Axes":
@@ -378,7 +378,7 @@ class Axes:
                 if control.applies(task)
             ),
             *(
-                replace(link, knowledge=adversary, granted=granted, task=task.name)
+                replace(link, adversary=adversary, granted=granted, task=task.name)
                 for link_task, link in self.links
                 if link_task is task
                 for adversary, granted in self._attacking(
@@ -673,7 +673,7 @@ def _check_adversaries_used(run_axes: Axes, settings: Settings) -> None:
     consumers = list(run_axes.consumers)
     for task in run_axes.tasks:
         consumers += run_axes.readers(task)
-    attacking = {consumer.knowledge for consumer in consumers}
+    attacking = {consumer.adversary for consumer in consumers}
     for name in sorted(set(_asked_stronger(settings)) - attacking):
         raise SettingsError(
             f"adversary {name}: no attack of the run uses its knowledge; name one that"

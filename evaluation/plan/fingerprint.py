@@ -140,7 +140,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
             [plugin.spec, plugin.origin, *filter(None, [plugin.digest])]
             for plugin in consumer.plugins
         ],
-        consumer.knowledge,
+        consumer.adversary,
         sorted(item.name for item in consumer.granted),
         *code,
     ]

@@ -178,7 +178,7 @@ def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     crossed = Axes((), (), (), links=tuple((task, linker) for linker in linkers))
     wanted = ("linkage", "control") if controls else ("linkage",)
     results = {
-        (reader.spec, reader.knowledge): link(reader, level)
+        (reader.spec, reader.adversary): link(reader, level)
         for reader in crossed.readers(task)
         if reader.kind in wanted
     }

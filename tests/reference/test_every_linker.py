@@ -60,7 +60,7 @@ def computed():
                 work, tracks=ready.tracks, stages=ready.settings.stages, seed=0
             ):
                 if ESTIMATES in tables:
-                    about = {"consumer": consumer.spec, "knowledge": consumer.knowledge}
+                    about = {"consumer": consumer.spec, "knowledge": consumer.adversary}
                     rows.append(tables[ESTIMATES].to_pandas().assign(**about))
     return pd.concat(rows)[[*KEY, "value", "ci_low", "ci_high", "n"]]
 

@@ -68,7 +68,7 @@ class Sieve:
 def attack(instance):
     result = plugin(instance)
     return [
-        Consumer("attack", result, knowledge=name, granted=granted)
+        Consumer("attack", result, adversary=name, granted=granted)
         for name, granted in grants(instance).items()
     ]
 

@@ -237,7 +237,7 @@ def linked(recording, tracker, **stages):
     for consumer, tables in link_rows(links, releases, setup, mechanism=raw):
         counts = {name: tables["rows"][name].sum() for name in LINK_COLUMNS[2:]}
         n = counts.pop("trials")
-        shares[consumer.spec, consumer.knowledge] = {
+        shares[consumer.spec, consumer.adversary] = {
             name: count / n for name, count in counts.items()
         } | {"trials": n}
     return shares

@@ -16,7 +16,7 @@ def patrolled(csv_recording, **changes):
     """Every mechanism, policy and reader of the patrols of a run."""
     plan = make_plan(smoke(csv_recording, **changes))
     return {
-        (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.knowledge)
+        (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.adversary)
         for unit in plan.units
         if unit.stage == PATROL
         for consumer in unit.consumers.values()
