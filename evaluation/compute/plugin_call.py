@@ -134,7 +134,7 @@ def _simplest_call(plugin_call: PluginCall) -> PluginCall | None:
         plugin = plugins.parse("predictors", "constant_position")[0]
     else:
         return None
-    return PluginCall(plugin, replace(consumer, plugin=plugin, behind=None))
+    return PluginCall(plugin, replace(consumer, plugin=plugin, reconstruction=None))
 
 
 def _least_time(

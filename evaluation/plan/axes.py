@@ -80,7 +80,8 @@ class Consumer:
     granted: frozenset[Knowledge] = frozenset()
     # Of a linkage attack, a control, or the descriptors of windows.
     task: str = ""
-    behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
+    # The attack whose positions a linkage attack reads.
+    reconstruction: Plugin | None = None
     control: str = ""
     world: World = OWN_WORLD
     # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
@@ -98,7 +99,7 @@ class Consumer:
     @property
     def _readers(self) -> tuple[Plugin, ...]:
         """Its plug-ins that read a release."""
-        own = (self.plugin, self.behind)
+        own = (self.plugin, self.reconstruction)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
@@ -118,17 +119,17 @@ class Consumer:
             "returns": FUSION,
             "tracks": TRACKER,
         }
-        name, behind = names.get(self.kind, BOUND), ""
+        name, reconstruction = names.get(self.kind, BOUND), None
         if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
-            name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
+            name, reconstruction = self.plugin.spec, self.reconstruction
         return Address(
             world=self.world,
             policy=self.policy.spec if self.policy else "",
             task=self.task,
             plugin=name,
-            reconstruction=behind,
+            reconstruction=reconstruction.spec if reconstruction else "",
             adversary=self.adversary,
         )
 
@@ -403,7 +404,7 @@ def windows_consumer(task: str) -> Consumer:
     """Return the consumer of a task's windows: their descriptors, smoothed or not."""
     # The built-in smoother, with no knowledge: the same whatever else is in the run.
     return Consumer(
-        "windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0]
+        "windows", task=task, reconstruction=plugins.parse("attacks", "radial_rts")[0]
     )
 
 
@@ -741,10 +742,10 @@ def _parse_attacks(
     links: dict[str, Consumer] = {}
     for spec in specs:
         # A linker behind a reconstruction is two plug-ins, named by SPECs.
-        name, separator, behind_spec = spec, "", ""
+        name, separator, smoother = spec, "", ""
         if isinstance(spec, str):
-            name, separator, behind_spec = spec.partition("@")
-        if separator and not (name.strip() and behind_spec.strip()):
+            name, separator, smoother = spec.partition("@")
+        if separator and not (name.strip() and smoother.strip()):
             raise SettingsError(
                 f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts"
             )
@@ -753,17 +754,18 @@ def _parse_attacks(
             if not separator and not links_people:
                 attacks[plugin.spec] = plugin
                 continue
-            for behind in (
-                plugins.parse("attacks", behind_spec) if separator else (None,)
+            for reconstruction in (
+                plugins.parse("attacks", smoother) if separator else (None,)
             ):
-                if behind and (
-                    not links_people or attack_kind(behind.instance) == "linkage"
+                if reconstruction and (
+                    not links_people
+                    or attack_kind(reconstruction.instance) == "linkage"
                 ):
                     raise SettingsError(
                         f"{spec!r}: write a linkage attack left of @ and a"
                         " reconstruction attack right of it, as in shape@radial_rts"
                     )
-                link = Consumer("linkage", plugin, behind=behind)
+                link = Consumer("linkage", plugin, reconstruction=reconstruction)
                 links[link.spec] = link
     return tuple(attacks.values()), tuple(links.values())
 

@@ -61,10 +61,11 @@ def _own_s(work: Work, plan: Plan, own: PluginTimes) -> float:
     n_samples = _millions_of_samples(work, plan)
     sizes = {"linkage": work_size(work, plan)}  # all others read samples, not pairs
     calls = [("mechanism", mechanism) for mechanism, _ in work.levels]
+    consumers = [cell.consumer for cell in planned_cells(work)]
     calls += [
-        ("attack" if plugin is cell.consumer.behind else cell.consumer.kind, plugin)
-        for cell in planned_cells(work)
-        for plugin in cell.consumer.plugins
+        ("attack" if plugin is consumer.reconstruction else consumer.kind, plugin)
+        for consumer in consumers
+        for plugin in consumer.plugins
     ]
     return sum(
         own[kind, plugin.spec].cell_s(sizes.get(kind, n_samples))

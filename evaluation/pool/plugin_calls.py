@@ -149,12 +149,12 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
                 caller = consumer
                 if consumer.policy and plugin is not consumer.policy:
                     continue  # a robot is called in scenes, too
-                if plugin is consumer.behind:
+                if plugin is consumer.reconstruction:
                     caller = replace(
                         consumer,
                         kind="attack",
                         plugin=plugin,
-                        behind=None,
+                        reconstruction=None,
                         granted=consumer.granted & declared(plugin),
                     )
                 # Blind comes before informed, and that before oracle.

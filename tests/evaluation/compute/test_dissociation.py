@@ -260,7 +260,7 @@ def linked_consumers(task, behind):
     """The linker of a task, alone and behind a reconstruction."""
     linker = parsed("attacks", LINKER[task])
     return Consumer("linkage", linker), Consumer(
-        "linkage", linker, behind=parsed("attacks", behind)
+        "linkage", linker, reconstruction=parsed("attacks", behind)
     )
 
 

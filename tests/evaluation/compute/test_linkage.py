@@ -77,7 +77,9 @@ class Linker:
 
 
 def behind(linker, reconstruction):
-    return Consumer("linkage", plugin(linker), behind=plugin(reconstruction, "rounds"))
+    return Consumer(
+        "linkage", plugin(linker), reconstruction=plugin(reconstruction, "rounds")
+    )
 
 
 def task_links(task, *links, by="raw", **options):
