@@ -197,7 +197,7 @@ def _call(
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
     work: Work = Block(0, 0, order, (level,))
-    if consumer is not None and consumer.policy is not None:
+    if consumer is not None and consumer.reads_patrols:
         reads_tracks = consumer.reads_tracks
         work = (TrackingWork if reads_tracks else PatrolWork)(people, (level,))
         stages = stages.changed(

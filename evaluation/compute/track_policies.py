@@ -78,7 +78,7 @@ def answer_rows(
     by_robot: dict[str, list[CountsByHorizon]] = {}
     for consumer in consumers:
         note_cell(mechanism.spec, consumer.label)
-        policy, robot = consumer.answers, consumer.plugin
+        policy, robot = consumer.policy, consumer.plugin
         assert policy is not None
         seeds = seeds or [
             _answer(policy, release, setup, mechanism=mechanism, seed=seed)

@@ -175,10 +175,10 @@ def _patrol_cells(
     people = setup.patrol.people
     for mechanism, consumers in work.levels:
         note_cell(mechanism.spec, "")
-        readers = _readers_by_policy(consumers)
-        policies = [policy for policy, _ in readers]
+        by_policy = _group_by_policy(consumers)
+        policies = [own[0].policy for own in by_policy if own[0].policy is not None]
         shared = patrols.share_level(mechanism, setup, policies)
-        for _, own in readers:
+        for own in by_policy:
             made = patrols.policy_rows(own, shared, mechanism=mechanism)
             for consumer, rows_by_table in made:
                 tables = {
@@ -202,17 +202,12 @@ def _return_cells(
             yield FinishedCell(0, mechanism, consumer, tables)
 
 
-def _readers_by_policy(
-    consumers: Iterable[Consumer],
-) -> list[tuple[Plugin, list[Consumer]]]:
-    """Return each policy, or release of tracks, with its consumers."""
-    readers: dict[str, tuple[Plugin, list[Consumer]]] = {}
+def _group_by_policy(consumers: Iterable[Consumer]) -> list[list[Consumer]]:
+    """Return the consumers of each release of tracks and each policy."""
+    by_policy: dict[str, list[Consumer]] = {}
     for consumer in consumers:
-        assert consumer.policy is not None
-        readers.setdefault(consumer.policy.spec, (consumer.policy, []))[1].append(
-            consumer
-        )
-    return [*readers.values()]
+        by_policy.setdefault(consumer.address.policy, []).append(consumer)
+    return [*by_policy.values()]
 
 
 def _tracking_cells(
@@ -222,7 +217,9 @@ def _tracking_cells(
     for mechanism, consumers in work.levels:
         # By the tracker: policies answer from the same tracks.
         shared: dict[str, list[tracking.SharedSeed]] = {}
-        for tracker, own in _readers_by_policy(consumers):
+        for own in _group_by_policy(consumers):
+            tracker = own[0].track_release
+            assert tracker is not None
             note_cell(mechanism.spec, own[0].label)
             if tracker.name not in shared:
                 shared[tracker.name] = tracking.share_tracked(mechanism, tracker, setup)
@@ -247,7 +244,7 @@ def _read_tracks(
     """
     linkers = [reader for reader in consumers if reader.kind == "track_link"]
     others = [reader for reader in consumers if reader.kind != "track_link"]
-    if consumers[0].answers is not None:
+    if consumers[0].policy is not None:
         read = track_policies.answer_rows
     elif setup.stages.tracking.release == "detections":
         read = recipients.recipient_rows

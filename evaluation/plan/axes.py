@@ -7,9 +7,13 @@ from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
-from evaluation.plan.address import Address, control_name
+from evaluation.plan.address import (
+    Address,
+    control_name,
+    policy_text,
+    track_release_text,
+)
 from evaluation.plan.constants import (
-    ANSWERED_BY,
     BLOCK_SCENES,
     BOUND,
     ORACLE,
@@ -84,16 +88,16 @@ class Consumer:
     reconstruction: Plugin | None = None
     control: str = ""
     world: World = OWN_WORLD
-    # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
-    # Of `tracks` and of a robot with them (`tracked`), the release and its tracker.
+    # Tracker of the tracks that it reads, by the SPEC of their release.
+    track_release: Plugin | None = None
+    # What answers to a robot on patrol, or to a log, disclose. None beside a release of
+    # tracks: all tracks.
     policy: Plugin | None = None
-    # The policy that answers a robot or a log from tracks; None: they get all tracks.
-    answers: Plugin | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, the reconstruction in front of that, and its policies."""
-        own = (*self._readers, self.policy, self.answers)
+        """Its plug-in, the reconstruction in front of that, its tracker and policy."""
+        own = (*self._readers, self.track_release, self.policy)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
@@ -126,7 +130,10 @@ class Consumer:
             name, reconstruction = self.plugin.spec, self.reconstruction
         return Address(
             world=self.world,
-            policy=self.policy.spec if self.policy else "",
+            policy=policy_text(
+                track_release=self.track_release.spec if self.track_release else "",
+                policy=self.policy.spec if self.policy else "",
+            ),
             task=self.task,
             plugin=name,
             reconstruction=reconstruction.spec if reconstruction else "",
@@ -144,6 +151,11 @@ class Consumer:
         """Knowledge that any of its plug-ins takes if granted."""
         uses = [plugin.instance.uses for plugin in self._readers]
         return frozenset().union(*uses)
+
+    @property
+    def reads_patrols(self) -> bool:
+        """Whether it reads patrols: answers of a policy, or tracks of detections."""
+        return self.track_release is not None or self.policy is not None
 
     @property
     def reads_tracks(self) -> bool:
@@ -306,12 +318,12 @@ class Axes:
         ]
         log = Consumer("track_log", adversary=ORACLE)
         readers = [
-            replace(reader, policy=release)
+            replace(reader, track_release=release)
             for release in self.track_releases
             for reader in (robots if world else [Consumer("tracks"), *robots])
         ]
         readers += [
-            replace(reader, policy=_answering(release, policy), answers=policy)
+            replace(reader, track_release=release, policy=policy)
             for release in self.track_releases
             for policy in self.track_policies
             for reader in (robots if world else [log, *robots])
@@ -324,7 +336,7 @@ class Axes:
             if linker.kind != "windows"
         ]
         readers += [
-            replace(linker, policy=release)
+            replace(linker, track_release=release)
             for release in self.track_releases
             for linker in linkers
         ]
@@ -393,11 +405,6 @@ def _granted(
     link: Consumer, task: Task, asked: tuple[str, ...]
 ) -> dict[str, frozenset[Knowledge]]:
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
-
-
-def _answering(release: Plugin, policy: Plugin) -> Plugin:
-    """Return a release of tracks of which a policy answers, by the SPEC of both."""
-    return replace(release, spec=f"{release.spec}{ANSWERED_BY}{policy.spec}")
 
 
 def windows_consumer(task: str) -> Consumer:
@@ -569,9 +576,13 @@ def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
     if trackers == (oracle,):
         return ()
     is_before = rules.release == "tracks" and rules.noise == "before"
-    end = ",noise=before" if is_before else ""
     return tuple(
-        replace(plugin, spec=f"{rules.release}:{plugin.spec}{end}")
+        replace(
+            plugin,
+            spec=track_release_text(
+                rules.release, plugin.spec, has_noise_before=is_before
+            ),
+        )
         for plugin in (oracle, *trackers)
     )
 
