@@ -56,7 +56,7 @@ _BEHIND_SLOW_ERROR: Final = {
         "isac_track.kalman._error_loops:smooth_tracks",
     ),
 }
-"""Further loops where the error changes slowly: of a mechanism, and of its readers."""
+"""Further loops where the error changes slowly: of a mechanism, and of its consumers."""
 _PLUGIN_LOOPS: Final = {
     "kalman_cv": _FILTER,
     "kalman_ca": ("isac_track.kalman._linear_loops:ca_last", *_NOISE),

@@ -54,7 +54,7 @@ _GRID_S = 0.1
 
 
 class PluginCall(NamedTuple):
-    """The plug-in that is called once: a mechanism, or a reader of a release."""
+    """The plug-in that is called once: a mechanism, or a consumer of a release."""
 
     plugin: Plugin
     consumer: Consumer | None = None  # None: the plug-in is a mechanism.

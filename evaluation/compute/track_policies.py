@@ -69,7 +69,7 @@ def answer_rows(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of one policy's answers, each with the rows of its tables.
+    """Yield the consumers of one policy's answers, each with the rows of its tables.
 
     The answers, and a robot's forecasts for all horizons, are held as long as this
     runs.

@@ -83,7 +83,7 @@ class PatrolWork:
 
     recorded: Tracks  # Placed where they are sensed.
     levels: Levels
-    # That of the run: readers of further horizons name theirs.
+    # That of the run: consumers of further horizons name theirs.
     world: World = OWN_WORLD
 
 
@@ -103,7 +103,7 @@ class TrackingWork:
 
     recorded: Tracks  # Placed where they are sensed.
     levels: Levels
-    # That of the run: readers of further horizons name theirs.
+    # That of the run: consumers of further horizons name theirs.
     world: World = OWN_WORLD
 
 
@@ -238,12 +238,12 @@ def _read_tracks(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of a tracker's release, each with the rows of its tables.
+    """Yield the consumers of a tracker's release, each with the rows of its tables.
 
     They get all tracks, or a policy's answers from them, or link them.
     """
-    linkers = [reader for reader in consumers if reader.kind == "track_link"]
-    others = [reader for reader in consumers if reader.kind != "track_link"]
+    linkers = [consumer for consumer in consumers if consumer.kind == "track_link"]
+    others = [consumer for consumer in consumers if consumer.kind != "track_link"]
     if consumers[0].policy is not None:
         read = track_policies.answer_rows
     elif setup.stages.tracking.release == "detections":
@@ -341,7 +341,9 @@ def _scene_cells(
                 attacked = attacked or _attacked_block(
                     block, scenes, sensed, tracks=tracks, stages=stages, seed=seed
                 )
-                attacks = [reader for reader in consumers if reader.kind == "attack"]
+                attacks = [
+                    consumer for consumer in consumers if consumer.kind == "attack"
+                ]
                 level = level or reconstruction.attacked_level(
                     mechanism, release, attacked, attacks
                 )

@@ -97,11 +97,11 @@ class Consumer:
     @property
     def plugins(self) -> tuple[Plugin, ...]:
         """Its plug-in, the reconstruction in front of that, its tracker and policy."""
-        own = (*self._readers, self.track_release, self.policy)
+        own = (*self._reading_plugins, self.track_release, self.policy)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
-    def _readers(self) -> tuple[Plugin, ...]:
+    def _reading_plugins(self) -> tuple[Plugin, ...]:
         """Its plug-ins that read a release."""
         own = (self.plugin, self.reconstruction)
         return tuple(plugin for plugin in own if plugin is not None)
@@ -143,13 +143,13 @@ class Consumer:
     @property
     def requires(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins cannot run without."""
-        needs = (plugin.instance.requires for plugin in self._readers)
+        needs = (plugin.instance.requires for plugin in self._reading_plugins)
         return frozenset().union(*needs)
 
     @property
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins takes if granted."""
-        uses = [plugin.instance.uses for plugin in self._readers]
+        uses = [plugin.instance.uses for plugin in self._reading_plugins]
         return frozenset().union(*uses)
 
     @property
@@ -187,7 +187,7 @@ class Axes:
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    # Linkers by task; `readers` adds the adversaries.
+    # Linkers by task; `task_consumers` adds the adversaries.
     links: tuple[tuple[Task, Consumer], ...] = ()
     # A mechanism without any error: every linkage attack must succeed.
     ceiling: Plugin | None = None
@@ -284,8 +284,8 @@ class Axes:
             if consumer.kind == "predictor" and consumer.spec in self.utility
         )
 
-    def patrol_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
-        """Return the readers of patrols in a world: robots, and adversaries with a log.
+    def patrol_consumers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the consumers of patrols in a world: robots, and adversaries with a log.
 
         The robots are the predictors that are read in all scenes. Logs belong to no
         further horizon.
@@ -297,15 +297,15 @@ class Axes:
         ]
         adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
         logs = [Consumer("log", adversary=name) for name in adversaries]
-        readers = robots if world else robots + logs
+        consumers = robots if world else robots + logs
         return tuple(
-            replace(reader, policy=policy)
+            replace(consumer, policy=policy)
             for policy in self.policies
-            for reader in readers
+            for consumer in consumers
         )
 
-    def track_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
-        """Return the readers of tracks in a world: metrics of tracks, and robots.
+    def track_consumers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the consumers of tracks in a world: metrics of tracks, and robots.
 
         The robots are those of patrols. A policy's answers from tracks are read by robots
         and by an adversary with a log. Linkers link tracks across a rotation of
@@ -317,36 +317,40 @@ class Axes:
             if plugin.spec in self.utility
         ]
         log = Consumer("track_log", adversary=ORACLE)
-        readers = [
-            replace(reader, track_release=release)
+        consumers = [
+            replace(consumer, track_release=release)
             for release in self.track_releases
-            for reader in (robots if world else [Consumer("tracks"), *robots])
+            for consumer in (robots if world else [Consumer("tracks"), *robots])
         ]
-        readers += [
-            replace(reader, track_release=release, policy=policy)
+        consumers += [
+            replace(consumer, track_release=release, policy=policy)
             for release in self.track_releases
             for policy in self.track_policies
-            for reader in (robots if world else [log, *robots])
+            for consumer in (robots if world else [log, *robots])
         ]
         linkers = [
             replace(linker, kind="track_link")
             for task in self.tasks
             if task.name in self.track_tasks and not world
-            for linker in self.readers(task)
+            for linker in self.task_consumers(task)
             if linker.kind != "windows"
         ]
-        readers += [
+        consumers += [
             replace(linker, track_release=release)
             for release in self.track_releases
             for linker in linkers
         ]
-        return tuple(readers)
+        return tuple(consumers)
 
-    def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
+    def task_consumers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
         """Return the linkers in another world, and the optimum that knows the model."""
-        linkers = [reader for reader in self.readers(task) if reader.kind == "linkage"]
+        linkers = [
+            consumer
+            for consumer in self.task_consumers(task)
+            if consumer.kind == "linkage"
+        ]
         linkers.append(Consumer("linkage", task=task.name))
-        return tuple(replace(reader, world=world) for reader in linkers)
+        return tuple(replace(consumer, world=world) for consumer in linkers)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -360,10 +364,10 @@ class Axes:
         return (*extra, *self.mechanisms)
 
     @property
-    def return_readers(self) -> tuple[Consumer, ...]:
+    def return_consumers(self) -> tuple[Consumer, ...]:
         """Consumer of people who come back: all linkers and controls at once."""
-        reader = Consumer("returns", task=RETURNS.name, adversary="informed")
-        return (reader,) if self.links_returns else ()
+        consumer = Consumer("returns", task=RETURNS.name, adversary="informed")
+        return (consumer,) if self.links_returns else ()
 
     def without_scenes(self, why: str) -> "Axes":
         """Return the axes of people who come back alone: no scene, window or patrol."""
@@ -381,7 +385,7 @@ class Axes:
         """Tasks that have a linker."""
         return tuple(dict.fromkeys(task for task, _ in self.links))
 
-    def readers(self, task: Task) -> tuple[Consumer, ...]:
+    def task_consumers(self, task: Task) -> tuple[Consumer, ...]:
         """Return all consumers of a task: windows, controls, attacks by adversary."""
         return (
             windows_consumer(task.name),
@@ -684,7 +688,7 @@ def _check_adversaries_used(run_axes: Axes, settings: Settings) -> None:
     """Raise SettingsError for an adversary whose knowledge no attack uses."""
     consumers = list(run_axes.consumers)
     for task in run_axes.tasks:
-        consumers += run_axes.readers(task)
+        consumers += run_axes.task_consumers(task)
     attacking = {consumer.adversary for consumer in consumers}
     for name in sorted(set(_asked_stronger(settings)) - attacking):
         raise SettingsError(
@@ -718,7 +722,7 @@ def most_workers(run_axes: Axes, settings: Settings) -> int:
     n_linked = len(run_axes.linked_mechanisms) + sum(
         len(levels) for levels in run_axes.linked_in.values()
     )
-    n_tasks = len(run_axes.tasks) + len(run_axes.return_readers)
+    n_tasks = len(run_axes.tasks) + len(run_axes.return_consumers)
     n_patrols = len(run_axes.patrol_mechanisms) + len(run_axes.tracked)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
@@ -728,7 +732,7 @@ def choose_jobs(run_axes: Axes, settings: Settings) -> int:
     if settings.jobs is not None:
         return min(settings.jobs, max(most_workers(run_axes, settings), 2))
     n_levels = len(run_axes.mechanisms)
-    n_linkers = sum(len(run_axes.readers(task)) - 1 for task in run_axes.tasks)
+    n_linkers = sum(len(run_axes.task_consumers(task)) - 1 for task in run_axes.tasks)
     if (
         settings.n_utility_scenes * n_levels < WORTH_WORKERS
         and n_levels * n_linkers < WORTH_WORKERS_LINKED

@@ -88,8 +88,8 @@ def has_user_plugins(run_axes: Axes) -> bool:
     """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
     consumers = (
         *run_axes.consumers,
-        *run_axes.patrol_readers(),
-        *run_axes.track_readers(),
+        *run_axes.patrol_consumers(),
+        *run_axes.track_consumers(),
         *(link for _, link in run_axes.links),
     )
     used = (plugin for consumer in consumers for plugin in consumer.plugins)

@@ -393,8 +393,8 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         _Crossing(run_axes.mechanisms, utility, all_blocks[n_attacked:]),
     ]
     for task in run_axes.tasks:
-        readers = run_axes.readers(task)
-        crossings.append(_Crossing(run_axes.linked_mechanisms, readers, (0,)))
+        consumers = run_axes.task_consumers(task)
+        crossings.append(_Crossing(run_axes.linked_mechanisms, consumers, (0,)))
     for world, mechanisms in run_axes.worlds.items():
         consumers = run_axes.consumers_in(world)
         crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
@@ -402,23 +402,23 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         robots = run_axes.robots_at(horizon_s)
         crossings.append(_Crossing(run_axes.mechanisms, robots, all_blocks))
     crossings.append(
-        _Crossing(run_axes.linked_mechanisms, run_axes.return_readers, (0,))
+        _Crossing(run_axes.linked_mechanisms, run_axes.return_consumers, (0,))
     )
     worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in run_axes.horizons_s)]
     crossings += [
-        _Crossing(run_axes.patrol_mechanisms, run_axes.patrol_readers(world), (0,))
+        _Crossing(run_axes.patrol_mechanisms, run_axes.patrol_consumers(world), (0,))
         for world in worlds
         if run_axes.patrol_mechanisms
     ]
     crossings += [
-        _Crossing(run_axes.tracked, run_axes.track_readers(world), (0,))
+        _Crossing(run_axes.tracked, run_axes.track_consumers(world), (0,))
         for world in worlds
         if run_axes.tracked
     ]
     for world, mechanisms in run_axes.linked_in.items():
         for task in filter(_is_linked_in_models, run_axes.tasks):
-            readers = run_axes.readers_in(world, task)
-            crossings.append(_Crossing(mechanisms, readers, (0,)))
+            consumers = run_axes.task_consumers_in(world, task)
+            crossings.append(_Crossing(mechanisms, consumers, (0,)))
     return crossings
 
 
@@ -440,7 +440,7 @@ def _units(
         by_stage = _consumers_by_stage(consumers, settings, code_read)
         for mechanism, stage in product(mechanisms, by_stage):
             code = _code_digests(stage, mechanism, code_read=code_read)
-            readers = {
+            level_consumers = {
                 key: consumer
                 for key, consumer in by_stage[stage].items()
                 if run_axes.meets(consumer, mechanism)
@@ -449,9 +449,9 @@ def _units(
             about += filter(None, [mechanism.digest])
             about += code.values()
             about += _own_settings(stage, settings)
-            for block in blocks if readers else ():
+            for block in blocks if level_consumers else ():
                 key = fingerprint.digest([identity, stage, block, *about])
-                units.append(Unit(stage, block, mechanism, key, code, readers))
+                units.append(Unit(stage, block, mechanism, key, code, level_consumers))
     return tuple(units), code_read.digests
 
 

@@ -229,7 +229,7 @@ def linked(recording, tracker, **stages):
     recorded = datasets.load(str(recording)).tracks
     setup = tracking_setup(recorded, stages=settings.stages, seed=0)
     crossed = axes(settings)
-    links = [reader for reader in crossed.track_readers() if reader.task]
+    links = [each for each in crossed.track_consumers() if each.task]
     links = [link for link in links if link.track_release.name == tracker]
     raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
     releases = share_tracked(raw, plugin, setup)

@@ -153,7 +153,7 @@ def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
-    consumers = (*crossed.consumers, *crossed.readers(crossed.tasks[0]))
+    consumers = (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0]))
 
     def keys():
         return {
@@ -177,6 +177,6 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 def test_raw_scores_are_another_thing_to_keep():
     crossed = axes(Settings(attacks=("savgol", "shape")))
-    for item in (*crossed.consumers, *crossed.readers(crossed.tasks[0])):
+    for item in (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0])):
         keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
         assert len(keys) == 1 + (item.kind in ("linkage", "control"))
