@@ -1,4 +1,4 @@
-"""The stage *reconstruction*: the privacy descriptors after each adversary's attack.
+"""The section *reconstruction*: the privacy descriptors after each adversary's attack.
 
 People are split into two halves, whole groups at a time. An attack that learns does so
 on the other half; every attack is fitted again for every mechanism level. A half, 0 or

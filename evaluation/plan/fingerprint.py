@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from evaluation.plan.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
-# Stages of scenes; all but patrols and returns are other linkage tasks.
+# Sections of scenes. A section without a name here is a linkage task, by its name.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 RETURNS: Final = "returns"  # People who come back: a task of whole passages.
@@ -36,7 +36,7 @@ _COMMON: Final = (
     "evaluation.compute.tables",
 )
 """Modules that every unit of work depends on: releases, and the tables of its file."""
-_STAGES: Final = {
+_SECTIONS: Final = {
     SHARING: ("evaluation.compute.forecasts", *_COMMON),
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
     PATROL: ("evaluation.compute.patrols", *_COMMON),
@@ -78,9 +78,9 @@ def code_hash() -> str:
     return sha.hexdigest()[:16]
 
 
-def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
+def sources(section: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the root modules whose source, with all it imports, a key covers."""
-    modules = _STAGES.get(stage, _LINKAGE) if stage else ()
+    modules = _SECTIONS.get(section, _LINKAGE) if section else ()
     return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
 
 

@@ -51,7 +51,7 @@ def computed():
         )
     )
     units = [
-        unit for unit in ready.units if unit.stage in TASKS and unit.mechanism.level
+        unit for unit in ready.units if unit.section in TASKS and unit.mechanism.level
     ]
     rows = []
     with threadpool_limits(limits=1, user_api="blas"):

@@ -18,14 +18,14 @@ def patrolled(csv_recording, **changes):
     return {
         (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.adversary)
         for unit in plan.units
-        if unit.stage == PATROL
+        if unit.section == PATROL
         for consumer in unit.consumers.values()
     }
 
 
 def keys(plan):
     """Keys of the units of a plan: those of patrols, and all others."""
-    patrols = {unit.key for unit in plan.units if unit.stage == PATROL}
+    patrols = {unit.key for unit in plan.units if unit.section == PATROL}
     return patrols, {unit.key for unit in plan.units} - patrols
 
 
