@@ -117,7 +117,7 @@ def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
         yield from _BEHIND_SLOW_ERROR.get(consumer.kind, ())
     if consumer.kind in {"shared", "attack", "windows"}:
         yield from _DESCRIPTORS
-    if consumer.kind in {"linkage", "control"}:
+    if consumer.kind in {"linkage", "link_bound", "control"}:
         yield from _SCORECARD
     yield from _BY_KIND.get(consumer.kind, ())
     for plugin in consumer.plugins:

@@ -297,7 +297,7 @@ def _linkage_tables(
     """Return the tables of a consumer of a linkage task; its scores are freed."""
     if consumer.kind == "windows":
         return linkage.window_tables(consumer, level)
-    if consumer.kind == "linkage" and not consumer.plugins:
+    if consumer.kind == "link_bound":
         linked = linkage.bound(level, motion)
     else:
         linked = linkage.link(consumer, level)

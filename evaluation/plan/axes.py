@@ -51,6 +51,17 @@ PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
 PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
 TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
 """Kinds of consumer that read tracks, or what a policy answers from them."""
+_NAMES: Final = {
+    "shared": SHARED,
+    "windows": WINDOWS,
+    "bound": BOUND,
+    "link_bound": BOUND,
+    "log": LOG,
+    "track_log": LOG,
+    "returns": FUSION,
+    "tracks": TRACKER,
+}
+"""Names of consumers without a plug-in, by kind."""
 HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
@@ -68,6 +79,7 @@ class Consumer:
         "attack",
         "bound",
         "linkage",
+        "link_bound",
         "control",
         "windows",
         "patrol",
@@ -114,20 +126,13 @@ class Consumer:
     @property
     def address(self) -> Address:
         """Where its numbers belong, at every level."""
-        names = {
-            "shared": SHARED,
-            "windows": WINDOWS,
-            "bound": BOUND,
-            "log": LOG,
-            "track_log": LOG,
-            "returns": FUSION,
-            "tracks": TRACKER,
-        }
-        name, reconstruction = names.get(self.kind, BOUND), None
+        reconstruction = None
         if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
             name, reconstruction = self.plugin.spec, self.reconstruction
+        else:
+            name = _NAMES[self.kind]
         return Address(
             world=self.world,
             policy=policy_text(
@@ -173,6 +178,11 @@ class Consumer:
     def is_built_in(self) -> bool:
         """Whether an attack is one of the project's own."""
         return self.plugin is not None and self.plugin.origin.startswith("attacks.")
+
+    @property
+    def kind_in_files(self) -> str:
+        """As in a manifest, where the optimum of a linkage task is a linkage cell."""
+        return "linkage" if self.kind == "link_bound" else self.kind
 
     @property
     def label(self) -> str:
@@ -349,7 +359,7 @@ class Axes:
             for consumer in self.task_consumers(task)
             if consumer.kind == "linkage"
         ]
-        linkers.append(Consumer("linkage", task=task.name))
+        linkers.append(Consumer("link_bound", task=task.name))
         return tuple(replace(consumer, world=world) for consumer in linkers)
 
     @property

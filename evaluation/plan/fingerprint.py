@@ -144,7 +144,7 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
         sorted(item.name for item in consumer.granted),
         *code,
     ]
-    if keep_scores and consumer.kind in {"linkage", "control"}:
+    if keep_scores and consumer.kind in {"linkage", "link_bound", "control"}:
         content.append("scores")
     if consumer.world:
         content.append(consumer.world.text)

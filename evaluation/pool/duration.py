@@ -152,7 +152,7 @@ def setup_name(work: Work) -> str:
 def rate_name(consumer: Consumer) -> str:
     """Return the name of a consumer's rate: its kind and its plug-ins' families."""
     families = "@".join(plugin.family for plugin in consumer.plugins)
-    return f"{consumer.kind}/{families or consumer.control}".rstrip("/")
+    return f"{consumer.kind_in_files}/{families or consumer.control}".rstrip("/")
 
 
 def measured_rates() -> Mapping[str, float]:
@@ -167,7 +167,7 @@ def _rate(consumer: Consumer, rates: Mapping[str, float]) -> float:
     name = rate_name(consumer)
     if name in rates:
         return rates[name]
-    kind = f"{consumer.kind}/"
+    kind = f"{consumer.kind_in_files}/"
     same_kind = [rate for known, rate in rates.items() if known.startswith(kind)]
     return median(same_kind or [0.0])
 
