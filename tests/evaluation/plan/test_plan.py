@@ -5,10 +5,12 @@ import math
 import pytest
 from helpers.small_runs import smoke
 
+from evaluation.plan.axes import axes
 from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
+from evaluation.plan.world import World
 from isac_track.errors import SettingsError
 
 
@@ -81,3 +83,13 @@ def test_without_policies_there_are_no_patrols(csv_recording):
 def test_a_wrong_policy_is_refused(csv_recording, policy, message):
     with pytest.raises(SettingsError, match=message):
         make_plan(smoke(csv_recording, policies=(policy,)))
+
+
+def test_the_optimum_of_a_linkage_task_has_a_kind_that_files_do_not_have():
+    crossed = axes(Settings(preset="paper", tasks=("rerelease",)))
+    (task,) = crossed.tasks
+    *linkers, optimum = crossed.task_consumers_in(World(is_model=True), task)
+    assert {linker.kind for linker in linkers} == {"linkage"}
+    assert optimum.kind == "link_bound"
+    assert optimum.kind_in_files == "linkage"
+    assert optimum.spec == "rerelease/bound"
