@@ -18,6 +18,12 @@ from isac_track.errors import IsacTrackError, SettingsError
 if TYPE_CHECKING:
     from attacks.testing import CheckResult
 
+_BOARD = {
+    "reconstruction": "--attack {name}",
+    "mechanism": "--mechanism {name}",
+    "policy": "--mechanism raw --policy {name}",
+}
+"""Options of a board by kind of plug-in; no other kind has a place on it."""
 KINDS: dict[str, dict[str, str]] = {
     "reconstruction": {
         "noun": "attack",
@@ -226,12 +232,21 @@ def _new(name: str, *, kind: str, into: Path) -> int:
         "pytest": f"pytest {shown.removeprefix('./')}",
         "matrix": f"python -m evaluation.matrix {option}{name}",
     }
+    if kind in _BOARD:
+        board = _BOARD[kind].format(name=name)
+        commands["board"] = f"python -m evaluation.board {board} cards --out board"
     description = f"{kind} attack" if noun == "attack" else noun
     words = KINDS[kind] | commands
     words["group"] = KIND_BY_NOUN[noun]
     words |= {"is": description, "name": name, "class_name": class_name}
     words["option"] = option
     words["beside"] = _beside(noun, name)
+    words["on_board"] = ""
+    if "board" in commands:
+        words["on_board"] = (
+            "\n- On a board of cards (`python -m evaluation.card --out cards` makes"
+            f" them): `{commands['board']}`"
+        )
     sources = {
         f"{name}.py": f"{kind}.py",
         f"test_{name}.py": "test_plugin.py",

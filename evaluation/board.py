@@ -4,12 +4,18 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import SettingsError
 
+if TYPE_CHECKING:
+    from evaluation.api.card_entries import Seed
+    from evaluation.store.cards import Card
+
 _EPILOG = """\
-exit codes: 0 done, 2 wrong usage or data, 130 interrupted
+exit codes: 0 done, 2 wrong usage or data, 130 interrupted (finished cards stay; the same
+command continues)
 
 examples:
   python -m evaluation.board cards --out board
@@ -42,7 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.add_repeated(option, about, metavar=metavar)
     about = "folder of the page and its cards (default: board)"
     add("--out", type=Path, metavar="DIR", default=Path("board"), help=about)
-    return exit_code(lambda: _run(command.parse_args(arguments)))
+    interrupted = "interrupted; finished cards stay, the same command continues"
+    return exit_code(
+        lambda: _run(command.parse_args(arguments)), interrupted=interrupted
+    )
 
 
 def _run(options: argparse.Namespace) -> int:
@@ -55,31 +64,84 @@ def _run(options: argparse.Namespace) -> int:
         card_checks,
         card_entries,
     )
-    from evaluation.reporting.cards import card_line, fall_line  # noqa: PLC0415 - as above
+    from evaluation.estimates.cards import world_key  # noqa: PLC0415 - as above
+    from evaluation.reporting.cards import gap_line  # noqa: PLC0415 - as above
 
     seeds = [card_entries.read_secret_seed(Path(name)) for name in options.secret_seed]
     cards = [*card_checks.load_cards(options.cards).values()]
     if options.attack:
-        attacked = []
-        for item in boarding.attack_cards(cards, options.attack, seeds=seeds):
-            print(fall_line(item.before, item.after), flush=True)
-            attacked.append(item)
-        fallen = [item for item in attacked if item.has_fallen]
-        beyond = [item for item in fallen if item.is_beyond_interval]
-        print(
-            f"{len(fallen)} of {len(attacked)} scores fell, {len(beyond)} of them beyond"
-            " the interval of the score before"
-        )
-        cards = [item.after for item in attacked]
-    joined = boarding.join_mechanisms(
-        cards, options.mechanism, options.policy or ["everything"], seeds=seeds
-    )
-    for card in joined if options.mechanism else ():
-        print(card_line(card), flush=True)
-        cards = [other for other in cards if other.file_name != card.file_name]
-        cards.append(card)
+        cards = _attack(cards, options, seeds)
+    if options.mechanism:
+        cards = _join(cards, options, seeds)
+    for world in dict.fromkeys(map(world_key, cards)):
+        own = [card for card in cards if world_key(card) == world]
+        if line := gap_line(own):
+            print(f"{own[0].recording}, {own[0].law}: {line}")
     print(f"Board: {boarding.write_board(cards, options.out)}")
     return DONE
+
+
+def _attack(
+    cards: Sequence["Card"], options: argparse.Namespace, seeds: Sequence["Seed"]
+) -> list["Card"]:
+    """Run new attacks against all cards; return the new cards."""
+    from evaluation.api import boarding  # noqa: PLC0415 - --help answers at once
+    from evaluation.reporting.amounts import counted  # noqa: PLC0415 - as above
+    from evaluation.reporting.cards import attack_line  # noqa: PLC0415 - as above
+    from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
+
+    attacked = []
+    for item in counting(
+        boarding.attack_cards(
+            cards, options.attack, folder=options.out / "cards", seeds=seeds
+        ),
+        total=len(cards),
+        noun="card",
+    ):
+        line = attack_line(item.before, item.after, verdict=item.verdict, own=item.own)
+        print(line, flush=True)
+        attacked.append(item)
+    verdicts = [item.verdict for item in attacked]
+    print(
+        f"Broken: {verdicts.count('broken')} of"
+        f" {counted(len(attacked), 'entry', 'entries')}. Slightly more known, within the"
+        f" interval: {verdicts.count('slightly more known')}."
+        f" Stands: {verdicts.count('stands')}."
+    )
+    return [item.after for item in attacked]
+
+
+def _join(
+    cards: Sequence["Card"], options: argparse.Namespace, seeds: Sequence["Seed"]
+) -> list["Card"]:
+    """Run all attacks against new mechanisms; return all cards, and print places."""
+    from evaluation.api import boarding  # noqa: PLC0415 - --help answers at once
+    from evaluation.estimates.cards import places, world_key  # noqa: PLC0415 - as above
+    from evaluation.reporting.cards import card_line, place_line  # noqa: PLC0415 - as above
+    from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
+
+    policies = options.policy or ["everything"]
+    joined: dict[str, Card] = {}
+    for card in counting(
+        boarding.join_mechanisms(
+            cards,
+            options.mechanism,
+            policies,
+            folder=options.out / "cards",
+            seeds=seeds,
+        ),
+        total=boarding.n_joined(cards, options.mechanism, policies),
+        noun="card",
+    ):
+        print(card_line(card), flush=True)
+        joined[card.file_name] = card
+    together = [*({card.file_name: card for card in cards} | joined).values()]
+    for world in dict.fromkeys(map(world_key, joined.values())):
+        own = [card for card in together if world_key(card) == world]
+        for card, place in zip(own, places(own), strict=True):
+            if card.file_name in joined:
+                print(place_line(card, place))
+    return together
 
 
 if __name__ == "__main__":

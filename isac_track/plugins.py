@@ -116,6 +116,7 @@ _WHOLE_LIMIT = 10**12  # Names show 12 digits.
 _PATH = re.compile(r"([A-Za-z]:(?=[\\/]|[^:,=]*\.py\b)|[\\/]|\.[\\/]|[^:,=]*\\)[^:]*")
 """A path at the beginning of a SPEC: ./x.py, /x.py, C:\\x.py, a\\x.py; not x, C:0.5."""
 # A class name after a path; a value does not begin with a capital letter.
+_IN_FOLDER = "; run it in the folder that holds it, or install the package"
 _CLASS_NAME = re.compile(r"([A-Z]\w*)(?::|$)")
 
 
@@ -315,6 +316,12 @@ def _split_spec(kind: Kind, spec: str) -> tuple[str, list[tuple[str, str]]]:
                 raise SettingsError(
                     "expected package.module:Class[:VALUE][,key=value...]"
                 )
+        elif (
+            may_be_module
+            and _CLASS_NAME.match(rest)
+            and not did_you_mean(name, names(kind), quote="'")
+        ):
+            raise SettingsError(f"there is no module {quoted(name)}{_IN_FOLDER}")
         if not name:
             raise SettingsError("a SPEC begins with a name")
         for position, part in enumerate(rest.split(",") if rest else []):
@@ -374,6 +381,14 @@ def parts_below(path: str, *, folder: str) -> tuple[str, ...] | None:
     return pure.relative_to(base).parts if pure.is_relative_to(base) else None
 
 
+def _folder_hint(error: BaseException, module_name: str) -> str:
+    """Return the way out if the module of a plug-in, or its package, is missing."""
+    missing = error.name if isinstance(error, ModuleNotFoundError) else None
+    if missing and f"{module_name}.".startswith(f"{missing}."):
+        return _IN_FOLDER
+    return ""
+
+
 def _load_class(kind: Kind, name: str) -> tuple[type, str]:
     """Import the class of a name; return it and its ``module:Class``.
 
@@ -391,8 +406,9 @@ def _load_class(kind: Kind, name: str) -> tuple[type, str]:
     except BaseException as error:  # a plug-in's import may raise anything
         if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
             raise
+        fault = f"{singular} {name!r} cannot be loaded from {origin}"
         raise PluginError(
-            f"{singular} {name!r} cannot be loaded from {origin}: {error_text(error)}"
+            f"{fault}: {error_text(error)}{_folder_hint(error, module_name)}"
         ) from error
     check_class(kind, cls, f"{singular} {name!r}: {origin}")
     return cls, origin

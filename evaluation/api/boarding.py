@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 from evaluation.api.card_entries import Entry, Seed, card_entry, cross_entries
-from evaluation.api.carding import Maker, is_of_this_code
-from evaluation.estimates.cards import KNOWN
+from evaluation.api.carding import Maker, is_of_this_code, make_cards
+from evaluation.compute.board import KNOWN as KNOWN_SHARE
+from evaluation.estimates.cards import (
+    KNOWN,
+    has_own_primary,
+    primary_scores,
+    world_key,
+)
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.reporting import board_page
 from evaluation.reporting.figures.figure import write as write_figures
-from evaluation.store.cards import Card, write_card
+from evaluation.store.cards import Card, CardScore, read_card, write_card
 from evaluation.store.files import write_whole
 from isac_track.errors import DataError, SettingsError
 from isac_track.plugins import Plugin, parse_all
@@ -26,18 +33,25 @@ class Attacked:
     after: Card
 
     @property
-    def has_fallen(self) -> bool:
-        """Whether a new attack knows more than all attacks before."""
-        before, after = (
-            card.primary[KNOWN].value for card in (self.before, self.after)
+    def own(self) -> tuple[CardScore, ...]:
+        """What the new attacks know, in the order of the card."""
+        met = {attack.spec for attack in self.before.attacks}
+        return tuple(
+            score
+            for score in self.after.scores
+            if score.metric == KNOWN_SHARE
+            and score.by in {attack.spec for attack in self.after.attacks} - met
         )
-        return (after or 0.0) > (before or 0.0)
 
     @property
-    def is_beyond_interval(self) -> bool:
-        """Whether it knows more than the interval of the score before."""
-        high = self.before.primary[KNOWN].ci_high
-        return high is not None and (self.after.primary[KNOWN].value or 0.0) > high
+    def verdict(self) -> Literal["broken", "slightly more known", "stands"]:
+        """Whether new attacks know more, and beyond the interval of the score before."""
+        before, after = self.before.primary[KNOWN], self.after.primary[KNOWN]
+        if not (after.value or 0.0) > (before.value or 0.0):
+            return "stands"
+        high = before.ci_high
+        is_beyond = high is not None and (after.value or 0.0) > high
+        return "broken" if is_beyond else "slightly more known"
 
 
 def write_board(cards: Sequence[Card], out: Path) -> Path:
@@ -63,13 +77,16 @@ def attack_cards(
     cards: Iterable[Card],
     attacks: Sequence[str],
     *,
+    folder: Path,
     seeds: Sequence[Seed] = (),
     protocol: Protocol | None = None,
 ) -> Iterator[Attacked]:
     """Yield each card before and after it met the attacks of some SPECs.
 
-    A card of this code and machine gets further scores; any other is computed anew.
-    SettingsError if a secret seed of a card is not among `seeds`.
+    Each new card is written into a folder at once, and one that stands there already
+    is not computed again. A card of this code and machine gets further scores; any
+    other is computed anew. SettingsError if a secret seed of a card is not among
+    `seeds`.
     """
     protocol = protocol or read_protocol()
     by_world = sorted(
@@ -89,10 +106,53 @@ def attack_cards(
         key = card.seed_commitment, tuple(plugin.spec for plugin in extra)
         if key not in makers:
             makers = {key: _maker(known[key[0]], [*extra, *asked], protocol)}
-        maker, entry = makers[key], card_entry(card)
-        is_ours = is_of_this_code(card, maker)
-        after = maker.attacked(card, entry) if is_ours else maker.card(entry)
-        yield Attacked(card, after)
+        after = _attacked_before(folder / card.file_name, card, makers[key])
+        if after is None:
+            maker, entry = makers[key], card_entry(card)
+            is_ours = is_of_this_code(card, maker)
+            after = maker.attacked(card, entry) if is_ours else maker.card(entry)
+            write_card(after, folder)
+        yield Attacked(_without(card, asked, protocol), after)
+
+
+def _attacked_before(path: Path, card: Card, maker: Maker) -> Card | None:
+    """Return the card of a file if a card became it by all attacks of a maker."""
+    try:
+        made = read_card(path)
+    except DataError:
+        return None  # Missing or broken: it is made anew.
+    specs = {attack.plugin.spec for attack in maker.all_attacks()}
+    is_same = (
+        made.file_name == card.file_name
+        and made.seed_commitment == card.seed_commitment
+        and is_of_this_code(made, maker)
+        and {attack.spec for attack in made.attacks} == specs
+        and has_own_primary(made, maker.protocol)
+    )
+    if is_same and is_of_this_code(card, maker):
+        is_same = {*card.scores} <= {*made.scores}
+    return made if is_same else None
+
+
+def _without(card: Card, attacks: Iterable[Plugin], protocol: Protocol) -> Card:
+    """Return a card as it was before it met some attacks."""
+    specs = {attack.spec for attack in attacks} - {*protocol.attacks}
+    scores = tuple(score for score in card.scores if score.by not in specs)
+    return replace(
+        card,
+        scores=scores,
+        primary=primary_scores(scores, protocol),
+        attacks=tuple(item for item in card.attacks if item.spec not in specs),
+    )
+
+
+def n_joined(
+    cards: Sequence[Card], mechanisms: Sequence[str], policies: Sequence[str]
+) -> int:
+    """Return how many cards `join_mechanisms` yields."""
+    return len({*map(world_key, cards)}) * len(
+        cross_entries([""], [""], mechanisms, policies)
+    )
 
 
 def join_mechanisms(
@@ -100,21 +160,24 @@ def join_mechanisms(
     mechanisms: Sequence[str],
     policies: Sequence[str],
     *,
+    folder: Path,
     seeds: Sequence[Seed] = (),
     protocol: Protocol | None = None,
 ) -> Iterator[Card]:
-    """Yield the cards of mechanisms in all worlds of a board, under all its attacks."""
+    """Yield the cards of mechanisms in all worlds of a board, under all its attacks.
+
+    Each is written into a folder at once; one that stands there already stays.
+    """
     protocol = protocol or read_protocol()
     known = _seeds(cards, seeds, protocol)
     extra = _extra_attacks(cards, protocol)
-    worlds = dict.fromkeys(
-        (card.seed_commitment, card.recording, card.law) for card in cards
-    )
-    for commitment, recording, law in sorted(worlds):
+    worlds = dict.fromkeys(map(world_key, cards))
+    for recording, law, commitment in sorted(worlds):
         maker = _maker(known[commitment], extra, protocol)
         entries = cross_entries([recording], [law], mechanisms, policies)
         maker.check(entries)
-        yield from map(maker.card, entries)
+        for card, _ in make_cards(maker, entries, folder=folder):
+            yield card
 
 
 def _maker(seed: Seed, attacks: Sequence[Plugin], protocol: Protocol) -> Maker:

@@ -10,7 +10,8 @@ from evaluation.api.carding import Maker, card_plugin
 from evaluation.estimates.cards import (
     Agreement,
     agreement,
-    has_own_primary,
+    cut_digests,
+    primary_fault,
     same_board,
 )
 from evaluation.plan.fingerprint import is_user_plugin
@@ -40,10 +41,10 @@ def load_cards(
     protocol = protocol or read_protocol()
     same_board(cards.values(), protocol)
     for path, card in cards.items():
-        if not has_own_primary(card, protocol):
+        if fault := primary_fault(card, protocol):
             raise DataError(
-                f"{path}: its primary scores do not follow from its scores; the card"
-                " was changed"
+                f"{path}: its primary scores do not follow from its scores ({fault});"
+                " the card was changed"
             )
     first: dict[str, Path] = {}
     for path, card in cards.items():
@@ -74,8 +75,8 @@ def verify(
         seed = Seed(card.seed)
         if seed.commitment(protocol) != card.seed_commitment:
             return Agreement("differs", "the commitment is not that of its seed")
-    if not has_own_primary(card, protocol):
-        reason = "its primary scores do not follow from its scores"
+    if fault := primary_fault(card, protocol):
+        reason = f"its primary scores do not follow from its scores: {fault}"
         return Agreement("differs", reason)
     extra = [
         attack.spec for attack in card.attacks if attack.spec not in protocol.attacks
@@ -92,8 +93,11 @@ def _refuse_other_plugins(card: Card, plugins: Iterable[Plugin]) -> None:
         item.spec: item.digest for item in (card.mechanism, card.policy, *card.attacks)
     }
     for plugin in filter(is_user_plugin, plugins):
-        if card_plugin(plugin).digest != digests.get(plugin.spec):
+        here, claim = card_plugin(plugin).digest, digests.get(plugin.spec, "none")
+        if here != claim:
+            ours, others = cut_digests(here, claim)
             raise SettingsError(
-                f"{plugin.spec} here is not the card's: its source has another digest;"
-                " get the plug-in that the card was made with"
+                f"{plugin.spec} here is not the card's: its source has another digest"
+                f" ({ours}, and the card's {others}); get the plug-in that the card was"
+                " made with"
             )

@@ -24,7 +24,7 @@ from evaluation.compute.board import (
 )
 from evaluation.compute.log_attacks import LogAttack, log_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, share_level
-from evaluation.estimates.cards import card_score, primary_scores
+from evaluation.estimates.cards import card_score, cut_digests, primary_scores
 from evaluation.plan.fingerprint import source_digest
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.store.cards import (
@@ -134,6 +134,8 @@ class Maker:
         """
         known = {attack.spec for attack in card.attacks}
         new = [item for item in self.all_attacks() if item.plugin.spec not in known]
+        if not new:
+            return card
         with limit_threads(), np.errstate(all="warn", under="ignore"):
             scores = attack_scores(self.share(entry), entry.policy, new)
         plain = [card_score(score.metric, score.by, score.estimate) for score in scores]
@@ -163,10 +165,10 @@ class Maker:
         stages = self.protocol.stages(entry.law)
         dataset = datasets.load(entry.recording)
         if dataset.sha256 != expected:
+            ours, others = cut_digests(dataset.sha256, expected)
             raise DataError(
-                f"{entry.recording} at {dataset.path} has the sha256"
-                f" {dataset.sha256[:12]}..., and protocol {self.protocol.version} has"
-                f" {expected[:12]}...; get the file anew"
+                f"{entry.recording} at {dataset.path} has the sha256 {ours}, and"
+                f" protocol {self.protocol.version} has {others}; get the file anew"
             )
         return board_setup(dataset.tracks, stages=stages, seed=self.seed.value)
 

@@ -1,18 +1,18 @@
 """Cards compared: the strongest reader of each axis, two cards of an entry, the front.
 
-Two cards of an entry agree if no score differs by more than the protocol's number of
-joint standard errors, with Holm's correction over the scores of the card.
+Two cards of an entry agree if no score differs at the protocol's level, two-sided, by
+its difference in joint standard errors, with Holm's correction over the scores.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, ndtri
 
 from evaluation.store.cards import Card, CardScore
 from isac_track.errors import DataError
@@ -98,8 +98,10 @@ def agreement(card: Card, again: Card, protocol: Protocol) -> Agreement:
     standard errors contain: the test is conservative.
     """
     for name, claim in _claims(card).items():
-        if claim != _claims(again)[name]:
-            return Agreement("differs", f"its {name} is not that of the entry")
+        computed = _claims(again)[name]
+        if claim != computed:
+            reason = f"its {name} is not that of the entry"
+            return Agreement("differs", f"{reason}: card {claim}, computed {computed}")
     if (card.scores, card.primary, card.digits) == (
         again.scores,
         again.primary,
@@ -107,19 +109,50 @@ def agreement(card: Card, again: Card, protocol: Protocol) -> Agreement:
     ):
         return Agreement("equal", "all numbers are equal bit for bit")
     pairs = _pairs(card, again)
-    changed = [ours for ours, others in pairs if ours != others]
+    changed = [_difference(*pair) for pair in pairs if pair[0] != pair[1]]
     if _circumstances(card) == _circumstances(again):
-        named = ", ".join(_named(score) for score in changed[:3]) or "primary scores"
-        return Agreement("differs", f"same seed, code and machine, but not {named}")
+        named = "; ".join(changed[:3]) or _other_rest(card, again)
+        return Agreement("differs", f"same seed, code and machine, but {named}")
     rejected = _rejected(pairs, protocol)
     if rejected is not None:
         return Agreement("differs", rejected)
     largest = max((_joint_errors(*pair) for pair in pairs), default=0.0)
+    others = _other_circumstances(card, again)
     return Agreement(
         "agrees",
-        f"{len(changed)} of {len(pairs)} scores differ, by at most {largest:.2f} joint"
-        f" standard errors ({_other_circumstances(card, again)})",
+        f"{len(changed)} of {len(pairs)} scores differ, by at most {largest:.2f} of"
+        f" {_most_joint_errors(len(pairs), protocol):.2f} joint standard errors allowed"
+        f" (another {', '.join(others)}). A small change of a number would pass; to be"
+        f" sure, verify with the {', '.join(others)} that the card names",
     )
+
+
+def _most_joint_errors(n_scores: int, protocol: Protocol) -> float:
+    """Return the greatest difference that Holm's correction allows a single score."""
+    return -float(ndtri(protocol.agreement["level"] / (2.0 * max(n_scores, 1))))
+
+
+def _difference(score: CardScore, other: CardScore) -> str:
+    """Return the first number in which two scores of a reader differ, in full."""
+    ours, others = asdict(score), asdict(other)
+    name = next((name for name in ours if ours[name] != others[name]), "value")
+    detail = "" if name == "value" else f" ({name})"
+    return (
+        f"{score.metric} by {score.by}{detail}: card {_full(ours[name])},"
+        f" computed {_full(others[name])}"
+    )
+
+
+def _other_rest(card: Card, again: Card) -> str:
+    """Return in what cards of equal scores differ: a primary score, or the digits."""
+    for axis in AXES:
+        if card.primary[axis] != again.primary[axis]:
+            return f"{axis}: {_difference(card.primary[axis], again.primary[axis])}"
+    return f"low-order digits: card {card.digits}, computed {again.digits}"
+
+
+def _full(value: object) -> str:
+    return "none" if value is None else repr(value)
 
 
 def _claims(card: Card) -> Mapping[str, object]:
@@ -142,9 +175,9 @@ def _circumstances(card: Card) -> Mapping[str, object]:
     }
 
 
-def _other_circumstances(card: Card, again: Card) -> str:
+def _other_circumstances(card: Card, again: Card) -> list[str]:
     ours, others = _circumstances(card), _circumstances(again)
-    return "another " + ", ".join(name for name in ours if ours[name] != others[name])
+    return [name for name in ours if ours[name] != others.get(name)]
 
 
 def _pairs(card: Card, again: Card) -> list[tuple[CardScore, CardScore]]:
@@ -179,38 +212,112 @@ def _rejected(
     if not is_rejected.any():
         return None
     row = int(np.where(is_rejected, gaps, -1.0).argmax())
-    ours, others = pairs[row]
     return (
-        f"{_named(ours)} against {_number(others.value)}, {gaps[row]:.1f} joint standard"
-        f" errors; {int(is_rejected.sum())} of {len(pairs)} scores differ"
+        f"{_difference(*pairs[row])}; {gaps[row]:.1f} joint standard errors, where"
+        f" {_most_joint_errors(len(pairs), protocol):.2f} are allowed;"
+        f" {int(is_rejected.sum())} of {len(pairs)} scores differ"
     )
 
 
-def _named(score: CardScore) -> str:
-    return f"{score.metric} by {score.by} {_number(score.value)}"
+@dataclass(frozen=True, eq=False, slots=True)
+class Place:
+    """The place of a card among the cards of its world."""
+
+    kind: Literal["front", "alone", "beaten", "unmet", "control"]
+    beaten_by: tuple[Card, ...] = ()  # The clearest first.
+    beats: tuple[Card, ...] = ()
+    is_within: bool = False  # Whether its intervals overlap those of the first.
+    unmet: tuple[str, ...] = ()  # Attacks that other cards of the world have met.
+
+    @property
+    def is_front(self) -> bool:
+        """Whether no other card beats it."""
+        return self.kind in {"front", "alone"}
 
 
-def _number(value: float | None) -> str:
-    return "none" if value is None else f"{value:.6g}"
+def world_key(card: Card) -> tuple[str, str, str]:
+    """Return the world of a card: its recording, law and commitment of the seed."""
+    return card.recording, card.law, card.seed_commitment
 
 
-def on_front(cards: Sequence[Card]) -> Bools:
-    """Return which cards no other card beats, (N,), over missed, known and followed.
+def unmet_attacks(cards: Sequence[Card]) -> list[tuple[str, ...]]:
+    """Return for each card of a world the attacks that only others have met."""
+    specs = dict.fromkeys(attack.spec for card in cards for attack in card.attacks)
+    met = [{attack.spec for attack in card.attacks} for card in cards]
+    return [tuple(spec for spec in specs if spec not in own) for own in met]
+
+
+def places(cards: Sequence[Card]) -> list[Place]:
+    """Return the place of each card of a world, over missed, known and followed.
 
     A card beats another that is no better on any axis and worse on some axis. Only
     answers of one form are compared: a flag warns a robot, but gives it no positions to
-    plan by. Controls beat nobody, and are on no front.
+    plan by. Controls beat nobody, and are on no front. Neither is a card that has not
+    met all attacks of its world: its known share may be too low.
     """
+    unmet = unmet_attacks(cards)
     values = np.array(
         [[card.primary[axis].value for axis in AXES] for card in cards], dtype=float
     ).reshape(len(cards), len(AXES))
-    enters = np.array([not is_control(card) for card in cards], dtype=bool)
+    enters = np.array(
+        [
+            not is_control(card) and not lacking
+            for card, lacking in zip(cards, unmet, strict=True)
+        ],
+        dtype=bool,
+    )
     no_worse = (values[:, None] <= values[None]).all(axis=2)
     better = (values[:, None] < values[None]).any(axis=2)
     forms = np.array([card.form for card in cards])
     is_rival = enters[:, None] & (forms[:, None] == forms)
-    is_beaten = (no_worse & better & is_rival).any(axis=0)
-    return np.asarray(enters & ~is_beaten)
+    beats = no_worse & better & is_rival
+    is_alone = (is_rival & enters).sum(axis=0).max(initial=0) < 2  # noqa: PLR2004 - two compare
+    return [
+        _place(cards, row, beats & enters, lacking, is_alone=bool(is_alone))
+        for row, lacking in enumerate(unmet)
+    ]
+
+
+def _place(
+    cards: Sequence[Card],
+    row: int,
+    beats: Bools,
+    unmet: tuple[str, ...],
+    *,
+    is_alone: bool,
+) -> Place:
+    """Return the place of the card of a row; `beats`, (N, N), says who beats whom."""
+    card = cards[row]
+    if is_control(card):
+        return Place("control", unmet=unmet)
+    if unmet:
+        return Place("unmet", unmet=unmet)
+    beaten = tuple(cards[other] for other in np.flatnonzero(beats[row]).tolist())
+    rivals = [cards[other] for other in np.flatnonzero(beats[:, row]).tolist()]
+    rivals.sort(key=lambda rival: (is_within_intervals(rival, card), _sum(rival)))
+    if not rivals:
+        return Place("alone" if is_alone else "front", beats=beaten)
+    is_within = is_within_intervals(rivals[0], card)
+    return Place("beaten", tuple(rivals), beaten, is_within=is_within)
+
+
+def _sum(card: Card) -> float:
+    """Return an order in which no card that beats another comes behind it."""
+    return sum(card.primary[axis].value or 0.0 for axis in AXES)
+
+
+def is_within_intervals(card: Card, other: Card) -> bool:
+    """Whether the intervals overlap on each axis where a card is the better."""
+    for axis in AXES:
+        high, low = card.primary[axis].ci_high, other.primary[axis].ci_low
+        if high is not None and low is not None and high < low:
+            return False
+    return True
+
+
+def on_front(cards: Sequence[Card]) -> Bools:
+    """Return which cards of a world no other card beats, (N,); see `places`."""
+    return np.array([place.is_front for place in places(cards)], dtype=bool)
 
 
 def is_control(card: Card) -> bool:
@@ -232,15 +339,40 @@ def same_board(cards: Iterable[Card], protocol: Protocol) -> None:
                 f"{card.label}: its protocol {card.protocol_version} has other values"
                 " than ours; make the card again with this version"
             )
-        expected = protocol.recordings.get(card.recording)
+        expected = protocol.recordings.get(card.recording) or "none"
         if card.recording_digest != expected:
+            ours, others = cut_digests(card.recording_digest, expected)
             raise DataError(
-                f"{card.label}: its recording has the sha256"
-                f" {card.recording_digest[:12]}..., and the protocol's"
-                f" {(expected or 'none')[:12]}...; leave the card out"
+                f"{card.label}: its recording has the sha256 {ours}, and the protocol's"
+                f" {others}; leave the card out"
             )
+
+
+def cut_digests(digest: str, other: str) -> tuple[str, str]:
+    """Return the start of two digests, up to the first digits that differ."""
+    pairs = enumerate(zip(digest, other, strict=False))
+    first = next((n for n, (ours, others) in pairs if ours != others), len(digest))
+    size = max(12, first + 4)
+    cut, other_cut = (
+        text if len(text) <= size else f"{text[:size]}..." for text in (digest, other)
+    )
+    return cut, other_cut
 
 
 def has_own_primary(card: Card, protocol: Protocol) -> bool:
     """Whether the primary scores of a card follow from its scores."""
-    return dict(card.primary) == primary_scores(card.scores, protocol)
+    return not primary_fault(card, protocol)
+
+
+def primary_fault(card: Card, protocol: Protocol) -> str:
+    """Return the primary score that does not follow from a card's scores, or nothing.
+
+    DataError if a metric of the protocol has no score.
+    """
+    for axis, score in primary_scores(card.scores, protocol).items():
+        claim = card.primary[axis]
+        if claim.by != score.by:
+            return f"{axis} is by {claim.by} on the card, and by {score.by} computed"
+        if claim != score:
+            return f"{axis}: {_difference(claim, score)}"
+    return ""

@@ -1,4 +1,4 @@
-"""The page of a board: for each world its front, a table, and what breaks each entry."""
+"""The page of a board: for each world its front, a table, and who knows how much."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ from evaluation.estimates.cards import (
     FOLLOWED,
     KNOWN,
     MISSED,
+    Place,
     is_control,
-    on_front,
+    places,
 )
 from evaluation.estimates.families import RAW
 from evaluation.plan.protocol import read_protocol
-from evaluation.reporting.amounts import counted
+from evaluation.reporting.amounts import counted, listed
+from evaluation.reporting.cards import entry_name, gap_line, place_text
 from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.markup import HTML, markdown
@@ -45,8 +47,35 @@ _LABELS: Final = {
 }
 
 
+_SERIES: Final = (
+    "raw, ahead",
+    "clean",
+    "fid",
+    "fid:adding=independent",
+    "fixed",
+    "fixed:adding=independent",
+    "raw, flag",
+    "fourier",
+    "gp_prior",
+    "laplace",
+    "least_information",
+    "raw, near",
+    "ou",
+    "qclm",
+    "remap",
+    "raw, state",
+    "raw, window",
+    "shaped",
+    "correlated",
+    "offset",
+)
+"""Series of built-in plug-ins: the place here is the look, whatever else is there."""
+_FEW_NOISES: Final = 2  # From which "every noise" says something.
+_MOST_PEOPLE: Final = 0.5
+
+
 @dataclass(frozen=True, eq=False, slots=True)
-class Broken:
+class Readings:
     """An entry, and how far each reader gets against it."""
 
     card: Card
@@ -64,7 +93,7 @@ class World:
     finding: str
     figure: Figure
     table: Table
-    entries: Sequence[Broken]
+    entries: Sequence[Readings]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -117,11 +146,11 @@ def as_markdown(board: Board) -> str:
 
 
 def _looks(cards: Sequence[Card]) -> dict[str, Look]:
-    """Return the look of each series, the same in all worlds."""
-    names = sorted({_series(card) for card in cards} - {RAW})
+    """Return the look of each series: built-in ones by name, others what remains."""
+    others = sorted({_series(card) for card in cards} - {RAW, *_SERIES})
     looks = {
         name: Look(n % (LOOKS - 1), turn=n // (LOOKS - 1))
-        for n, name in enumerate(names)
+        for n, name in enumerate([*_SERIES, *others])
     }
     return looks | {RAW: Look(LOOKS - 1)}
 
@@ -130,25 +159,23 @@ def _world(
     key: tuple[str, str, str], cards: Sequence[Card], looks: Mapping[str, Look]
 ) -> World:
     recording, law, seed = key
-    is_front = on_front(cards)
+    by_card = list(zip(cards, places(cards), strict=True))
+    by_card.sort(key=lambda pair: (not pair[1].is_front, _value(pair[0], KNOWN)))
     anchor = _anchor("world", *key)
     title = f"{dataset_title(recording)}, {law} error, seed {seed.replace('-', ' ')}"
-    order = sorted(
-        range(len(cards)),
-        key=lambda row: (not is_front[row], _value(cards[row], KNOWN)),
-    )
-    ordered, placed = [cards[row] for row in order], is_front[order]
+    ordered, placed = [card for card, _ in by_card], [place for _, place in by_card]
+    is_front = np.array([place.is_front for place in placed])
     return World(
         title=title,
         anchor=anchor,
         finding=_finding(ordered, placed),
-        figure=_figure(anchor, title, ordered, placed, looks),
+        figure=_figure(anchor, title, ordered, is_front, looks),
         table=_table(anchor, title, ordered, placed),
-        entries=[_broken(card) for card in ordered],
+        entries=[_readings(card) for card in ordered],
     )
 
 
-def _finding(cards: Sequence[Card], is_front: Bools) -> str:
+def _finding(cards: Sequence[Card], placed: Sequence[Place]) -> str:
     """Return how many entries are on the front, and which attacks decide."""
     decisive: dict[str, int] = {}
     for card in cards:
@@ -157,21 +184,48 @@ def _finding(cards: Sequence[Card], is_front: Bools) -> str:
             decisive[name] = decisive.get(name, 0) + 1
     by_count = sorted(decisive.items(), key=lambda item: (-item[1], item[0]))
     named = ", ".join(f"{name} ({count})" for name, count in by_count)
-    return (
-        f"{int(is_front.sum())} of {len(cards)} entries are on the front. The strongest"
-        f" adversary, and against how many entries: {named}."
-    )
+    n_front = sum(place.kind == "front" for place in placed)
+    verb = "is" if n_front == 1 else "are"
+    total = counted(len(cards), "entry", "entries")
+    texts = [f"{n_front} of {total} {verb} on the front."]
+    alone = [
+        entry_name(card)
+        for card, place in zip(cards, placed, strict=True)
+        if place.kind == "alone"
+    ]
+    if alone:
+        verb = "is" if len(alone) == 1 else "are each"
+        texts = [f"{listed(alone)} {verb} alone in this world, nothing to compare."]
+    if named:
+        texts.append(f"The strongest adversary, and against how many entries: {named}.")
+    return " ".join([*texts, *_followed_always(cards)])
 
 
-def _table(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> Table:
+def _followed_always(cards: Sequence[Card]) -> list[str]:
+    """Return that most people are followed under every noise, if it is so here."""
+    shares = [
+        _value(card, FOLLOWED)
+        for card in cards
+        if card.policy.spec == "everything"
+        and card.mechanism.protects
+        and card.form == "samples"
+    ]
+    if len(shares) < _FEW_NOISES or min(shares) < _MOST_PEOPLE:
+        return []
+    least = f"{100 * min(shares):.0f}"
+    return [f"Every noise alone leaves {least} % or more of people followed for 10 s."]
+
+
+def _table(
+    anchor: str, title: str, cards: Sequence[Card], placed: Sequence[Place]
+) -> Table:
     """Return the table of a world: entries on the front first."""
-    most = max(len(card.attacks) for card in cards)
-    records = list(zip(cards, is_front.tolist(), strict=True))
+    records = list(zip(cards, placed, strict=True))
     columns = [
         Column("mechanism", lambda record: _link(record[0]), align="left"),
         Column("policy", lambda record: text_cell(record[0].policy.spec), align="left"),
         Column("answer", lambda record: text_cell(record[0].form), align="left"),
-        Column("place", lambda record: _place(*record), align="left"),
+        Column("place", lambda record: _place(record[1]), align="left"),
         *(_axis_column(axis) for axis in AXES),
         Column(
             "known best by",
@@ -181,17 +235,12 @@ def _table(anchor: str, title: str, cards: Sequence[Card], is_front: Bools) -> T
         Column("digits", lambda record: _digits(record[0]), align="left"),
         Column("attacks", lambda record: number_cell(len(record[0].attacks), digits=0)),
     ]
-    notes = []
-    if any(len(card.attacks) < most for card in cards):
-        notes.append(
-            f"Some entries met fewer attacks than {most}: python -m evaluation.board"
-            " --attack SPEC CARDS runs an attack against all."
-        )
+    notes = [line] if (line := gap_line(cards)) else []
     return build_table(f"entries-{anchor}", title, records, columns, notes=notes)
 
 
 def _axis_column(axis: str) -> Column:
-    def make_cell(record: tuple[Card, bool]) -> Cell:
+    def make_cell(record: tuple[Card, Place]) -> Cell:
         score = record[0].primary[axis]
         return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0)
 
@@ -202,10 +251,9 @@ def _link(card: Card) -> Cell:
     return Cell(plugin_label(card.mechanism.spec), link=f"#{_anchor('entry', card)}")
 
 
-def _place(card: Card, is_front: bool) -> Cell:  # noqa: FBT001 - a record of a table
-    if is_control(card):
-        return Cell("control")
-    return Cell("front", tone="good") if is_front else Cell("beaten")
+def _place(place: Place) -> Cell:
+    tones = {"front": "good", "unmet": "bad"}
+    return Cell(place_text(place), tone=tones.get(place.kind, ""))
 
 
 def _digits(card: Card) -> Cell:
@@ -216,8 +264,8 @@ def _digits(card: Card) -> Cell:
     return Cell("say nothing")
 
 
-def _broken(card: Card) -> Broken:
-    """Return what breaks an entry: all its readers, those who know most first."""
+def _readings(card: Card) -> Readings:
+    """Return all readers of an entry, those who know most first."""
     known = [score for score in card.scores if score.metric == "known_share"]
     known.sort(key=lambda score: -(score.value or 0.0))
     others = [score for score in card.scores if score.metric != "known_share"]
@@ -247,7 +295,7 @@ def _broken(card: Card) -> Broken:
             f" Low-order digits explain {100 * card.digits.explained:.0f} % of where"
             " people are: the release hides a message."
         )
-    return Broken(card, _anchor("entry", card), sentence, table)
+    return Readings(card, _anchor("entry", card), sentence, table)
 
 
 def _scored(score: CardScore) -> Cell:
@@ -300,7 +348,8 @@ def _figure(
         columns=2,
         key={name: looks[name] for name in series},
         caption="",
-        note="Filled: on the front of its form of answer. Hollow: beaten, or a control.",
+        note="Filled: on the front of its form of answer. Hollow: beaten, a control, or"
+        " an entry that has not met all attacks.",
     )
 
 
@@ -308,9 +357,7 @@ def _series(card: Card) -> str:
     """Return the name under which entries share colour and shape."""
     mechanism = plugin_label(card.mechanism_name)
     policy = card.policy.spec.partition(":")[0]
-    if policy == "everything":
-        return mechanism
-    return policy if mechanism == RAW else f"{mechanism} and {policy}"
+    return mechanism if policy == "everything" else f"{mechanism}, {policy}"
 
 
 def _estimate(score: CardScore) -> Estimate:

@@ -181,8 +181,15 @@ class TestNew:
             f"pytest {name}",
             f"python -m evaluation.matrix {option}{name}",
         )
-        shown = capsys.readouterr().out.splitlines()[-3:]
-        assert shown == [f"  {line}" for line in lines]
+        shown = capsys.readouterr().out.splitlines()[1:]
+        assert shown[:3] == [f"  {line}" for line in lines]
+        board = {"reconstruction": "--attack", "policy": "--mechanism raw --policy"}
+        board["mechanism"] = "--mechanism"
+        on_board = (f"python -m evaluation.board {board.get(kind)} {name} cards",)
+        assert [line[2:].partition(" --out")[0] for line in shown[3:]] == list(
+            on_board * (kind in board)
+        )
+        assert (on_board[0] in texts["README.md"]) == (kind in board)
         assert all(f"\n{line}\n" in texts["README.md"] for line in lines)
         for line in ("python -m attacks new my_attack", *lines) * (noun == "attack"):
             assert f"\n{line.replace(name, 'my_attack')}\n" in GUIDE

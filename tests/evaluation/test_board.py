@@ -3,19 +3,22 @@
 import re
 import sys
 from dataclasses import replace
+from functools import partial
 
 import pytest
-from helpers.cards import SMALL, made_up_card, small_card
+from helpers.cards import SMALL, made_up_card, score, small_card
 
 from evaluation import board as command
 from evaluation.api import boarding, card_checks
-from evaluation.api.boarding import attack_cards, join_mechanisms, write_board
+from evaluation.api.boarding import Attacked, attack_cards, join_mechanisms, write_board
 from evaluation.api.card_checks import load_cards, verify
 from evaluation.api.card_entries import Seed, cross_entries
 from evaluation.api.carding import Maker
+from evaluation.estimates.cards import primary_scores
 from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.board_page import make_board, render
-from evaluation.store.cards import card_text, read_card, write_card
+from evaluation.reporting.cards import attack_line
+from evaluation.store.cards import CardPlugin, card_text, read_card, write_card
 from isac_track.errors import DataError, SettingsError
 
 DIGITS = "attacks.reconstruction.low_digits:LowDigits"
@@ -67,7 +70,7 @@ class TestPage:
         assert rows == {
             "raw": "front",
             "ou:0.4": "front",
-            "fid:1": "beaten",
+            "fid:1": "beaten by ou:0.4",
             "clean": "control",
         }
         marks = {
@@ -78,6 +81,50 @@ class TestPage:
             name.partition(",")[0] for name, is_hollow in marks.items() if is_hollow
         }
         assert hollow == {"fid:1", "clean"}
+
+    def test_a_world_of_a_single_entry_compares_nothing(self):
+        first, second = make_board(self.CARDS).worlds
+        assert first.finding.startswith("2 of 4 entries are on the front.")
+        assert second.finding.startswith(
+            "ou:0.4 is alone in this world, nothing to compare. The strongest"
+        )
+        assert second.table.rows[0][3].text == "alone"
+        pair = (self.CARDS[1], self.CARDS[2])
+        finding = make_board(pair).worlds[0].finding
+        assert finding.startswith("1 of 2 entries is on the front.")
+
+    def test_an_entry_that_has_not_met_an_attack_is_marked(self):
+        raw, ou, fid, *_ = self.CARDS
+        further = CardPlugin("my.module:Mine", "4" * 64, adversary="informed")
+        met = [replace(card, attacks=(*card.attacks, further)) for card in (ou, fid)]
+        table = make_board([raw, *met]).worlds[0].table
+        rows = {row[0].text: row[3].text for row in table.rows}
+        assert rows["raw"] == "has not met Mine"
+        assert rows["ou:0.4"] == "front"
+        (note,) = table.notes
+        assert note == (
+            "1 entry of 3 has not met Mine, and stays off the front. This fills the"
+            " gap: python -m evaluation.board --attack my.module:Mine CARDS"
+        )
+
+    def test_a_look_does_not_depend_on_other_entries(self):
+        stranger = made_up_card(mechanism="a_first:Mine")
+
+        def look(cards, name):
+            return make_board(cards).worlds[0].figure.key[name]
+
+        ou, ahead = self.CARDS[1], made_up_card(mechanism="raw", policy="ahead:1.2")
+        for name in ("ou", "raw, ahead"):
+            assert look([ou, ahead], name) == look([stranger, ahead, ou], name)
+
+    def test_everybody_followed_is_said_only_where_it_is_so(self):
+        noises = [
+            made_up_card(followed=0.9),
+            made_up_card(mechanism="fid:1", followed=0.8),
+        ]
+        said = "Every noise alone leaves 80 % or more"
+        assert said in make_board(noises).worlds[0].finding
+        assert "Every noise" not in make_board(self.CARDS).worlds[0].finding
 
     def test_links_lead_somewhere_and_nothing_is_fetched(self, tmp_path):
         page = write_board(self.CARDS, tmp_path / "board")
@@ -115,57 +162,131 @@ class TestPage:
 
 
 class TestAttack:
-    def test_a_new_attack_meets_every_card_and_lowers_what_it_breaks(self):
-        met = list(attack_cards(small_board(), [DIGITS], protocol=SMALL))
-        fallen = {item.after.mechanism.spec for item in met if item.has_fallen}
-        assert fallen == {WATERMARK}
+    def test_a_new_attack_meets_every_card_and_says_what_it_breaks(self, tmp_path):
+        cards = small_board()
+        met = list(attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL))
+        broken = [item for item in met if item.verdict == "broken"]
+        assert [item.after.mechanism.spec for item in broken] == [WATERMARK]
         for item in met:
             assert item.after.attacks[-1].spec == DIGITS
             assert item.after.scores[: len(item.before.scores)] == item.before.scores
-        (broken,) = [item for item in met if item.has_fallen]
-        assert broken.is_beyond_interval
-        assert broken.after.primary["known"].by == DIGITS
+            assert [score.by for score in item.own] == [DIGITS]
+        assert broken[0].after.primary["known"].by == DIGITS
 
-    def test_a_card_that_met_a_new_attack_is_verified(self, stranger):
-        (item,) = attack_cards([small_card("raw")], [stranger], protocol=SMALL)
+    def test_a_rise_within_the_interval_breaks_nothing(self):
+        def met(known):
+            new = score(known, by="new")
+            scores = (*before.scores, new)
+            return Attacked(
+                before,
+                replace(
+                    before,
+                    scores=scores,
+                    primary=primary_scores(scores, read_protocol()),
+                    attacks=(*before.attacks, CardPlugin("new", "4" * 64)),
+                ),
+            )
+
+        before = made_up_card(known=0.3)  # [0.28, 0.32]
+        words = {0.29: "stands", 0.31: "slightly more known", 0.33: "broken"}
+        assert {known: met(known).verdict for known in words} == words
+        item = met(0.29)
+        line = attack_line(before, item.after, verdict=item.verdict, own=item.own)
+        assert line.endswith(
+            "stands at 30.0 % [28.0, 32.0] known by ou_rts;"
+            " new knows 29.0 % [27.0, 31.0]"
+        )
+
+    def test_an_interrupted_attack_continues(self, tmp_path, monkeypatch):
+        cards = small_board()
+        met = attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL)
+        first = next(met)
+        (path,) = tmp_path.glob("*.json")
+        assert read_card(path) == first.after
+        computed = []
+        attacked = Maker.attacked
+
+        def counted(self, card, entry):
+            computed.append(card.file_name)
+            return attacked(self, card, entry)
+
+        monkeypatch.setattr(Maker, "attacked", counted)
+        again = list(attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL))
+        assert again[0].after == first.after
+        assert again[0].before == first.before
+        assert len(again) == 3
+        assert first.after.file_name not in computed
+        assert len(computed) == 2
+
+    def test_cards_that_have_met_an_attack_show_the_same_again(self, tmp_path):
+        """As if the board's own folder were attacked, and interrupted at its end."""
+        cards = small_board()
+        met = list(attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL))
+        cards = [item.after for item in met]
+        again = list(attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL))
+        assert [item.verdict for item in again] == [item.verdict for item in met]
+        assert [item.before for item in again] == [item.before for item in met]
+
+    def test_a_card_with_other_numbers_is_not_taken_for_the_new_one(self, tmp_path):
+        (item,) = attack_cards(
+            [small_card("raw")], [DIGITS], folder=tmp_path, protocol=SMALL
+        )
+        changed = replace(item.after.scores[0], value=0.123)
+        write_card(
+            replace(item.after, scores=(changed, *item.after.scores[1:])), tmp_path
+        )
+        (again,) = attack_cards(
+            [small_card("raw")], [DIGITS], folder=tmp_path, protocol=SMALL
+        )
+        assert again.after == item.after
+
+    def test_a_card_that_met_a_new_attack_is_verified(self, stranger, tmp_path):
+        (item,) = attack_cards(
+            [small_card("raw")], [stranger], folder=tmp_path, protocol=SMALL
+        )
         assert verify(item.after, protocol=SMALL).verdict == "equal"
 
-    def test_a_card_of_other_code_is_computed_anew(self):
+    def test_a_card_of_other_code_is_computed_anew(self, tmp_path):
         other = replace(small_card("raw"), code_digest="0" * 64)
         changed = replace(
             other.scores[0], value=0.123, ci_low=None, ci_high=None, error=None
         )
         other = replace(other, scores=(changed, *other.scores[1:]))
-        (item,) = attack_cards([other], [DIGITS], protocol=SMALL)
+        (item,) = attack_cards([other], [DIGITS], folder=tmp_path, protocol=SMALL)
         assert item.after.scores[0] == small_card("raw").scores[0]
         assert item.after.code_digest == small_card("raw").code_digest
 
-    def test_a_linker_is_refused(self):
+    def test_a_linker_is_refused(self, tmp_path):
         with pytest.raises(SettingsError, match="a linker runs in"):
-            list(attack_cards([small_card("raw")], ["dtw"], protocol=SMALL))
+            list(
+                attack_cards(
+                    [small_card("raw")], ["dtw"], folder=tmp_path, protocol=SMALL
+                )
+            )
 
 
 class TestMechanism:
-    def test_a_new_mechanism_meets_every_attack_of_the_board(self, stranger):
-        (item,) = attack_cards([small_card("raw")], [stranger], protocol=SMALL)
-        cards = join_mechanisms(
-            [item.after], ["ou:0.4"], ["everything"], protocol=SMALL
+    def test_a_new_mechanism_meets_every_attack_of_the_board(self, stranger, tmp_path):
+        (item,) = attack_cards(
+            [small_card("raw")], [stranger], folder=tmp_path, protocol=SMALL
         )
-        (card,) = cards
+        (card,) = join_mechanisms(
+            [item.after], ["ou:0.4"], ["everything"], folder=tmp_path, protocol=SMALL
+        )
+        assert read_card(tmp_path / card.file_name) == card
         assert [attack.spec for attack in card.attacks] == ["ou_rts", stranger]
         own = [score for score in card.scores if score.by != stranger]
         assert tuple(own) == small_card("ou:0.4").scores
 
-    def test_a_secret_world_needs_its_seed(self):
+    def test_a_secret_world_needs_its_seed(self, tmp_path):
         seed = Seed(2**120, is_secret=True)
         card = replace(
             small_card("raw"), seed=None, seed_commitment=seed.commitment(SMALL)
         )
+        join = partial(join_mechanisms, folder=tmp_path, protocol=SMALL)
         with pytest.raises(SettingsError, match="give the file of its seed"):
-            list(join_mechanisms([card], ["ou:0.4"], ["everything"], protocol=SMALL))
-        (new,) = join_mechanisms(
-            [card], ["raw"], ["everything"], seeds=[seed], protocol=SMALL
-        )
+            list(join([card], ["ou:0.4"], ["everything"]))
+        (new,) = join([card], ["raw"], ["everything"], seeds=[seed])
         assert new.seed_commitment == card.seed_commitment
         (entry,) = cross_entries(["plaza"], ["radial"], ["raw"], ["everything"])
         assert new == Maker(seed, (), SMALL).card(entry)
@@ -184,8 +305,10 @@ class TestCommand:
         out = tmp_path / "board"
         words = ["--attack", DIGITS, str(folder), "--out", str(out)]
         assert command.main(words) == 0
-        shown = capsys.readouterr().out
-        assert "1 of 2 scores fell, 1 of them beyond the interval" in shown
+        captured = capsys.readouterr()
+        assert "Broken: 1 of 2 entries. Slightly more known" in captured.out
+        assert "stands at 9" in captured.out
+        assert captured.err.startswith("1 of 2 cards, 0:0")
         assert len(load_cards([out / "cards"], protocol=SMALL)) == 2
         assert (out / "index.html").is_file()
 
@@ -193,7 +316,9 @@ class TestCommand:
         out = tmp_path / "board"
         words = ["--mechanism", "ou:0.4", str(folder), "--out", str(out)]
         assert command.main(words) == 0
-        assert "ou:0.4, everything, plaza" in capsys.readouterr().out
+        shown = capsys.readouterr().out
+        assert "ou:0.4, everything, plaza" in shown
+        assert re.search("seed 0: (on the front|beaten by .+); beats ", shown)
         assert len(load_cards([out / "cards"], protocol=SMALL)) == 3
 
     def test_two_cards_of_an_entry_are_refused(self, folder, tmp_path, capsys):

@@ -293,6 +293,11 @@ def test_a_foreign_error_is_reported_on_one_line(error, message):
             "no.such.module:Thing",
             "cannot be loaded from no.such.module:Thing",
         ),
+        (
+            "mechanisms",
+            "no.such.module:Thing",
+            "run it in the folder that holds it, or install the package",
+        ),
         ("mechanisms", "os.path:join", "must be a frozen dataclass"),
         (
             "mechanisms",
@@ -314,6 +319,14 @@ def test_a_foreign_error_is_reported_on_one_line(error, message):
 def test_a_broken_plugin_is_named(kind, name, message):
     with pytest.raises(PluginError, match=re.escape(message)):
         plugins.parse(kind, name)
+
+
+def test_a_module_of_another_folder_is_named():
+    message = "no module 'nowhere'; run it in the folder that holds it"
+    with pytest.raises(SettingsError, match=message):
+        plugins.parse("mechanisms", "nowhere:Mine:0.3")
+    with pytest.raises(SettingsError, match="unknown mechanism 'nowhere'"):
+        plugins.parse("mechanisms", "nowhere:0.3")
 
 
 def test_an_installed_third_party_plugin_is_known_by_name(tmp_path, monkeypatch):

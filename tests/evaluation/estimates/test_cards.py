@@ -14,11 +14,13 @@ from evaluation.estimates.cards import (
     card_score,
     has_own_primary,
     on_front,
+    places,
     primary_scores,
     same_board,
 )
 from evaluation.plan.protocol import read_protocol
-from evaluation.store.cards import CardScore
+from evaluation.reporting.cards import place_line
+from evaluation.store.cards import CardPlugin, CardScore
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.rng import stream
@@ -45,18 +47,26 @@ class TestAgreement:
 
     def test_under_equal_circumstances_the_last_bit_counts(self):
         card = made_up_card()
-        other = made_up_card(known=np.nextafter(0.3, 1.0))
+        other = made_up_card(known=float(np.nextafter(0.3, 1.0)))
         answer = agreement(card, other, PROTOCOL)
         assert answer.verdict == "differs"
-        assert "known_share by ou_rts" in answer.reason
+        assert "known_share by ou_rts: card 0.3, computed 0.30000000000000004" in (
+            answer.reason
+        )
 
     def test_another_seed_agrees_within_its_errors(self):
         card, other = made_up_card(), made_up_card(known=0.32, seed=1)
-        assert agreement(card, other, PROTOCOL).verdict == "agrees"
+        answer = agreement(card, other, PROTOCOL)
+        assert answer.verdict == "agrees"
+        # 0.02 / (0.01 sqrt 2), and the quantile of 1 - 0.05 / 2 / 4.
+        assert "at most 1.41 of 2.50 joint standard errors allowed" in answer.reason
+        assert "verify with the seed that the card names" in answer.reason
         far = made_up_card(known=0.36, seed=1)
         answer = agreement(card, far, PROTOCOL)
         assert answer.verdict == "differs"
-        assert "4.2 joint standard errors" in answer.reason  # 0.06 / (0.01 sqrt 2)
+        assert (
+            "card 0.3, computed 0.36; 4.2 joint standard errors" in answer.reason
+        )  # 0.06 / (0.01 sqrt 2)
 
     def test_holm_holds_over_the_scores_of_a_card(self):
         rng = stream(0, "test", "holm")
@@ -156,6 +166,27 @@ class TestFront:
         louder = made_up_card(known=0.1, followed=0.0, weaker=0.0, form="flag")
         assert on_front([flag, louder, made_up_card()]).tolist() == [True, False, True]
 
+    def test_the_clearest_of_those_who_beat_a_card_is_named(self):
+        weak = made_up_card(known=0.5, mechanism="weak")  # [0.48, 0.52]
+        near = made_up_card(known=0.49, mechanism="near")
+        clear = made_up_card(known=0.47, missed=0.3, mechanism="clear")
+        own, first = places([weak, near])
+        assert (own.kind, own.beaten_by, own.is_within) == ("beaten", (near,), True)
+        assert (first.kind, first.beats) == ("front", (weak,))
+        own, *_ = places([weak, near, clear])
+        assert (own.beaten_by, own.is_within) == ((clear, near), False)
+        line = place_line(near, places([weak, near, clear])[1])
+        assert line == f"{near.label}: beaten by clear; beats weak (within intervals)"
+
+    def test_a_card_that_met_fewer_attacks_neither_beats_nor_leads(self):
+        further = CardPlugin("new", "4" * 64)
+        strong = made_up_card(known=0.1, weaker=0.0)
+        weak = made_up_card(attacks=(*strong.attacks, further))
+        assert on_front([strong, weak]).tolist() == [False, True]
+        assert [place.kind for place in places([strong, weak])] == ["unmet", "alone"]
+        met = replace(strong, attacks=weak.attacks)
+        assert on_front([met, weak]).tolist() == [True, False]
+
     def test_a_control_beats_nobody(self):
         control = made_up_card(
             missed=0.0, known=0.0, followed=0.0, weaker=0.0, mechanism="clean",
@@ -180,3 +211,11 @@ def test_cards_that_do_not_belong_together_are_refused(changes, message):
     with pytest.raises(DataError, match=message) as error:
         same_board([made_up_card(), made_up_card(**changes)], PROTOCOL)
     assert "\n" not in str(error.value)
+
+
+def test_digests_are_cut_behind_their_first_difference():
+    digest = PROTOCOL.recordings["plaza"]
+    other = digest[:30] + ("0" if digest[30] != "0" else "1") + digest[31:]
+    card = made_up_card(recording_digest=other)
+    with pytest.raises(DataError, match=f"{other[:34]}.*{digest[:34]}"):
+        same_board([card], PROTOCOL)
