@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, TypeAlias
 
+from evaluation.plan.address import parse_policy
 from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import SettingsError
 
@@ -79,10 +80,10 @@ class Numbers:
         """Index the rows of `summary.csv`."""
         self._rows: dict[tuple[Place, str, str], Row] = {}
         for row in rows:
-            kind, _, release = row["policy"].partition(":")
+            release, policy = parse_policy(row["policy"])
+            kind, _, release = release.partition(":")
             is_ahead = row["dataset"].endswith(_HORIZON)
             if kind in _RELEASES and (row["consumer"] == _ROBOT) == is_ahead:
-                release, _, policy = release.partition(",policy=")
                 tracker, _, noise = release.partition(",noise=")
                 order = "" if row["family"] == "raw" else noise or "after"
                 if kind == "detections":

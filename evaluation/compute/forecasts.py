@@ -1,4 +1,4 @@
-"""The stage *sharing*: descriptors of shared tracks, and the robots' predictions."""
+"""The section *sharing*: descriptors of shared tracks, and the robots' predictions."""
 
 from __future__ import annotations
 

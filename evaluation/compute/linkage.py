@@ -210,10 +210,10 @@ def view_key(consumer: Consumer) -> tuple[str, str]:
 
     Consumers are sorted by it, so that the memory holds the releases of one key only.
     """
-    if consumer.behind is None:
+    if consumer.reconstruction is None:
         return "", ""
-    granted = consumer.granted & declared(consumer.behind)
-    return consumer.behind.spec, ",".join(sorted(item.name for item in granted))
+    granted = consumer.granted & declared(consumer.reconstruction)
+    return consumer.reconstruction.spec, ",".join(sorted(item.name for item in granted))
 
 
 def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
@@ -247,7 +247,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
         setup=setup,
         calibration=calibration,
         matched=matched,
-        drawn_from=(consumer.spec, consumer.knowledge),
+        drawn_from=(consumer.spec, consumer.adversary),
     )
 
 
@@ -332,7 +332,7 @@ def _lag_distribution(sessions: Sessions) -> tuple[Floats, Floats]:
 
 def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return the result of an attack that scores only each probe's best candidates."""
-    setup, name = level.setup, (consumer.spec, consumer.knowledge)
+    setup, name = level.setup, (consumer.spec, consumer.adversary)
     rng = stream(setup.seed, "linkage", "candidates", *name)
     results = {}
     for fold, pairings in enumerate(setup.folds):
@@ -411,20 +411,19 @@ def _control_scores(
 
 def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     """Return both releases as a linker sees them: smoothed behind a smoother."""
-    behind, shows = consumer.behind, consumer.granted
+    reconstruction, shows = consumer.reconstruction, consumer.granted
     if consumer.plugin is not None:
         shows &= declared(consumer.plugin)
-    if behind is None:
+    if reconstruction is None:
         return level.view_for(shows)
-    granted = consumer.granted & declared(behind)
+    granted = consumer.granted & declared(reconstruction)
     # Built-in attacks draw nothing: without training they are the same in both folds.
-    is_same_in_folds = Knowledge.TRAIN not in granted and behind.origin.startswith(
-        sharing.OURS
-    )
+    is_built_in = reconstruction.origin.startswith(sharing.OURS)
+    is_same_in_folds = Knowledge.TRAIN not in granted and is_built_in
     key_fold = None if is_same_in_folds else fold
-    key = (Knowledge.SIGMA in shows, behind.spec, granted, key_fold)
+    key = (Knowledge.SIGMA in shows, reconstruction.spec, granted, key_fold)
     if key not in level.views:
-        smoothed = _smoothed_view(consumer, behind, level, fold, shows)
+        smoothed = _smoothed_view(consumer, reconstruction, level, fold, shows)
         # The smoother may choose equally in both folds: share the earlier view, so that
         # linkers compute their descriptors of a release once.
         equal_views = (
@@ -448,28 +447,28 @@ def _are_same(releases: Iterable[Release], others: Iterable[Release]) -> bool:
 
 def _smoothed_view(
     consumer: Consumer,
-    behind: Plugin,
+    reconstruction: Plugin,
     level: LinkedLevel,
     fold: int,
     shows: frozenset[Knowledge],
 ) -> _View:
     """Return both releases with the positions that a reconstruction estimates."""
-    name, setup = f"attack {behind.spec} (behind {consumer.label})", level.setup
-    granted = consumer.granted & declared(behind)
+    name, setup = f"attack {reconstruction.spec} (behind {consumer.label})", level.setup
+    granted = consumer.granted & declared(reconstruction)
     view = level.view_for(granted)
     learns, train = setup.folds[fold].learns, None
     if learns.probe.size:
         samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
         truth = _true_walks(level, 0)[samples.rows]
         probe, _ = view.pair_windows(learns)
-        train = TrainingSet(sharing.copy_for_user_plugin(probe, behind), truth)
-    names = ("attacks", behind.spec, "linkage", level.mechanism.spec, fold)
+        train = TrainingSet(sharing.copy_for_user_plugin(probe, reconstruction), truth)
+    names = ("attacks", reconstruction.spec, "linkage", level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
-    attack = sharing.guarded(name, lambda: behind.instance.fit(context))
+    attack = sharing.guarded(name, lambda: reconstruction.instance.fit(context))
     smoothed, claimed_std = list[Release](), []
     for release, visible in zip(level.seen.releases, view.releases, strict=True):
         result = reconstructed(
-            attack, sharing.copy_for_user_plugin(visible, behind), name=name
+            attack, sharing.copy_for_user_plugin(visible, reconstruction), name=name
         )
         smooth = hide_sigma(derived(release, xy=result.xy), shows)
         smoothed.append(record_shared(smooth, visible))
@@ -508,7 +507,7 @@ def _fitted_linker(
             for release in view.pair_windows(learns)
         )
         train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
-    names = ("attacks", consumer.spec, consumer.knowledge, level.mechanism.spec, fold)
+    names = ("attacks", consumer.spec, consumer.adversary, level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
     attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
     return partial(score_releases, attack, plugin=plugin, name=name), view

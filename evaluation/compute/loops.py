@@ -56,7 +56,7 @@ _BEHIND_SLOW_ERROR: Final = {
         "isac_track.kalman._error_loops:smooth_tracks",
     ),
 }
-"""Further loops where the error changes slowly: of a mechanism, and of its readers."""
+"""Further loops where the error changes slowly: of a mechanism, and of its consumers."""
 _PLUGIN_LOOPS: Final = {
     "kalman_cv": _FILTER,
     "kalman_ca": ("isac_track.kalman._linear_loops:ca_last", *_NOISE),
@@ -117,7 +117,7 @@ def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
         yield from _BEHIND_SLOW_ERROR.get(consumer.kind, ())
     if consumer.kind in {"shared", "attack", "windows"}:
         yield from _DESCRIPTORS
-    if consumer.kind in {"linkage", "control"}:
+    if consumer.kind in {"linkage", "link_bound", "control"}:
         yield from _SCORECARD
     yield from _BY_KIND.get(consumer.kind, ())
     for plugin in consumer.plugins:

@@ -1,6 +1,6 @@
 """Patrols of a mechanism: what robots miss, and what the log of a fleet reveals.
 
-A level is shared once, and each policy answers once; all readers of a policy share its
+A level is shared once, and each policy answers once; all consumers of a policy share its
 answers. Rows are per person and route, or fleet, so that intervals draw both.
 """
 
@@ -69,7 +69,7 @@ CONFLICTS, ALARMS = "conflicts", "alarms"  # Further tables of a robot's cell.
 
 @dataclass(frozen=True, eq=False)
 class PatrolSetup:
-    """A patrol as its network senses it, and what its readers share."""
+    """A patrol as its network senses it, and what its consumers share."""
 
     sensed: SensedPatrol
     stages: StageSettings
@@ -190,7 +190,7 @@ def share_level(
 def policy_rows(
     consumers: Iterable[Consumer], shared: SharedPatrol, *, mechanism: Plugin
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of one policy, each with the rows of its tables, by name.
+    """Yield the consumers of one policy, each with the rows of its tables, by name.
 
     What several of them need is computed once, and held as long as this runs.
     """
@@ -214,7 +214,7 @@ def policy_rows(
             guesses=shared.setup.guesses,
             epsilon_m=shared.setup.stages.privacy.epsilon_m,
         )
-        if consumer.knowledge == ORACLE:
+        if consumer.adversary == ORACLE:
             yield consumer, {ROWS: known_rows(known)}
         else:
             following = _follow(consumer, shared, known=known)
@@ -268,7 +268,7 @@ def _follow(consumer: Consumer, shared: SharedPatrol, *, known: Known) -> Follow
         epsilon_m=setup.stages.privacy.epsilon_m,
         seed=setup.seed,
         pseudonyms=setup.stages.patrol.pseudonyms,
-        knows_policy=policy.instance if consumer.knowledge == "informed" else None,
+        knows_policy=policy.instance if consumer.adversary == "informed" else None,
     )
 
 

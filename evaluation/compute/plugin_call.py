@@ -54,7 +54,7 @@ _GRID_S = 0.1
 
 
 class PluginCall(NamedTuple):
-    """The plug-in that is called once: a mechanism, or a reader of a release."""
+    """The plug-in that is called once: a mechanism, or a consumer of a release."""
 
     plugin: Plugin
     consumer: Consumer | None = None  # None: the plug-in is a mechanism.
@@ -134,7 +134,7 @@ def _simplest_call(plugin_call: PluginCall) -> PluginCall | None:
         plugin = plugins.parse("predictors", "constant_position")[0]
     else:
         return None
-    return PluginCall(plugin, replace(consumer, plugin=plugin, behind=None))
+    return PluginCall(plugin, replace(consumer, plugin=plugin, reconstruction=None))
 
 
 def _least_time(
@@ -197,7 +197,7 @@ def _call(
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
     work: Work = Block(0, 0, order, (level,))
-    if consumer is not None and consumer.policy is not None:
+    if consumer is not None and consumer.reads_patrols:
         reads_tracks = consumer.reads_tracks
         work = (TrackingWork if reads_tracks else PatrolWork)(people, (level,))
         stages = stages.changed(

@@ -51,11 +51,11 @@ def recipient_rows(
         if consumer.plugin is not None:
             robots.append(consumer)
             continue
-        assert consumer.policy is not None
+        assert consumer.track_release is not None
         note_cell(mechanism.spec, consumer.label)
         yield (
             consumer,
-            recipient_tables(mechanism, consumer.policy, releases, setup),
+            recipient_tables(mechanism, consumer.track_release, releases, setup),
         )
     yield from release_rows(robots, releases, setup, mechanism=mechanism)
 

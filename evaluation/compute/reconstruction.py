@@ -1,4 +1,4 @@
-"""The stage *reconstruction*: the privacy descriptors after each adversary's attack.
+"""The section *reconstruction*: the privacy descriptors after each adversary's attack.
 
 People are split into two halves, whole groups at a time. An attack that learns does so
 on the other half; every attack is fitted again for every mechanism level. A half, 0 or
@@ -466,7 +466,7 @@ def _context(
     companions = (release.tracks(victims.tracks) for release in level.companions)
     return AttackContext(
         rng=stream(
-            seed, "attacks", consumer.spec, consumer.knowledge, *level.key, fold
+            seed, "attacks", consumer.spec, consumer.adversary, *level.key, fold
         ),
         epsilon_m=level.block.stages.privacy.epsilon_m,
         granted=granted,

@@ -69,7 +69,7 @@ def answer_rows(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of one policy's answers, each with the rows of its tables.
+    """Yield the consumers of one policy's answers, each with the rows of its tables.
 
     The answers, and a robot's forecasts for all horizons, are held as long as this
     runs.
@@ -78,7 +78,7 @@ def answer_rows(
     by_robot: dict[str, list[CountsByHorizon]] = {}
     for consumer in consumers:
         note_cell(mechanism.spec, consumer.label)
-        policy, robot = consumer.answers, consumer.plugin
+        policy, robot = consumer.policy, consumer.plugin
         assert policy is not None
         seeds = seeds or [
             _answer(policy, release, setup, mechanism=mechanism, seed=seed)

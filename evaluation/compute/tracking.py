@@ -90,7 +90,7 @@ class SharedSeed:
 
 @dataclass(frozen=True, eq=False)
 class TrackingSetup:
-    """A patrol, the detections of each seed, and what the readers of tracks share.
+    """A patrol, the detections of each seed, and what the consumers of tracks share.
 
     Detections and tracks without added noise are held as long as this object.
     """
@@ -238,7 +238,7 @@ def release_rows(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of a tracker's releases, each with the rows of its tables.
+    """Yield the consumers of a tracker's releases, each with the rows of its tables.
 
     Forecasts of a robot are made once for all horizons, and held as long as this runs.
     """

@@ -83,7 +83,7 @@ class PatrolWork:
 
     recorded: Tracks  # Placed where they are sensed.
     levels: Levels
-    # That of the run: readers of further horizons name theirs.
+    # That of the run: consumers of further horizons name theirs.
     world: World = OWN_WORLD
 
 
@@ -103,7 +103,7 @@ class TrackingWork:
 
     recorded: Tracks  # Placed where they are sensed.
     levels: Levels
-    # That of the run: readers of further horizons name theirs.
+    # That of the run: consumers of further horizons name theirs.
     world: World = OWN_WORLD
 
 
@@ -175,10 +175,10 @@ def _patrol_cells(
     people = setup.patrol.people
     for mechanism, consumers in work.levels:
         note_cell(mechanism.spec, "")
-        readers = _readers_by_policy(consumers)
-        policies = [policy for policy, _ in readers]
+        by_policy = _group_by_policy(consumers)
+        policies = [own[0].policy for own in by_policy if own[0].policy is not None]
         shared = patrols.share_level(mechanism, setup, policies)
-        for _, own in readers:
+        for own in by_policy:
             made = patrols.policy_rows(own, shared, mechanism=mechanism)
             for consumer, rows_by_table in made:
                 tables = {
@@ -202,17 +202,12 @@ def _return_cells(
             yield FinishedCell(0, mechanism, consumer, tables)
 
 
-def _readers_by_policy(
-    consumers: Iterable[Consumer],
-) -> list[tuple[Plugin, list[Consumer]]]:
-    """Return each policy, or release of tracks, with its consumers."""
-    readers: dict[str, tuple[Plugin, list[Consumer]]] = {}
+def _group_by_policy(consumers: Iterable[Consumer]) -> list[list[Consumer]]:
+    """Return the consumers of each release of tracks and each policy."""
+    by_policy: dict[str, list[Consumer]] = {}
     for consumer in consumers:
-        assert consumer.policy is not None
-        readers.setdefault(consumer.policy.spec, (consumer.policy, []))[1].append(
-            consumer
-        )
-    return [*readers.values()]
+        by_policy.setdefault(consumer.address.policy, []).append(consumer)
+    return [*by_policy.values()]
 
 
 def _tracking_cells(
@@ -222,7 +217,9 @@ def _tracking_cells(
     for mechanism, consumers in work.levels:
         # By the tracker: policies answer from the same tracks.
         shared: dict[str, list[tracking.SharedSeed]] = {}
-        for tracker, own in _readers_by_policy(consumers):
+        for own in _group_by_policy(consumers):
+            tracker = own[0].track_release
+            assert tracker is not None
             note_cell(mechanism.spec, own[0].label)
             if tracker.name not in shared:
                 shared[tracker.name] = tracking.share_tracked(mechanism, tracker, setup)
@@ -241,13 +238,13 @@ def _read_tracks(
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
-    """Yield the readers of a tracker's release, each with the rows of its tables.
+    """Yield the consumers of a tracker's release, each with the rows of its tables.
 
     They get all tracks, or a policy's answers from them, or link them.
     """
-    linkers = [reader for reader in consumers if reader.kind == "track_link"]
-    others = [reader for reader in consumers if reader.kind != "track_link"]
-    if consumers[0].answers is not None:
+    linkers = [consumer for consumer in consumers if consumer.kind == "track_link"]
+    others = [consumer for consumer in consumers if consumer.kind != "track_link"]
+    if consumers[0].policy is not None:
         read = track_policies.answer_rows
     elif setup.stages.tracking.release == "detections":
         read = recipients.recipient_rows
@@ -300,7 +297,7 @@ def _linkage_tables(
     """Return the tables of a consumer of a linkage task; its scores are freed."""
     if consumer.kind == "windows":
         return linkage.window_tables(consumer, level)
-    if consumer.kind == "linkage" and not consumer.plugins:
+    if consumer.kind == "link_bound":
         linked = linkage.bound(level, motion)
     else:
         linked = linkage.link(consumer, level)
@@ -344,7 +341,9 @@ def _scene_cells(
                 attacked = attacked or _attacked_block(
                     block, scenes, sensed, tracks=tracks, stages=stages, seed=seed
                 )
-                attacks = [reader for reader in consumers if reader.kind == "attack"]
+                attacks = [
+                    consumer for consumer in consumers if consumer.kind == "attack"
+                ]
                 level = level or reconstruction.attacked_level(
                     mechanism, release, attacked, attacks
                 )

@@ -19,6 +19,8 @@ from evaluation.plan.world import OWN_WORLD, World, parse_world
 
 _CONTROL: Final = "control-"
 _JOINT: Final = "rank1_assigned"
+_ANSWERED_BY: Final = ",policy="  # Between a release of tracks and its policy.
+_NOISE_BEFORE: Final = ",noise=before"  # After the tracker of such a release.
 _UNDER: Final = " under "  # Between consumer and policy.
 _LABEL: Final = re.compile(
     rf"(.+?)(?: \((\w+)\))?(, joint)?(?:{_UNDER}(\S+?))?(?:, (\S+))?"
@@ -57,7 +59,8 @@ class Address(_KnownHash):
     level: float | None = None  # None: the mechanism has none.
     # Adding rule that the mechanism declares; it follows from the mechanism.
     adding: str = field(default="", compare=False)
-    # Which queries are answered; empty: all is disclosed.
+    # Which queries are answered, and from which tracks, as `policy_text` writes it;
+    # empty: all is disclosed.
     policy: str = ""
     task: str = ""  # Linkage task; empty: in scenes.
     # SPEC of the predictor, attack or linker; or `shared`, `bound`, `windows`, or a
@@ -233,12 +236,44 @@ def _measure(
 AS_SHARED: Final = Address(plugin=SHARED)
 
 
-def is_track_release(policy: str) -> bool:
-    """Whether a text of the column `policy` names a release of tracks, or detections.
+class PolicyParts(NamedTuple):
+    """The parts of a text of the column `policy`; an empty part is left out of it."""
 
-    Such a text is `RELEASE:TRACKER`, as `tracks:gnn`; all others are disclosure policies.
+    track_release: str  # Of tracks, or detections: as `track_release_text` writes it.
+    policy: str  # SPEC of the disclosure policy.
+
+
+def track_release_text(form: str, tracker: str, *, has_noise_before: bool) -> str:
+    """Return the text of a release of tracks: `RELEASE:TRACKER`, as `tracks:gnn`.
+
+    `form` is of `TRACK_RELEASES`, and `tracker` a SPEC. Noise may act before tracking.
     """
-    return policy.partition(":")[0] in TRACK_RELEASES
+    text = f"{form}:{tracker}"
+    return f"{text}{_NOISE_BEFORE}" if has_noise_before else text
+
+
+def policy_text(*, track_release: str, policy: str) -> str:
+    """Return the text of the column `policy`.
+
+    It is a disclosure policy, a release of tracks, or `RELEASE:TRACKER,policy=SPEC` of a
+    policy that answers from tracks.
+    """
+    if track_release and policy:
+        return f"{track_release}{_ANSWERED_BY}{policy}"
+    return track_release or policy
+
+
+def parse_policy(text: str) -> PolicyParts:
+    """Return the parts of a text of the column `policy`."""
+    if text.partition(":")[0] not in TRACK_RELEASES:
+        return PolicyParts("", text)
+    release, _, policy = text.partition(_ANSWERED_BY)
+    return PolicyParts(release, policy)
+
+
+def is_track_release(text: str) -> bool:
+    """Whether a text of the column `policy` names a release of tracks, or detections."""
+    return bool(parse_policy(text).track_release)
 
 
 def control_name(name: str) -> str:

@@ -7,9 +7,13 @@ from typing import Any, Final, Literal
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
-from evaluation.plan.address import Address, control_name
+from evaluation.plan.address import (
+    Address,
+    control_name,
+    policy_text,
+    track_release_text,
+)
 from evaluation.plan.constants import (
-    ANSWERED_BY,
     BLOCK_SCENES,
     BOUND,
     ORACLE,
@@ -47,6 +51,17 @@ PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
 PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
 TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
 """Kinds of consumer that read tracks, or what a policy answers from them."""
+_NAMES: Final = {
+    "shared": SHARED,
+    "windows": WINDOWS,
+    "bound": BOUND,
+    "link_bound": BOUND,
+    "log": LOG,
+    "track_log": LOG,
+    "returns": FUSION,
+    "tracks": TRACKER,
+}
+"""Names of consumers without a plug-in, by kind."""
 HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
 _FEWER_LOGS: Final = ("blind", ORACLE)
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
@@ -64,6 +79,7 @@ class Consumer:
         "attack",
         "bound",
         "linkage",
+        "link_bound",
         "control",
         "windows",
         "patrol",
@@ -76,29 +92,30 @@ class Consumer:
     ]
     plugin: Plugin | None = None
     # The adversary in the name of the row: blind, informed or oracle.
-    knowledge: str = ""
+    adversary: str = ""
     granted: frozenset[Knowledge] = frozenset()
     # Of a linkage attack, a control, or the descriptors of windows.
     task: str = ""
-    behind: Plugin | None = None  # Reconstruction that a linkage attack runs behind.
+    # The attack whose positions a linkage attack reads.
+    reconstruction: Plugin | None = None
     control: str = ""
     world: World = OWN_WORLD
-    # What answers to a robot on patrol disclose: of a `patrol`'s robot, or of a `log`.
-    # Of `tracks` and of a robot with them (`tracked`), the release and its tracker.
+    # Tracker of the tracks that it reads, by the SPEC of their release.
+    track_release: Plugin | None = None
+    # What answers to a robot on patrol, or to a log, disclose. None beside a release of
+    # tracks: all tracks.
     policy: Plugin | None = None
-    # The policy that answers a robot or a log from tracks; None: they get all tracks.
-    answers: Plugin | None = None
 
     @property
     def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, the reconstruction in front of that, and its policies."""
-        own = (*self._readers, self.policy, self.answers)
+        """Its plug-in, the reconstruction in front of that, its tracker and policy."""
+        own = (*self._reading_plugins, self.track_release, self.policy)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
-    def _readers(self) -> tuple[Plugin, ...]:
+    def _reading_plugins(self) -> tuple[Plugin, ...]:
         """Its plug-ins that read a release."""
-        own = (self.plugin, self.behind)
+        own = (self.plugin, self.reconstruction)
         return tuple(plugin for plugin in own if plugin is not None)
 
     @property
@@ -109,40 +126,41 @@ class Consumer:
     @property
     def address(self) -> Address:
         """Where its numbers belong, at every level."""
-        names = {
-            "shared": SHARED,
-            "windows": WINDOWS,
-            "bound": BOUND,
-            "log": LOG,
-            "track_log": LOG,
-            "returns": FUSION,
-            "tracks": TRACKER,
-        }
-        name, behind = names.get(self.kind, BOUND), ""
+        reconstruction = None
         if self.control:
             name = control_name(self.control)
         elif self.plugin is not None:
-            name, behind = self.plugin.spec, self.behind.spec if self.behind else ""
+            name, reconstruction = self.plugin.spec, self.reconstruction
+        else:
+            name = _NAMES[self.kind]
         return Address(
             world=self.world,
-            policy=self.policy.spec if self.policy else "",
+            policy=policy_text(
+                track_release=self.track_release.spec if self.track_release else "",
+                policy=self.policy.spec if self.policy else "",
+            ),
             task=self.task,
             plugin=name,
-            reconstruction=behind,
-            adversary=self.knowledge,
+            reconstruction=reconstruction.spec if reconstruction else "",
+            adversary=self.adversary,
         )
 
     @property
     def requires(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins cannot run without."""
-        needs = (plugin.instance.requires for plugin in self._readers)
+        needs = (plugin.instance.requires for plugin in self._reading_plugins)
         return frozenset().union(*needs)
 
     @property
     def uses(self) -> frozenset[Knowledge]:
         """Knowledge that any of its plug-ins takes if granted."""
-        uses = [plugin.instance.uses for plugin in self._readers]
+        uses = [plugin.instance.uses for plugin in self._reading_plugins]
         return frozenset().union(*uses)
+
+    @property
+    def reads_patrols(self) -> bool:
+        """Whether it reads patrols: answers of a policy, or tracks of detections."""
+        return self.track_release is not None or self.policy is not None
 
     @property
     def reads_tracks(self) -> bool:
@@ -162,6 +180,11 @@ class Consumer:
         return self.plugin is not None and self.plugin.origin.startswith("attacks.")
 
     @property
+    def kind_in_files(self) -> str:
+        """As in a manifest, where the optimum of a linkage task is a linkage cell."""
+        return "linkage" if self.kind == "link_bound" else self.kind
+
+    @property
     def label(self) -> str:
         """Name for people: with the adversary, and the world if it is not the run's."""
         return self.address.cell_label
@@ -174,7 +197,7 @@ class Axes:
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
     attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    # Linkers by task; `readers` adds the adversaries.
+    # Linkers by task; `task_consumers` adds the adversaries.
     links: tuple[tuple[Task, Consumer], ...] = ()
     # A mechanism without any error: every linkage attack must succeed.
     ceiling: Plugin | None = None
@@ -229,7 +252,7 @@ class Axes:
     def consumers(self) -> tuple[Consumer, ...]:
         """Consumers of a block of scenes: descriptors first, attacks by adversary."""
         attacks = tuple(
-            Consumer("attack", plugin, knowledge=adversary, granted=granted)
+            Consumer("attack", plugin, adversary=adversary, granted=granted)
             for plugin in self.attacks
             for adversary, granted in self._attacking(
                 grants(plugin.instance, asked=self.adversaries)
@@ -271,8 +294,8 @@ class Axes:
             if consumer.kind == "predictor" and consumer.spec in self.utility
         )
 
-    def patrol_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
-        """Return the readers of patrols in a world: robots, and adversaries with a log.
+    def patrol_consumers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the consumers of patrols in a world: robots, and adversaries with a log.
 
         The robots are the predictors that are read in all scenes. Logs belong to no
         further horizon.
@@ -283,16 +306,16 @@ class Axes:
             if plugin.spec in self.utility
         ]
         adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
-        logs = [Consumer("log", knowledge=name) for name in adversaries]
-        readers = robots if world else robots + logs
+        logs = [Consumer("log", adversary=name) for name in adversaries]
+        consumers = robots if world else robots + logs
         return tuple(
-            replace(reader, policy=policy)
+            replace(consumer, policy=policy)
             for policy in self.policies
-            for reader in readers
+            for consumer in consumers
         )
 
-    def track_readers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
-        """Return the readers of tracks in a world: metrics of tracks, and robots.
+    def track_consumers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
+        """Return the consumers of tracks in a world: metrics of tracks, and robots.
 
         The robots are those of patrols. A policy's answers from tracks are read by robots
         and by an adversary with a log. Linkers link tracks across a rotation of
@@ -303,37 +326,41 @@ class Axes:
             for plugin in self.predictors
             if plugin.spec in self.utility
         ]
-        log = Consumer("track_log", knowledge=ORACLE)
-        readers = [
-            replace(reader, policy=release)
+        log = Consumer("track_log", adversary=ORACLE)
+        consumers = [
+            replace(consumer, track_release=release)
             for release in self.track_releases
-            for reader in (robots if world else [Consumer("tracks"), *robots])
+            for consumer in (robots if world else [Consumer("tracks"), *robots])
         ]
-        readers += [
-            replace(reader, policy=_answering(release, policy), answers=policy)
+        consumers += [
+            replace(consumer, track_release=release, policy=policy)
             for release in self.track_releases
             for policy in self.track_policies
-            for reader in (robots if world else [log, *robots])
+            for consumer in (robots if world else [log, *robots])
         ]
         linkers = [
             replace(linker, kind="track_link")
             for task in self.tasks
             if task.name in self.track_tasks and not world
-            for linker in self.readers(task)
+            for linker in self.task_consumers(task)
             if linker.kind != "windows"
         ]
-        readers += [
-            replace(linker, policy=release)
+        consumers += [
+            replace(linker, track_release=release)
             for release in self.track_releases
             for linker in linkers
         ]
-        return tuple(readers)
+        return tuple(consumers)
 
-    def readers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
+    def task_consumers_in(self, world: World, task: Task) -> tuple[Consumer, ...]:
         """Return the linkers in another world, and the optimum that knows the model."""
-        linkers = [reader for reader in self.readers(task) if reader.kind == "linkage"]
-        linkers.append(Consumer("linkage", task=task.name))
-        return tuple(replace(reader, world=world) for reader in linkers)
+        linkers = [
+            consumer
+            for consumer in self.task_consumers(task)
+            if consumer.kind == "linkage"
+        ]
+        linkers.append(Consumer("link_bound", task=task.name))
+        return tuple(replace(consumer, world=world) for consumer in linkers)
 
     @property
     def linked_mechanisms(self) -> tuple[Plugin, ...]:
@@ -347,10 +374,10 @@ class Axes:
         return (*extra, *self.mechanisms)
 
     @property
-    def return_readers(self) -> tuple[Consumer, ...]:
+    def return_consumers(self) -> tuple[Consumer, ...]:
         """Consumer of people who come back: all linkers and controls at once."""
-        reader = Consumer("returns", task=RETURNS.name, knowledge="informed")
-        return (reader,) if self.links_returns else ()
+        consumer = Consumer("returns", task=RETURNS.name, adversary="informed")
+        return (consumer,) if self.links_returns else ()
 
     def without_scenes(self, why: str) -> "Axes":
         """Return the axes of people who come back alone: no scene, window or patrol."""
@@ -368,7 +395,7 @@ class Axes:
         """Tasks that have a linker."""
         return tuple(dict.fromkeys(task for task, _ in self.links))
 
-    def readers(self, task: Task) -> tuple[Consumer, ...]:
+    def task_consumers(self, task: Task) -> tuple[Consumer, ...]:
         """Return all consumers of a task: windows, controls, attacks by adversary."""
         return (
             windows_consumer(task.name),
@@ -378,7 +405,7 @@ class Axes:
                 if control.applies(task)
             ),
             *(
-                replace(link, knowledge=adversary, granted=granted, task=task.name)
+                replace(link, adversary=adversary, granted=granted, task=task.name)
                 for link_task, link in self.links
                 if link_task is task
                 for adversary, granted in self._attacking(
@@ -394,16 +421,11 @@ def _granted(
     return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
 
 
-def _answering(release: Plugin, policy: Plugin) -> Plugin:
-    """Return a release of tracks of which a policy answers, by the SPEC of both."""
-    return replace(release, spec=f"{release.spec}{ANSWERED_BY}{policy.spec}")
-
-
 def windows_consumer(task: str) -> Consumer:
     """Return the consumer of a task's windows: their descriptors, smoothed or not."""
     # The built-in smoother, with no knowledge: the same whatever else is in the run.
     return Consumer(
-        "windows", task=task, behind=plugins.parse("attacks", "radial_rts")[0]
+        "windows", task=task, reconstruction=plugins.parse("attacks", "radial_rts")[0]
     )
 
 
@@ -568,9 +590,13 @@ def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
     if trackers == (oracle,):
         return ()
     is_before = rules.release == "tracks" and rules.noise == "before"
-    end = ",noise=before" if is_before else ""
     return tuple(
-        replace(plugin, spec=f"{rules.release}:{plugin.spec}{end}")
+        replace(
+            plugin,
+            spec=track_release_text(
+                rules.release, plugin.spec, has_noise_before=is_before
+            ),
+        )
         for plugin in (oracle, *trackers)
     )
 
@@ -672,8 +698,8 @@ def _check_adversaries_used(run_axes: Axes, settings: Settings) -> None:
     """Raise SettingsError for an adversary whose knowledge no attack uses."""
     consumers = list(run_axes.consumers)
     for task in run_axes.tasks:
-        consumers += run_axes.readers(task)
-    attacking = {consumer.knowledge for consumer in consumers}
+        consumers += run_axes.task_consumers(task)
+    attacking = {consumer.adversary for consumer in consumers}
     for name in sorted(set(_asked_stronger(settings)) - attacking):
         raise SettingsError(
             f"adversary {name}: no attack of the run uses its knowledge; name one that"
@@ -706,7 +732,7 @@ def most_workers(run_axes: Axes, settings: Settings) -> int:
     n_linked = len(run_axes.linked_mechanisms) + sum(
         len(levels) for levels in run_axes.linked_in.values()
     )
-    n_tasks = len(run_axes.tasks) + len(run_axes.return_readers)
+    n_tasks = len(run_axes.tasks) + len(run_axes.return_consumers)
     n_patrols = len(run_axes.patrol_mechanisms) + len(run_axes.tracked)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
@@ -716,7 +742,7 @@ def choose_jobs(run_axes: Axes, settings: Settings) -> int:
     if settings.jobs is not None:
         return min(settings.jobs, max(most_workers(run_axes, settings), 2))
     n_levels = len(run_axes.mechanisms)
-    n_linkers = sum(len(run_axes.readers(task)) - 1 for task in run_axes.tasks)
+    n_linkers = sum(len(run_axes.task_consumers(task)) - 1 for task in run_axes.tasks)
     if (
         settings.n_utility_scenes * n_levels < WORTH_WORKERS
         and n_levels * n_linkers < WORTH_WORKERS_LINKED
@@ -741,10 +767,10 @@ def _parse_attacks(
     links: dict[str, Consumer] = {}
     for spec in specs:
         # A linker behind a reconstruction is two plug-ins, named by SPECs.
-        name, separator, behind_spec = spec, "", ""
+        name, separator, smoother = spec, "", ""
         if isinstance(spec, str):
-            name, separator, behind_spec = spec.partition("@")
-        if separator and not (name.strip() and behind_spec.strip()):
+            name, separator, smoother = spec.partition("@")
+        if separator and not (name.strip() and smoother.strip()):
             raise SettingsError(
                 f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts"
             )
@@ -753,17 +779,18 @@ def _parse_attacks(
             if not separator and not links_people:
                 attacks[plugin.spec] = plugin
                 continue
-            for behind in (
-                plugins.parse("attacks", behind_spec) if separator else (None,)
+            for reconstruction in (
+                plugins.parse("attacks", smoother) if separator else (None,)
             ):
-                if behind and (
-                    not links_people or attack_kind(behind.instance) == "linkage"
+                if reconstruction and (
+                    not links_people
+                    or attack_kind(reconstruction.instance) == "linkage"
                 ):
                     raise SettingsError(
                         f"{spec!r}: write a linkage attack left of @ and a"
                         " reconstruction attack right of it, as in shape@radial_rts"
                     )
-                link = Consumer("linkage", plugin, behind=behind)
+                link = Consumer("linkage", plugin, reconstruction=reconstruction)
                 links[link.spec] = link
     return tuple(attacks.values()), tuple(links.values())
 

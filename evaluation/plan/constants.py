@@ -17,4 +17,3 @@ MOST_SCENES = 10_000_000
 # Worker processes: more than a machine has cores; each takes 130 MB.
 MOST_JOBS: Final = 256
 TRACK_RELEASES: Final = ("tracks", "detections")  # Values of `tracking.release`.
-ANSWERED_BY: Final = ",policy="  # Between a release of tracks and its policy.

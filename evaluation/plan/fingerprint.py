@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from evaluation.plan.axes import Axes, Consumer
     from isac_track.plugins import Plugin
 
-# Stages of scenes; all but patrols and returns are other linkage tasks.
+# Sections of scenes. A section without a name here is a linkage task, by its name.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 RETURNS: Final = "returns"  # People who come back: a task of whole passages.
@@ -36,7 +36,7 @@ _COMMON: Final = (
     "evaluation.compute.tables",
 )
 """Modules that every unit of work depends on: releases, and the tables of its file."""
-_STAGES: Final = {
+_SECTIONS: Final = {
     SHARING: ("evaluation.compute.forecasts", *_COMMON),
     RECONSTRUCTION: ("evaluation.compute.reconstruction", *_COMMON),
     PATROL: ("evaluation.compute.patrols", *_COMMON),
@@ -78,9 +78,9 @@ def code_hash() -> str:
     return sha.hexdigest()[:16]
 
 
-def sources(stage: str, *plugins: Plugin) -> tuple[str, ...]:
+def sources(section: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the root modules whose source, with all it imports, a key covers."""
-    modules = _STAGES.get(stage, _LINKAGE) if stage else ()
+    modules = _SECTIONS.get(section, _LINKAGE) if section else ()
     return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
 
 
@@ -88,8 +88,8 @@ def has_user_plugins(run_axes: Axes) -> bool:
     """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
     consumers = (
         *run_axes.consumers,
-        *run_axes.patrol_readers(),
-        *run_axes.track_readers(),
+        *run_axes.patrol_consumers(),
+        *run_axes.track_consumers(),
         *(link for _, link in run_axes.links),
     )
     used = (plugin for consumer in consumers for plugin in consumer.plugins)
@@ -140,11 +140,11 @@ def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) 
             [plugin.spec, plugin.origin, *filter(None, [plugin.digest])]
             for plugin in consumer.plugins
         ],
-        consumer.knowledge,
+        consumer.adversary,
         sorted(item.name for item in consumer.granted),
         *code,
     ]
-    if keep_scores and consumer.kind in {"linkage", "control"}:
+    if keep_scores and consumer.kind in {"linkage", "link_bound", "control"}:
         content.append("scores")
     if consumer.world:
         content.append(consumer.world.text)

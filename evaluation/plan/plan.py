@@ -48,9 +48,10 @@ _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
-    """A unit of work: one level, one block or task, one stage, with all consumers."""
+    """A unit of work: one level, one block or task, one section, with all consumers."""
 
-    stage: str
+    # Tracking, a task's name, patrol, returns, reconstruction or sharing.
+    section: str
     block: int  # Of scenes; 0 for a linkage task.
     mechanism: Plugin
     key: str  # A digest of all that its rows depend on, except the consumers.
@@ -393,8 +394,8 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         _Crossing(run_axes.mechanisms, utility, all_blocks[n_attacked:]),
     ]
     for task in run_axes.tasks:
-        readers = run_axes.readers(task)
-        crossings.append(_Crossing(run_axes.linked_mechanisms, readers, (0,)))
+        consumers = run_axes.task_consumers(task)
+        crossings.append(_Crossing(run_axes.linked_mechanisms, consumers, (0,)))
     for world, mechanisms in run_axes.worlds.items():
         consumers = run_axes.consumers_in(world)
         crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
@@ -402,23 +403,23 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         robots = run_axes.robots_at(horizon_s)
         crossings.append(_Crossing(run_axes.mechanisms, robots, all_blocks))
     crossings.append(
-        _Crossing(run_axes.linked_mechanisms, run_axes.return_readers, (0,))
+        _Crossing(run_axes.linked_mechanisms, run_axes.return_consumers, (0,))
     )
     worlds = [OWN_WORLD, *(World(horizon_s=seconds) for seconds in run_axes.horizons_s)]
     crossings += [
-        _Crossing(run_axes.patrol_mechanisms, run_axes.patrol_readers(world), (0,))
+        _Crossing(run_axes.patrol_mechanisms, run_axes.patrol_consumers(world), (0,))
         for world in worlds
         if run_axes.patrol_mechanisms
     ]
     crossings += [
-        _Crossing(run_axes.tracked, run_axes.track_readers(world), (0,))
+        _Crossing(run_axes.tracked, run_axes.track_consumers(world), (0,))
         for world in worlds
         if run_axes.tracked
     ]
     for world, mechanisms in run_axes.linked_in.items():
         for task in filter(_is_linked_in_models, run_axes.tasks):
-            readers = run_axes.readers_in(world, task)
-            crossings.append(_Crossing(mechanisms, readers, (0,)))
+            consumers = run_axes.task_consumers_in(world, task)
+            crossings.append(_Crossing(mechanisms, consumers, (0,)))
     return crossings
 
 
@@ -437,57 +438,59 @@ def _units(
     code_read = _CodeRead({}, {})
     units = []
     for mechanisms, consumers, blocks in _crossings(run_axes, settings):
-        by_stage = _consumers_by_stage(consumers, settings, code_read)
-        for mechanism, stage in product(mechanisms, by_stage):
-            code = _code_digests(stage, mechanism, code_read=code_read)
-            readers = {
+        by_section = _consumers_by_section(consumers, settings, code_read)
+        for mechanism, section in product(mechanisms, by_section):
+            code = _code_digests(section, mechanism, code_read=code_read)
+            level_consumers = {
                 key: consumer
-                for key, consumer in by_stage[stage].items()
+                for key, consumer in by_section[section].items()
                 if run_axes.meets(consumer, mechanism)
             }
             about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             about += filter(None, [mechanism.digest])
             about += code.values()
-            about += _own_settings(stage, settings)
-            for block in blocks if readers else ():
-                key = fingerprint.digest([identity, stage, block, *about])
-                units.append(Unit(stage, block, mechanism, key, code, readers))
+            about += _own_settings(section, settings)
+            for block in blocks if level_consumers else ():
+                key = fingerprint.digest([identity, section, block, *about])
+                units.append(
+                    Unit(section, block, mechanism, key, code, level_consumers)
+                )
     return tuple(units), code_read.digests
 
 
-def _own_settings(stage: str, settings: Settings) -> list[Any]:
-    """Return the settings that only the cells of a stage depend on."""
+def _own_settings(section: str, settings: Settings) -> list[Any]:
+    """Return the settings that only the cells of a section depend on."""
     values = settings.stages.flat()
-    if stage == fingerprint.PATROL:
+    if section == fingerprint.PATROL:
         return [patrol_values(values)]
-    if stage == fingerprint.TRACKING:
+    if section == fingerprint.TRACKING:
         return [patrol_values(values), tracking_values(values)]
-    if stage == fingerprint.RETURNS and settings.confirming is not None:
+    if section == fingerprint.RETURNS and settings.confirming is not None:
         return [settings.confirming]
     return []
 
 
-def _consumers_by_stage(
+def _consumers_by_section(
     consumers: Iterable[Consumer], settings: Settings, code_read: _CodeRead
 ) -> dict[str, dict[str, Consumer]]:
-    """Return consumers by stage and by their keys; `code_read` grows, as in `_code_digests`."""
-    by_stage: dict[str, dict[str, Consumer]] = {}
+    """Return consumers by section and key; `code_read` grows, as in `_code_digests`."""
+    by_section: dict[str, dict[str, Consumer]] = {}
     for consumer in consumers:
         key = fingerprint.consumer_key(
             consumer,
             code=_code_digests("", *consumer.plugins, code_read=code_read).values(),
             keep_scores=settings.keep_scores,
         )
-        by_stage.setdefault(_stage(consumer), {})[key] = consumer
-    return by_stage
+        by_section.setdefault(_section(consumer), {})[key] = consumer
+    return by_section
 
 
-def _code_digests(stage: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
-    """Return the digests of the modules of a stage and of plug-ins, by module.
+def _code_digests(section: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
+    """Return the digests of the modules of a section and of plug-ins, by module.
 
     `code_read` holds those that are known by now; new digests are added to it.
     """
-    modules, digests = fingerprint.sources(stage, *used), code_read.digests
+    modules, digests = fingerprint.sources(section, *used), code_read.digests
     for module in modules:
         if module not in digests:
             digest = fingerprint.source_digest(module, known=code_read.files)
@@ -495,8 +498,11 @@ def _code_digests(stage: str, *used: Plugin, code_read: _CodeRead) -> dict[str, 
     return {module: digests[module] for module in modules}
 
 
-def _stage(consumer: Consumer) -> str:
-    """Return the stage of a consumer: of tracks, its task, or a stage of scenes."""
+def _section(consumer: Consumer) -> str:
+    """Return the section of a consumer.
+
+    It is tracking, a task's name, patrol, returns, reconstruction or sharing.
+    """
     if consumer.reads_tracks:
         return fingerprint.TRACKING
     if consumer.task:

@@ -61,10 +61,11 @@ def _own_s(work: Work, plan: Plan, own: PluginTimes) -> float:
     n_samples = _millions_of_samples(work, plan)
     sizes = {"linkage": work_size(work, plan)}  # all others read samples, not pairs
     calls = [("mechanism", mechanism) for mechanism, _ in work.levels]
+    consumers = [cell.consumer for cell in planned_cells(work)]
     calls += [
-        ("attack" if plugin is cell.consumer.behind else cell.consumer.kind, plugin)
-        for cell in planned_cells(work)
-        for plugin in cell.consumer.plugins
+        ("attack" if plugin is consumer.reconstruction else consumer.kind, plugin)
+        for consumer in consumers
+        for plugin in consumer.plugins
     ]
     return sum(
         own[kind, plugin.spec].cell_s(sizes.get(kind, n_samples))
@@ -151,7 +152,7 @@ def setup_name(work: Work) -> str:
 def rate_name(consumer: Consumer) -> str:
     """Return the name of a consumer's rate: its kind and its plug-ins' families."""
     families = "@".join(plugin.family for plugin in consumer.plugins)
-    return f"{consumer.kind}/{families or consumer.control}".rstrip("/")
+    return f"{consumer.kind_in_files}/{families or consumer.control}".rstrip("/")
 
 
 def measured_rates() -> Mapping[str, float]:
@@ -166,7 +167,7 @@ def _rate(consumer: Consumer, rates: Mapping[str, float]) -> float:
     name = rate_name(consumer)
     if name in rates:
         return rates[name]
-    kind = f"{consumer.kind}/"
+    kind = f"{consumer.kind_in_files}/"
     same_kind = [rate for known, rate in rates.items() if known.startswith(kind)]
     return median(same_kind or [0.0])
 

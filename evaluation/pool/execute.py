@@ -172,7 +172,7 @@ def _note_computed(
     failed = [
         FailedEntry(
             address=cell.consumer.address,
-            kind=cell.consumer.kind,
+            kind=cell.consumer.kind_in_files,
             spec=cell.mechanism.spec,
             block=cell.block,
             why=why,

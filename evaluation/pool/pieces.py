@@ -125,7 +125,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
                 unit
                 for unit in missing
                 if unit.block == number
-                and unit.stage not in {*tasks, PATROL, RETURNS, TRACKING}
+                and unit.section not in {*tasks, PATROL, RETURNS, TRACKING}
                 and unit.world == world
             )
             is_attacked = number < n_attacked and not world
@@ -170,7 +170,7 @@ def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
         levels = _levels(
             unit
             for unit in missing
-            if unit.stage == sessions.task.name and unit.world == world
+            if unit.section == sessions.task.name and unit.world == world
         )
         # Each piece senses the sessions again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_TASK):
@@ -185,7 +185,7 @@ def _cut_patrols(missing: Sequence[Unit], plan: Plan) -> list[PatrolWork]:
 
     Each piece makes the patrol and senses everybody again.
     """
-    levels = _levels(unit for unit in missing if unit.stage == PATROL)
+    levels = _levels(unit for unit in missing if unit.section == PATROL)
     return [PatrolWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)]
 
 
@@ -194,7 +194,7 @@ def _cut_returns(missing: Sequence[Unit], plan: Plan) -> list[ReturnWork]:
 
     Each piece senses all passages again, which takes less than one level.
     """
-    levels = _levels(unit for unit in missing if unit.stage == RETURNS)
+    levels = _levels(unit for unit in missing if unit.section == RETURNS)
     if plan.passages is None:
         return []
     confirming = plan.settings.confirming
@@ -209,7 +209,7 @@ def _cut_tracking(missing: Sequence[Unit], plan: Plan) -> list[TrackingWork]:
 
     Each piece detects everybody and tracks the detections without noise again.
     """
-    levels = _levels(unit for unit in missing if unit.stage == TRACKING)
+    levels = _levels(unit for unit in missing if unit.section == TRACKING)
     return [
         TrackingWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)
     ]

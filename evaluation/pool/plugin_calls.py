@@ -147,14 +147,15 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
         for consumer in unit.consumers.values():
             for plugin in filter(is_user_plugin, consumer.plugins):
                 caller = consumer
-                if consumer.policy and plugin is not consumer.policy:
-                    continue  # a robot is called in scenes, too
-                if plugin is consumer.behind:
+                discloses = consumer.track_release or consumer.policy
+                if discloses and plugin is not discloses:
+                    continue  # a robot is called in scenes, a policy on patrols, too
+                if plugin is consumer.reconstruction:
                     caller = replace(
                         consumer,
                         kind="attack",
                         plugin=plugin,
-                        behind=None,
+                        reconstruction=None,
                         granted=consumer.granted & declared(plugin),
                     )
                 # Blind comes before informed, and that before oracle.

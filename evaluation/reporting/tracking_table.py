@@ -15,9 +15,9 @@ from evaluation.estimates.metrics import (
     METRICS,
     MISSED_FUTURE,
 )
-from evaluation.plan.address import parse_dataset
+from evaluation.plan.address import parse_dataset, parse_policy
 from evaluation.plan.axes import LOG, PERFECT, TRACKER
-from evaluation.plan.constants import ANSWERED_BY, SHARED
+from evaluation.plan.constants import SHARED
 from evaluation.reporting import table as make
 from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
@@ -141,7 +141,9 @@ def tracking_sentence(run: Results) -> str:
 
 def _are_answered(rows: pd.DataFrame) -> Bools:
     """Return which rows are of a policy's answers from tracks."""
-    return np.array([ANSWERED_BY in str(text) for text in rows["policy"]], dtype=bool)
+    return np.array(
+        [all(parse_policy(str(text))) for text in rows["policy"]], dtype=bool
+    )
 
 
 def _value(rows: pd.DataFrame, policy: str, consumer: str, metric: str) -> float:

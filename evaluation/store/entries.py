@@ -121,7 +121,7 @@ def make_entry(
     )
     return Entry(
         address=address,
-        kind=consumer.kind,
+        kind=consumer.kind_in_files,
         spec=mechanism.spec,
         family=mechanism.family,
         protects=mechanism.protects,

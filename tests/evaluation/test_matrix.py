@@ -203,7 +203,7 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
         "handover-1s",
         "handover-5s",
     ]
-    assert all(len(crossed.readers(task)) > 2 for task in crossed.tasks)
+    assert all(len(crossed.task_consumers(task)) > 2 for task in crossed.tasks)
 
 
 def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):

@@ -178,8 +178,8 @@ def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
     crossed = Axes((), (), (), links=tuple((task, linker) for linker in linkers))
     wanted = ("linkage", "control") if controls else ("linkage",)
     results = {
-        (reader.spec, reader.knowledge): link(reader, level)
-        for reader in crossed.readers(task)
-        if reader.kind in wanted
+        (consumer.spec, consumer.adversary): link(consumer, level)
+        for consumer in crossed.task_consumers(task)
+        if consumer.kind in wanted
     }
     return results, level

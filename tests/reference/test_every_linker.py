@@ -51,7 +51,7 @@ def computed():
         )
     )
     units = [
-        unit for unit in ready.units if unit.stage in TASKS and unit.mechanism.level
+        unit for unit in ready.units if unit.section in TASKS and unit.mechanism.level
     ]
     rows = []
     with threadpool_limits(limits=1, user_api="blas"):
@@ -60,7 +60,7 @@ def computed():
                 work, tracks=ready.tracks, stages=ready.settings.stages, seed=0
             ):
                 if ESTIMATES in tables:
-                    about = {"consumer": consumer.spec, "knowledge": consumer.knowledge}
+                    about = {"consumer": consumer.spec, "knowledge": consumer.adversary}
                     rows.append(tables[ESTIMATES].to_pandas().assign(**about))
     return pd.concat(rows)[[*KEY, "value", "ci_low", "ci_high", "n"]]
 

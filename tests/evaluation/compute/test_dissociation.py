@@ -68,7 +68,7 @@ class Sieve:
 def attack(instance):
     result = plugin(instance)
     return [
-        Consumer("attack", result, knowledge=name, granted=granted)
+        Consumer("attack", result, adversary=name, granted=granted)
         for name, granted in grants(instance).items()
     ]
 
@@ -260,7 +260,7 @@ def linked_consumers(task, behind):
     """The linker of a task, alone and behind a reconstruction."""
     linker = parsed("attacks", LINKER[task])
     return Consumer("linkage", linker), Consumer(
-        "linkage", linker, behind=parsed("attacks", behind)
+        "linkage", linker, reconstruction=parsed("attacks", behind)
     )
 
 

@@ -113,7 +113,7 @@ def test_cells_of_a_run_know_the_shape(tracks, mechanism):
     attack = parsed("attacks", "kalman_rts")
     consumers = Axes(mechanisms=(), predictors=(), attacks=(attack,)).consumers
     by_knowledge = {
-        consumer.knowledge: rows
+        consumer.adversary: rows
         for _, consumer, rows in world.cells((mechanism,), consumers)
         if consumer.kind == "attack"
     }

@@ -77,7 +77,9 @@ class Linker:
 
 
 def behind(linker, reconstruction):
-    return Consumer("linkage", plugin(linker), behind=plugin(reconstruction, "rounds"))
+    return Consumer(
+        "linkage", plugin(linker), reconstruction=plugin(reconstruction, "rounds")
+    )
 
 
 def task_links(task, *links, by="raw", **options):
@@ -409,14 +411,14 @@ def written(out, task, *, control="", keep_scores=False):
     consumer = Consumer("linkage", plugin(Linker()), "blind", task=task)
     if control:
         consumer = Consumer("control", task=task, control=control)
-    result = results[consumer.spec, consumer.knowledge]
+    result = results[consumer.spec, consumer.adversary]
     tables = linkage_tables(result, level.setup, keep_scores=keep_scores)
     (out / "cells").mkdir()
     cell = cell_files.ComputedCell(consumer.label, "key", {}, tables)
     content = cell_files.pack_units([cell_files.ComputedUnit("raw", "", {}, [cell])])
     (out / "cells" / "one.parquet").write_bytes(content)
     where = entry_at(
-        consumer.spec, consumer.knowledge, kind=consumer.kind, files=("one.parquet",)
+        consumer.spec, consumer.adversary, kind=consumer.kind, files=("one.parquet",)
     )
     return result, level.setup, tables, where
 
@@ -715,7 +717,7 @@ class TestAxes:
     @pytest.mark.parametrize("name", sorted(ADVERSARIES.keys() - USUAL))
     def test_who_is_asked_for_by_name_alone_does_something(self, name):
         rows = {
-            consumer.knowledge
+            consumer.adversary
             for consumer in axes(paper(adversaries=(name,))).consumers
         }
         assert rows == {"", *USUAL, name}
@@ -742,7 +744,7 @@ class TestAxes:
     ):
         crossed = axes(Settings(preset="quick", attacks=("radial_rts", "averaging")))
         rows = {
-            (consumer.spec, consumer.knowledge)
+            (consumer.spec, consumer.adversary)
             for consumer in crossed.consumers
             if consumer.kind == "attack"
         }
@@ -752,7 +754,7 @@ class TestAxes:
         }
         assert ("averaging", "oracle") in rows
         asked = axes(Settings(preset="quick", adversaries=("oracle",))).consumers
-        assert "oracle" in {item.knowledge for item in asked}
+        assert "oracle" in {item.adversary for item in asked}
 
     def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(
         self,

@@ -18,7 +18,7 @@ from isac_track import compiling
 
 def crossed_cells(crossed):
     """Every level of some axes with each of its consumers, those of tasks included."""
-    linked = [reader for task in crossed.tasks for reader in crossed.readers(task)]
+    linked = [each for task in crossed.tasks for each in crossed.task_consumers(task)]
     return [
         (level, item)
         for level in crossed.mechanisms

@@ -41,7 +41,7 @@ def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None
     for level, consumer, rows in World(tracks, n_scenes=n_scenes).cells(
         mechanisms, consumers, size=size
     ):
-        result.setdefault((level.spec, consumer.spec, consumer.knowledge), []).append(
+        result.setdefault((level.spec, consumer.spec, consumer.adversary), []).append(
             rows
         )
     return result

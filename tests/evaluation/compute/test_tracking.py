@@ -229,15 +229,15 @@ def linked(recording, tracker, **stages):
     recorded = datasets.load(str(recording)).tracks
     setup = tracking_setup(recorded, stages=settings.stages, seed=0)
     crossed = axes(settings)
-    links = [reader for reader in crossed.track_readers() if reader.task]
-    links = [link for link in links if link.policy.name == tracker]
+    links = [each for each in crossed.track_consumers() if each.task]
+    links = [link for link in links if link.track_release.name == tracker]
     raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
     releases = share_tracked(raw, plugin, setup)
     shares = {}
     for consumer, tables in link_rows(links, releases, setup, mechanism=raw):
         counts = {name: tables["rows"][name].sum() for name in LINK_COLUMNS[2:]}
         n = counts.pop("trials")
-        shares[consumer.spec, consumer.knowledge] = {
+        shares[consumer.spec, consumer.adversary] = {
             name: count / n for name, count in counts.items()
         } | {"trials": n}
     return shares

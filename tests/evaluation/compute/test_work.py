@@ -20,7 +20,7 @@ from isac_track.scenes import cut
 def piece(tracks):
     known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
     attacks = ("shape", "histogram", "histogram@kalman_rts")
-    consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).readers(task)
+    consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).task_consumers(task)
     levels = tuple(
         (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
     )

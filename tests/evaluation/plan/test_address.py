@@ -14,13 +14,19 @@ from evaluation.api import run
 from evaluation.plan.address import (
     AS_SHARED,
     Address,
+    PolicyParts,
     control_name,
+    is_track_release,
     parse_consumer,
     parse_dataset,
     parse_label,
+    parse_policy,
     parse_row,
     plugin_name,
+    policy_text,
+    track_release_text,
 )
+from evaluation.plan.constants import TRACK_RELEASES
 from evaluation.plan.world import OWN_WORLD, WORLDS, World, parse_world
 from isac_track.protocols import ADVERSARIES
 
@@ -100,6 +106,36 @@ def test_a_label_says_who_reads_where(address, is_joint):
 def test_a_label_says_under_which_policy(world, policy, adversary):
     reader = Address(world=world, policy=policy, plugin="log", adversary=adversary)
     assert parse_label(reader.cell_label) == reader
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ("", "")),
+        ("near:3,window_s=2", ("", "near:3,window_s=2")),
+        ("mine.policies:Mine:policy=2", ("", "mine.policies:Mine:policy=2")),
+        ("detections:gnn", ("detections:gnn", "")),
+        ("tracks:jpda:gate=3", ("tracks:jpda:gate=3", "")),
+        (
+            "tracks:gnn,noise=before,policy=near:3,window_s=2",
+            ("tracks:gnn,noise=before", "near:3,window_s=2"),
+        ),
+    ],
+)
+def test_the_column_policy_has_a_release_of_tracks_and_a_policy(text, parts):
+    assert parse_policy(text) == PolicyParts(*parts)
+    assert policy_text(track_release=parts[0], policy=parts[1]) == text
+    assert is_track_release(text) == bool(parts[0])
+
+
+@reproducible
+@given(st.sampled_from(TRACK_RELEASES), specs, st.booleans(), st.just("") | specs)
+def test_a_release_of_tracks_comes_back_with_its_policy(
+    form, tracker, has_noise_before, policy
+):
+    release = track_release_text(form, tracker, has_noise_before=has_noise_before)
+    text = policy_text(track_release=release, policy=policy)
+    assert parse_policy(text) == PolicyParts(release, policy)
 
 
 @pytest.mark.parametrize(("text", "address"), CONSUMERS.items(), ids=str)

@@ -1,4 +1,4 @@
-"""A cell depends on the code of its stage and of its plug-ins, and on nothing else."""
+"""A cell depends on the code of its section and of its plug-ins, and on nothing else."""
 
 import sys
 
@@ -102,9 +102,9 @@ def test_an_installed_module_is_its_own_package_alone(folder, monkeypatch):
     assert source_digest("kit.plugin") != before[1]
 
 
-STAGES = (SHARING, RECONSTRUCTION, "rerelease")
+SECTIONS = (SHARING, RECONSTRUCTION, "rerelease")
 SOURCES = {
-    STAGES: (
+    SECTIONS: (
         "isac_track.sensing",
         "isac_track.datasets.read_table",
         "evaluation.compute.sharing",
@@ -135,25 +135,26 @@ SOURCES = {
 
 
 @pytest.mark.parametrize(
-    ("module", "stages"),
-    [(module, stages) for stages, modules in SOURCES.items() for module in modules],
+    ("module", "sections"),
+    [(module, sections) for sections, modules in SOURCES.items() for module in modules],
 )
-def test_a_stage_is_computed_by_what_it_imports(monkeypatch, module, stages):
+def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections):
     def digests():
         return {
-            stage: [source_digest(source) for source in sources(stage)]
-            for stage in STAGES
+            section: [source_digest(source) for source in sources(section)]
+            for section in SECTIONS
         }
 
     before = digests()
     change_code(monkeypatch, module)
     after = digests()
-    assert {stage for stage in STAGES if before[stage] != after[stage]} == set(stages)
+    changed = {section for section in SECTIONS if before[section] != after[section]}
+    assert changed == set(sections)
 
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
-    consumers = (*crossed.consumers, *crossed.readers(crossed.tasks[0]))
+    consumers = (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0]))
 
     def keys():
         return {
@@ -177,6 +178,6 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 def test_raw_scores_are_another_thing_to_keep():
     crossed = axes(Settings(attacks=("savgol", "shape")))
-    for item in (*crossed.consumers, *crossed.readers(crossed.tasks[0])):
+    for item in (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0])):
         keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
         assert len(keys) == 1 + (item.kind in ("linkage", "control"))

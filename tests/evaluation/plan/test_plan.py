@@ -5,10 +5,12 @@ import math
 import pytest
 from helpers.small_runs import smoke
 
+from evaluation.plan.axes import axes
 from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
+from evaluation.plan.world import World
 from isac_track.errors import SettingsError
 
 
@@ -16,16 +18,16 @@ def patrolled(csv_recording, **changes):
     """Every mechanism, policy and reader of the patrols of a run."""
     plan = make_plan(smoke(csv_recording, **changes))
     return {
-        (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.knowledge)
+        (unit.mechanism.spec, consumer.policy.spec, consumer.spec, consumer.adversary)
         for unit in plan.units
-        if unit.stage == PATROL
+        if unit.section == PATROL
         for consumer in unit.consumers.values()
     }
 
 
 def keys(plan):
     """Keys of the units of a plan: those of patrols, and all others."""
-    patrols = {unit.key for unit in plan.units if unit.stage == PATROL}
+    patrols = {unit.key for unit in plan.units if unit.section == PATROL}
     return patrols, {unit.key for unit in plan.units} - patrols
 
 
@@ -81,3 +83,13 @@ def test_without_policies_there_are_no_patrols(csv_recording):
 def test_a_wrong_policy_is_refused(csv_recording, policy, message):
     with pytest.raises(SettingsError, match=message):
         make_plan(smoke(csv_recording, policies=(policy,)))
+
+
+def test_the_optimum_of_a_linkage_task_has_a_kind_that_files_do_not_have():
+    crossed = axes(Settings(preset="paper", tasks=("rerelease",)))
+    (task,) = crossed.tasks
+    *linkers, optimum = crossed.task_consumers_in(World(is_model=True), task)
+    assert {linker.kind for linker in linkers} == {"linkage"}
+    assert optimum.kind == "link_bound"
+    assert optimum.kind_in_files == "linkage"
+    assert optimum.spec == "rerelease/bound"

@@ -166,7 +166,7 @@ class TestHowLong:
         crossed = axes(Settings(preset="paper"))
         # Of plaza, where nobody comes back.
         tasks = [task for task in crossed.tasks if not task.comes_back]
-        readers = [crossed.readers(task) for task in tasks]
+        readers = [crossed.task_consumers(task) for task in tasks]
         names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
