@@ -93,11 +93,19 @@ class Loop:
         self.function = function
         self._arguments = arguments
         self._machine_code: Callable[..., None] | None = None
+        self._held_types: set[object] = set()  # For the life of the process.
         update_wrapper(self, function)
 
     def __call__(self, *arguments: object) -> None:
-        """Run the machine code."""
-        (self._machine_code or self.prepare())(*arguments)
+        """Run the machine code; TypeError if it does not take such arguments."""
+        machine_code = self._machine_code or self.prepare()
+        try:
+            machine_code(*arguments)
+        except TypeError:
+            # numba 0.60 may forget the type of a tuple while it looks for a conversion,
+            # before any code has run. It finds one once the types are held.
+            self._held_types.update(map(numba.typeof, arguments))
+            machine_code(*arguments)
 
     @property
     def is_cached(self) -> bool:

@@ -3,8 +3,11 @@
 import shutil
 from itertools import product
 
+import numpy as np
 import pytest
 from helpers.commands import run
+
+from isac_track.kalman._error_loops import fill_steps
 
 HEAD = "from isac_track.compiling import compiled, read, written\n"
 LOOP = """
@@ -143,3 +146,13 @@ def test_a_folder_in_the_place_of_a_file_leaves_the_loop_uncached(filled):
     path.mkdir()
     ended = called(filled)
     assert (ended.code, ended.out) == (0, RIGHT), ended
+
+
+def test_arguments_of_other_types_are_refused_and_nothing_is_written():
+    out = np.full((3, 5), 7.0)
+    motion = np.array([1.0, np.inf, 0.1])
+    with pytest.raises(TypeError, match="No matching definition"):
+        fill_steps(np.arange(3.0), np.array([0.0, 3.0]), motion, out)
+    assert (out == 7.0).all()
+    fill_steps(np.arange(3.0), np.array([0, 3]), motion, out)
+    assert not (out == 7.0).all()
