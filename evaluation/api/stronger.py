@@ -8,10 +8,11 @@ from evaluation.api.estimated import level_table, link_estimates, scene_estimate
 from evaluation.estimates.families import CLEAN, RAW, entry_families
 from evaluation.estimates.strongest_table import strongest_on_each
 from evaluation.plan.address import Address
+from evaluation.plan.fingerprint import changed_modules
 from evaluation.plan.plan import Plan, plan_stronger
 from evaluation.pool.execute import execute_stronger
 from evaluation.store.entries import Entry
-from evaluation.store.manifest import read_manifest
+from evaluation.store.manifest import read_manifest, write_manifest
 from evaluation.verdict.what_to_share import (
     default_question,
     leading_handover,
@@ -20,11 +21,18 @@ from evaluation.verdict.what_to_share import (
 
 
 def try_stronger(plan: Plan, update: Callable[[int, int, str], None]) -> None:
-    """Let stronger adversaries attack the levels that would be proposed."""
+    """Let stronger adversaries attack the levels that would be proposed.
+
+    Not if a source was edited while the cells were computed: those cells would count
+    as of another code version, and be dropped. The manifest then names the modules.
+    """
     all_specs = [plugin.spec for plugin in plan.axes.mechanisms]
     if not plan_stronger(plan, specs=all_specs).units:
         return
     manifest = read_manifest(plan.out)
+    if edited := changed_modules(plan.code_digests):
+        write_manifest(plan.out, manifest | {"edited_modules": edited})
+        return
     entries = _proposal_entries(manifest["cells"])
     proposed = _proposed_levels(plan.out, manifest | {"cells": entries})
     specs = [entry.spec for entry in entries if entry.address.where in proposed]

@@ -7,7 +7,7 @@ import hashlib
 import json
 import re
 import sysconfig
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
@@ -214,6 +214,16 @@ def _read_file(
     parent = name.rpartition(".")[0]  # its package runs first
     imports = _imported(source, package=name if is_package else parent)
     return _ModuleFile(hashlib.sha256(source).digest(), (*imports, parent))
+
+
+def changed_modules(digests: Mapping[str, str]) -> list[str]:
+    """Return the modules whose sources no longer have the short digests given."""
+    known: ModuleFiles = {}
+    return [
+        module
+        for module, was in digests.items()
+        if has_source(module) and source_digest(module, known=known)[:16] != was
+    ]
 
 
 def has_source(module: str) -> bool:

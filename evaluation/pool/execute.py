@@ -111,6 +111,7 @@ def _begin(plan: Plan) -> _Begun:
     manifest |= describe(plan) | {
         "damaged_cells": opened.damaged,
         "untried_plugins": untried,
+        "edited_modules": [],
     }
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # Failures of earlier axes stay, and so do their finished levels.

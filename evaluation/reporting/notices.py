@@ -193,6 +193,12 @@ def notices(manifest: Mapping[str, Any]) -> list[str]:
     ]
     if dropped := manifest.get("dropped_cells"):
         texts.append(f"{counted(dropped, 'cell')} of another code version dropped.")
+    if edited := manifest.get("edited_modules"):
+        texts.append(
+            f"{counted(len(edited), 'module was', 'modules were')} edited while the run"
+            f" computed, such as {edited[0]}. So stronger adversaries did not try the"
+            " levels to propose. Run it again: cells of the old code are then replaced."
+        )
     if damaged := manifest.get("damaged_cells"):
         texts.append(
             f"{counted(len(damaged), 'damaged cell')} computed again, such as"

@@ -8,6 +8,7 @@ from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
 from evaluation.plan.presets import PRESETS, STRONGER_ADVERSARIES
+from evaluation.reporting.notices import notices
 from evaluation.store.files import CELLS_FOLDER
 from evaluation.store.manifest import read_manifest
 
@@ -117,6 +118,40 @@ def test_what_a_run_is_said_to_be_stays(made):
     assert tried["settings"] == plain["settings"]
     assert tried["settings"]["mechanisms"] == list(LEVELS)
     assert "adversaries" not in tried["settings"]
+
+
+EDITED_MECHANISM = """
+from isac_track.mechanisms.protections import Ou
+
+
+class Mine(Ou):
+    def share(self, sensed, rng):
+        with open(__file__, "a") as source:  # As an editor does during a run.
+            source.write("# edited\\n")
+        return Ou.share(self, sensed, rng)
+"""
+
+
+def test_an_edit_during_the_run_loses_no_cell(tmp_path, monkeypatch):
+    source = tmp_path / "edited_while_running.py"
+    source.write_text(EDITED_MECHANISM)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    walks = write_walks(tmp_path / "walks.csv", n_people=40)
+    levels = ("raw", "ou:0.8", "edited_while_running:Mine:0.8")
+    few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
+    preset = replace(PRESETS["smoke"], stronger_adversaries=STRONGER_ADVERSARIES, **few)
+    monkeypatch.setitem(PRESETS, "smoke", preset)
+    settings = asked(walks, tmp_path / "run", mechanisms=levels)
+    with single_process():
+        results = evaluation.run(settings, pictures=False)
+    manifest = results.manifest
+    assert "edited_while_running" in manifest["edited_modules"]
+    assert not manifest.get("dropped_cells")
+    mine = results.summary[results.summary["mechanism"].str.startswith("edited")]
+    assert set(mine["consumer"]) >= {"shared", "kalman_cv", "radial_rts"}
+    assert not set(results.summary["knowledge"]) & set(STRONGER_ADVERSARIES)
+    (notice,) = [text for text in notices(manifest) if "edited while" in text]
+    assert "1 module was edited" in notice
 
 
 def test_each_says_who_breaks_it(made):
