@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from evaluation.estimates import pareto
 from evaluation.store.cards import Card, CardScore
 from isac_track.errors import DataError
 from isac_track.linkability.significance import holm
@@ -266,14 +267,12 @@ def places(cards: Sequence[Card]) -> list[Place]:
         ],
         dtype=bool,
     )
-    no_worse = (values[:, None] <= values[None]).all(axis=2)
-    better = (values[:, None] < values[None]).any(axis=2)
     forms = np.array([card.form for card in cards])
     is_rival = enters[:, None] & (forms[:, None] == forms)
-    beats = no_worse & better & is_rival
+    wins = pareto.beats(values) & is_rival & enters
     is_alone = (is_rival & enters).sum(axis=0).max(initial=0) < 2  # noqa: PLR2004 - two compare
     return [
-        _place(cards, row, beats & enters, lacking, is_alone=bool(is_alone))
+        _place(cards, row, wins, lacking, is_alone=bool(is_alone))
         for row, lacking in enumerate(unmet)
     ]
 
@@ -281,19 +280,19 @@ def places(cards: Sequence[Card]) -> list[Place]:
 def _place(
     cards: Sequence[Card],
     row: int,
-    beats: Bools,
+    wins: Bools,
     unmet: tuple[str, ...],
     *,
     is_alone: bool,
 ) -> Place:
-    """Return the place of the card of a row; `beats`, (N, N), says who beats whom."""
+    """Return the place of the card of a row; `wins`, (N, N), says who beats whom."""
     card = cards[row]
     if is_control(card):
         return Place("control", unmet=unmet)
     if unmet:
         return Place("unmet", unmet=unmet)
-    beaten = tuple(cards[other] for other in np.flatnonzero(beats[row]).tolist())
-    rivals = [cards[other] for other in np.flatnonzero(beats[:, row]).tolist()]
+    beaten = tuple(cards[other] for other in np.flatnonzero(wins[row]).tolist())
+    rivals = [cards[other] for other in np.flatnonzero(wins[:, row]).tolist()]
     rivals.sort(key=lambda rival: (is_within_intervals(rival, card), _sum(rival)))
     if not rivals:
         return Place("alone" if is_alone else "front", beats=beaten)

@@ -70,20 +70,6 @@ COLUMNS: Final = [
 _LOG_SPAN: Final = 30.0
 
 
-def front(x: Floats, y: Floats) -> Bools:
-    """Return which points no other beats: as low in both coordinates, lower in either.
-
-    `x` and `y` are (N,), less is better in either; a point that is not known is on no
-    front.
-    """
-    points, place = np.unique(np.column_stack([x, y]), axis=0, return_inverse=True)
-    height = np.where(np.isnan(points).any(axis=1), np.inf, points[:, 1])
-    # From left to right, a point is on the front if it is lower than all before it.
-    lowest_before = np.minimum.accumulate(np.append(np.inf, height))[:-1]
-    is_on_front: Bools = (height < lowest_before)[place.reshape(-1)]
-    return is_on_front
-
-
 class Quantity(NamedTuple):
     """A number that the frontier shows of every mechanism: a metric of some source."""
 

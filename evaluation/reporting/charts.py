@@ -11,8 +11,8 @@ from typing import Any, Final, NamedTuple, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import FID, FIXED, RAW, Family
-from evaluation.estimates.frontier import front
 from evaluation.estimates.keys import level_text
+from evaluation.estimates.pareto import front
 from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
@@ -283,7 +283,7 @@ def _front_line(
 ) -> Stroke:
     """Return the front as a staircase: every point above and right of it is beaten."""
     values = np.array([(point.x.value, point.y.value) for point in points])
-    corners = values[front(*values.T)]
+    corners = values[front(values)]
     x_percent, y_percent = corners[np.argsort(corners[:, 0])].T * PERCENT
     x, y = np.repeat(to_x(x_percent), 2), np.repeat(to_y(y_percent), 2)
     return list(zip([*x, _RIGHT], [_TOP, *y], strict=True))

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from evaluation.estimates.families import AT_RAW
-from evaluation.estimates.frontier import front
+from evaluation.estimates.pareto import front
 from evaluation.plan.address import Where
 from evaluation.reporting.amounts import bare_percent, round_percent
 from evaluation.reporting.charts import PERCENT, Point
@@ -114,7 +114,7 @@ def on_the_front(points: Sequence[Point], noun: str) -> str:
     """Tell how many levels are on the front, and which has the lowest y, a `noun`."""
     values = np.array([(point.x.value, point.y.value) for point in points])
     lowest = min(points, key=lambda point: point.y.value)
-    on_front = int(front(*values.T).sum())
+    on_front = int(front(values).sum())
     share = f"{on_front} of {len(points)}"
     if on_front == len(points):
         share = f"All {on_front}"

@@ -31,6 +31,7 @@ from evaluation.estimates.metrics import (
     SUCCESS_OF_100,
     WIDE,
 )
+from evaluation.estimates.pareto import beats
 from evaluation.estimates.strongest import BEYOND
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer, parse_row
@@ -388,21 +389,17 @@ def non_dominated(offers: Sequence[Offer]) -> list[Offer]:
     Only an offer under the same adding rules can beat another: a network that cannot
     add linearly has no use for a level that does. Of equal offers the first stays.
     """
-    front: list[Offer] = []
-    for at, offer in enumerate(offers):
-        rules, place = {*offer.family.rules}, np.array(offer.coordinates)
-        rivals = [
-            (order, np.array(other.coordinates))
-            for order, other in enumerate(offers)
-            if order != at and rules <= {*other.family.rules}
-        ]
-        is_beaten = any(
-            (rival <= place).all() and (rival < place).any() for _, rival in rivals
-        )
-        is_again = any(order < at and (rival == place).all() for order, rival in rivals)
-        if not is_beaten and not is_again:
-            front.append(offer)
-    return front
+    values = np.array([offer.coordinates for offer in offers]).reshape(len(offers), 3)
+    rules = [{*offer.family.rules} for offer in offers]
+    is_rival = np.array(
+        [[own <= others for own in rules] for others in rules], dtype=bool
+    ).reshape(len(offers), len(offers))
+    is_beaten = (beats(values) & is_rival).any(axis=0)
+    is_equal = (values[:, None] == values[None]).all(axis=2)
+    # Above the diagonal: of an earlier offer.
+    is_repeated = np.triu(is_equal & is_rival, k=1).any(axis=0)
+    is_out = (is_beaten | is_repeated).tolist()
+    return [offer for offer, out in zip(offers, is_out, strict=True) if not out]
 
 
 def cheapest(offers: Sequence[Offer]) -> list[Offer]:

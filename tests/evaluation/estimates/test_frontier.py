@@ -1,4 +1,4 @@
-"""Privacy at a price: the front against brute force, values in closed form."""
+"""Privacy at a price: values in closed form."""
 
 from dataclasses import replace
 
@@ -6,28 +6,13 @@ import numpy as np
 import pytest
 from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import PREDICTORS, run
-from hypothesis import given
-from hypothesis import strategies as st
 
-from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, front, frontier
+from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, frontier
 from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
 from evaluation.estimates.strongest import first_half
 from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights
-
-SHARE = st.integers(0, 6).map(float) | st.just(np.nan)
-
-
-@given(st.lists(st.tuples(SHARE, SHARE), max_size=12))
-def test_the_front_is_what_no_other_point_beats(points):
-    beaten = [
-        any(x <= a and y <= b and (x < a or y < b) for x, y in points)
-        or np.isnan(a + b)
-        for a, b in points
-    ]
-    x, y = np.array(points, dtype=float).reshape(-1, 2).T
-    assert front(x, y).tolist() == [not is_beaten for is_beaten in beaten]
 
 
 def table(estimates, **sums):
