@@ -23,14 +23,15 @@ from isac_track.kalman.slow_errors import SlowError
 from isac_track.measurement import error_ellipses, mean_variance, round_errors
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.protocols import AttackContext, Reconstructor
-from isac_track.types import Floats, Knowledge, Reconstruction, Release
+from isac_track.types import Floats, Ints, Knowledge, Reconstruction, Release
 
 _RADIAL_BELOW = -1 / 3
 """Third cumulant of log distances to a smoothed walk, below which errors are radial.
 
 Gaussian errors have -zeta(3) / 4 = -0.30. Radial errors: -2.10 about the walk itself,
-and -0.40 to -0.59 about the smoothed walk.
+and -0.36 to -0.59 about the smoothed walk.
 """
+_BLOCK = 16  # Samples over which the scale of errors hardly changes: 1 to 2 s.
 _LEAST_M = 1e-9
 
 
@@ -177,11 +178,12 @@ def _gaps(release: Release, smoothed: Reconstruction) -> Floats:
 def looks_radial(release: Release) -> bool:
     """Return whether errors are radial, by the distances to smoothed walks.
 
-    The decision rests on the third cumulant of the log distance, about each track's own
-    mean; the scale of the errors does not change it. Where a shape is declared, a
-    distance counts in units of the ellipse. A radial error is often far
-    smaller than sigma, which skews the logarithm to the left; the smoother's own error
-    blurs that. Tracks of fewer than three samples do not count.
+    The decision rests on the third cumulant of the log distance, about the mean of each
+    block of neighbouring samples. The scale of the errors does not change it, nor does
+    a scale that drifts along a track. Where a shape is declared, a distance counts in
+    units of the ellipse. A radial error is often far smaller than sigma, which skews
+    the logarithm to the left; the smoother's own error blurs that. Blocks of fewer than
+    three samples do not count.
     """
     single_pass = _Choice(KalmanRTS.DEFAULT_Q, 1, 0.0)
     gap_m = _gaps(release, smooth_memoised(release, _smooth, single_pass))
@@ -189,7 +191,17 @@ def looks_radial(release: Release) -> bool:
     log_m = 0.5 * np.log(
         np.maximum(square_m2, _LEAST_M**2, out=square_m2), out=square_m2
     )
-    sizes, first = np.diff(release.offsets), release.offsets[:-1]
+    first = _block_starts(release.offsets)
+    sizes = np.diff(first, append=log_m.size)
     log_m -= np.repeat(np.add.reduceat(log_m, first) / sizes, sizes)
     unbiased = ((sizes - 1) * (sizes - 2) / sizes).sum()
     return bool((log_m * log_m * log_m).sum() < _RADIAL_BELOW * unbiased)
+
+
+def _block_starts(offsets: Ints) -> Ints:
+    """Return the first sample of each block of `_BLOCK` samples; tracks begin a block."""
+    n_blocks = -(-np.diff(offsets) // _BLOCK)
+    number = np.arange(n_blocks.sum()) - np.repeat(
+        np.cumsum(n_blocks) - n_blocks, n_blocks
+    )
+    return np.asarray(np.repeat(offsets[:-1], n_blocks) + _BLOCK * number)

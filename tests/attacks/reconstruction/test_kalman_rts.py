@@ -7,6 +7,7 @@ import pytest
 from helpers.sensed import LAWS
 from helpers.walks import context, cv_walks, flat_release
 
+from attacks.reconstruction import kalman_rts
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS, looks_radial
 from isac_track.measurement import shaped_errors
 from isac_track.protocols import TrainingSet
@@ -94,6 +95,26 @@ def test_the_law_shows_whatever_scales_the_errors(law, spread):
     seen = replace(release, xy=truth + sigma[:, None] * sum(drawn))
     turned = replace(seen, xy=seen.xy[:, ::-1] * 0.1 + 50.0, t=seen.t / 3.0)
     assert looks_radial(seen) == looks_radial(turned) == (law != "isotropic")
+
+
+@pytest.mark.parametrize(("law", "bend"), [("radial", 2.0), ("isotropic", -2.0)])
+def test_the_law_shows_where_the_scale_drifts_along_a_track(law, bend):
+    """About a track's own mean the drift would skew the distances to the wrong side."""
+    release, truth = walks("radial")
+    progress = np.tile(np.linspace(0.0, 1.0, N_SAMPLES), N_TRACKS)
+    sigma = release.sigma * np.exp(bend * progress**4)
+    unit = unit_errors(
+        n_samples=release.t.size, law=law, rng=stream(0, "test", "drifting scale")
+    )
+    seen = replace(release, xy=truth + sigma[:, None] * unit)
+    assert looks_radial(seen) == (law == "radial")
+
+
+@pytest.mark.parametrize("n_samples", [1, 2, 15, 16, 17, 40])
+def test_the_blocks_of_a_track_do_not_reach_into_the_next(n_samples):
+    offsets = np.array([0, n_samples, n_samples + 33])
+    expected = [*range(0, n_samples, 16), *range(n_samples, n_samples + 33, 16)]
+    assert kalman_rts._block_starts(offsets).tolist() == expected
 
 
 @pytest.mark.parametrize(("law", "passes"), [("radial", 10), ("isotropic", 1)])
