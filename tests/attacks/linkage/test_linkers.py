@@ -14,6 +14,7 @@ from attacks.linkage.histogram import Histogram
 from attacks.linkage.kinematic import Kinematic
 from attacks.linkage.learning import LEAST_MATES, log_rank
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
+from attacks.reconstruction import kalman_rts
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.types import Knowledge
 
@@ -63,8 +64,13 @@ def test_a_mirror_image_is_somebody_else(attack, easy):
     assert (same > mirrored + 0.5).all()
 
 
+@pytest.mark.parametrize("is_radial", [False, True], ids=["isotropic", "radial"])
 @pytest.mark.parametrize("attack", ALL, ids=name)
-def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training(attack):
+def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training(
+    attack, is_radial, monkeypatch
+):
+    """But for the error law, which shows in all tracks of a release together."""
+    monkeypatch.setattr(kalman_rts, "looks_radial", lambda _release: is_radial)
     probe, gallery = odd_release(0), odd_release(1, n=9)
     train = LinkageTrainingSet(
         odd_release(2, n=24), odd_release(3, n=24), np.arange(24)
