@@ -53,6 +53,8 @@ SHARED_LIMIT_M: Final = 1e10
 """Limit of a shared coordinate or std, ten times that of recordings, safe to square."""
 ESTIMATE_LIMIT_M: Final = 1e12
 """Limit of an estimate, which may lie beyond the shared positions."""
+TIME_TOLERANCE_S: Final = 1e-9
+"""Tolerance of comparisons of times: 4.4 - 3.1 is a little more than 1.3."""
 # Tolerance of a covariance, relative to the larger variance: float32 after many steps.
 _ROUNDING: Final = 1e-5
 

@@ -148,8 +148,10 @@ def _count_logs(answers: _Answers, setup: TrackingSetup) -> Floats:
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
         sent = answers.disclosure.sent(answers.tracks.network.patrol, robots=robots)
         key = np.packbits(sent).tobytes()
+        if answers.disclosure.form == "state":
+            key = answers.disclosure.key(robots=robots)  # A sample has several states.
         if key not in by_log:
-            log = logged_tracks(answers.tracks, answers.disclosure, sent)
+            log = logged_tracks(answers.tracks, answers.disclosure, robots=robots)
             known = known_instants(
                 patrol,
                 log,

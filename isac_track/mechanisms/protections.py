@@ -14,6 +14,7 @@ from numpy.random import Generator
 
 from isac_track.kalman import Batch, kalman_last, planar_last
 from isac_track.measurement import (
+    axis_share,
     axis_variance,
     error_ellipses,
     mean_variance,
@@ -284,13 +285,15 @@ class Forecast:
         raw_m2 = axis_variance(sigma_m=sensed.sigma_raw[sample], law=sensed.law)
         variance = np.maximum(raw_m2, np.finfo(float).tiny)
         filtered = _filter_positions(sensed, sample, variance, offsets, q=self.q)
+        # As the raw error is declared: its standard deviation under the sensor's law.
+        filtered_m2 = mean_variance(filtered.cov) / axis_share(sensed.law)
         cov = None
         if sensed.cov is not None:
             cov = filtered.cov + self.std_m**2 * np.eye(2)
         return Release(
             t=sensed.t[rows],
             xy=filtered.xy + self.std_m * white[rows],
-            sigma=np.hypot(np.sqrt(mean_variance(filtered.cov)), self.std_m),
+            sigma=np.sqrt(filtered_m2 + self.std_m**2),
             cov=cov,
             offsets=np.append(
                 0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))

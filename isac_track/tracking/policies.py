@@ -121,18 +121,20 @@ def forecasts_by_robot(
 
 
 def logged_tracks(
-    tracks: TrackNetwork, disclosure: Disclosure, sent: Bools
+    tracks: TrackNetwork, disclosure: Disclosure, *, robots: Ints
 ) -> SharedTracks:
-    """Return what a log has of each track, of the samples `sent` to its fleet, (S,).
+    """Return what the log of a fleet of `robots` has of each track.
 
     Samples are as they were sent (`Disclosure.sent`). A state gives an entry at every
     scan until the next query, by its position and velocity; a later state replaces an
     earlier one. Tracks without an entry are left out.
     """
     if disclosure.form == "state":
-        return _logged_states(tracks, sent)
+        # By answer, not by sample: a track that coasts has one sample at many queries.
+        is_ours = np.isin(disclosure.robot, robots)
+        return _logged_states(tracks, np.unique(disclosure.presence[is_ours]))
     shared = tracks.shared
-    row = np.flatnonzero(sent)
+    row = np.flatnonzero(disclosure.sent(tracks.network.patrol, robots=robots))
     track = np.searchsorted(shared.release.offsets, row, side="right") - 1
     return _logged(
         shared,
@@ -145,10 +147,12 @@ def logged_tracks(
     )
 
 
-def _logged_states(tracks: TrackNetwork, sent: Bools) -> SharedTracks:
-    """Return the entries of states that were sent, up to the last scan of a track."""
+def _logged_states(tracks: TrackNetwork, rows: Ints) -> SharedTracks:
+    """Return the entries of states that were sent, up to the last scan of a track.
+
+    `rows`, (A,), are the rows of `tracks.live` that the states are of.
+    """
     patrol, live, forecast = tracks.patrol, tracks.live, tracks.network.shared_forecast
-    rows = np.flatnonzero(sent[live.sample])
     n_steps = int(np.diff(patrol.query_scan).max(initial=1))
     steps = np.arange(n_steps)
     scan = patrol.query_scan[live.query[rows]][:, None] + steps

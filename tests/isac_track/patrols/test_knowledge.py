@@ -328,10 +328,15 @@ class TestMap:
         assert np.hypot(*(guesses[0] - (4.0, 0.0))) < EPSILON_M
         assert np.hypot(*(guesses[2] - (0.0, 0.0))) < EPSILON_M
 
-    def test_of_a_single_person_is_the_middle(self):
+    @pytest.mark.parametrize("most_cells", [walked_map._MOST_CELLS, 0.0])
+    def test_of_a_single_person_is_the_middle(self, monkeypatch, most_cells):
+        monkeypatch.setattr(walked_map, "_MOST_CELLS", most_cells)
         xy = np.array([[0.0, 0.0], [2.0, 4.0]])
+        half_cell_m = EPSILON_M / 8.0
         guesses = map_guesses(xy, np.array([0, 2]), group=("a",), epsilon_m=EPSILON_M)
-        np.testing.assert_allclose(guesses, [[1.0, 2.0]], atol=0.1)
+        np.testing.assert_allclose(guesses, [[1.0, 2.0]], atol=half_cell_m)
+        thin = map_guesses(0.0 * xy, [0, 2], group=("a",), epsilon_m=EPSILON_M)
+        np.testing.assert_allclose(thin, [[half_cell_m, half_cell_m]])
 
 
 def test_an_empty_log_is_no_error():

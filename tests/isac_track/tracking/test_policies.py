@@ -90,7 +90,7 @@ def answer(patrol, tracks, policy):
     network = network_of(patrol, tracks)
     disclosure = disclose(network.network, policy)
     sent = disclosure.sent(network.network.patrol, robots=ROBOT)
-    log = logged_tracks(network, disclosure, sent)
+    log = logged_tracks(network, disclosure, robots=ROBOT)
     return log, disclosed_instants(network, sent)
 
 
@@ -192,6 +192,27 @@ def test_states_are_entries_until_the_next_query_or_the_end_of_the_track(patrol)
     truth = patrol.people.xy[rows_of(patrol, 0, 0.0, 7.5)]
     late = log.release.t > 4.0
     np.testing.assert_allclose(log.release.xy[late], truth[log.scan[late]], atol=0.05)
+
+
+def test_a_coasting_track_logs_only_the_states_that_were_sent(patrol):
+    # Detected up to 9.4 s and alive until 12.5 s: queries at 10, 11 and 12 s share the
+    # last sample. Only the state of the first was sent.
+    row = rows_of(patrol, 0, 0.0, 9.4)
+    network = network_of(
+        patrol, shared(patrol, [row], alive=[patrol.scan[row[-1]] + 31])
+    )
+    disclosure = disclose(network.network, State())
+    at_ten = np.flatnonzero(network.live.query[disclosure.presence] == 10)
+    sent = replace(
+        disclosure,
+        **{
+            name: getattr(disclosure, name)[at_ten]
+            for name in ("robot", "presence", "first", "end")
+        },
+    )
+    log = logged_tracks(network, sent, robots=ROBOT)
+    begin, end = patrol.query_scan[10:12]
+    assert log.scan.tolist() == list(range(begin, end))
 
 
 def test_a_flag_sends_nothing_and_warns_of_a_track_of_nobody(patrol):
