@@ -13,12 +13,8 @@ import numpy as np
 
 from isac_track.kalman import kalman_last, planar_last
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.knowledge import (
-    Reports,
-    average_draws,
-    sent_reports,
-    sent_samples,
-)
+from isac_track.patrols.fleet_logs import sent_samples
+from isac_track.patrols.reports import Reports, average_draws, sent_reports
 from isac_track.types import Floats, Ints, stretches
 
 Pseudonyms: TypeAlias = Literal["query", "encounter"]

@@ -22,7 +22,8 @@ from evaluation.compute.sharing import (
 from isac_track.errors import SettingsError
 from isac_track.measurement import scalar_covariance
 from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.patrols.knowledge import Log, fleet_log, state_positions
+from isac_track.patrols.estimators import estimate_positions
+from isac_track.patrols.fleet_logs import Log, fleet_log
 from isac_track.protocols import (
     USUAL,
     WALK_KNOWLEDGE,
@@ -86,7 +87,7 @@ def log_attack(plugin: Plugin) -> LogAttack:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Logs:
-    """The answers of a policy to all fleets, and how positions are stated without."""
+    """The answers of a policy to all fleets, and the guesses without."""
 
     network: Network
     disclosure: Disclosure
@@ -217,9 +218,9 @@ def _count(logs: Logs, log: Log) -> Ints:
     guess = np.repeat(logs.guesses, np.diff(grid.offsets), axis=0)
     counts = []
     for reading in READINGS:
-        stated = state_positions(
-            log, t=grid.t, offsets=grid.offsets, estimator=reading, otherwise=guess
+        estimate = estimate_positions(
+            log, t=grid.t, offsets=grid.offsets, estimator=reading, fallback_xy=guess
         )
-        is_known = squared_lengths(stated - grid.xy) < logs.epsilon_m**2
+        is_known = squared_lengths(estimate - grid.xy) < logs.epsilon_m**2
         counts.append(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
     return np.stack(counts)

@@ -29,7 +29,8 @@ from evaluation.reporting.patrol_words import patrol_sentence
 from isac_track import datasets
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import disclose, share_patrol
-from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrols.estimators import ESTIMATORS
+from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import (
     count_utility,
     foresee,

@@ -16,18 +16,11 @@ from helpers.patrols import (
 from isac_track.measurement import scalar_covariance
 from isac_track.patrols import make_patrol, walked_map
 from isac_track.patrols.answers import disclose
-from isac_track.patrols.knowledge import (
-    ESTIMATORS,
-    Log,
-    Reports,
-    average_draws,
-    fleet_log,
-    guesses_from_map,
-    known_places,
-    nearest_samples,
-    state_positions,
-)
+from isac_track.patrols.estimators import ESTIMATORS, estimate_positions
+from isac_track.patrols.fleet_logs import Log, fleet_log
+from isac_track.patrols.knowledge import guesses_from_map, known_places, nearest_samples
 from isac_track.patrols.metrics import knowledge_metrics
+from isac_track.patrols.reports import Reports, average_draws
 from isac_track.patrols.walked_map import map_guesses
 from isac_track.policies.samples import Ahead, Everything, Near, RandomPeople
 from isac_track.policies.summaries import Flag, State
@@ -47,7 +40,9 @@ def know_places(network, policy, *, epsilon_m=EPSILON_M):
 
 def positions_on_grid(log, patrol, **options):
     """Estimated positions at all instants of the grid of a patrol."""
-    return state_positions(log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options)
+    return estimate_positions(
+        log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options
+    )
 
 
 def shares(known):
@@ -159,7 +154,7 @@ class TestEstimators:
     def test_the_smoother_is_the_mean_of_the_dense_posterior(self, crowd, policy):
         log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
         estimate = positions_on_grid(
-            log, crowd.patrol, estimator="smooth", otherwise=np.zeros(grid.xy.shape)
+            log, crowd.patrol, estimator="smooth", fallback_xy=np.zeros(grid.xy.shape)
         )
         people = np.flatnonzero(np.diff(log.offsets) > 0)
         assert people.size > 3
@@ -188,7 +183,7 @@ class TestEstimators:
                 replace(log, xy=xy),
                 patrol,
                 estimator="extrapolate",
-                otherwise=np.zeros(patrol.grid.xy.shape),
+                fallback_xy=np.zeros(patrol.grid.xy.shape),
             )
             for xy in (log.xy, moved)
         )
@@ -204,9 +199,11 @@ class TestEstimators:
     @pytest.mark.parametrize("policy", [Near(3.0), Ahead(1.5), RandomPeople(0.2)])
     def test_lines_and_held_places_are_those_of_a_plain_loop(self, crowd, policy):
         log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
-        otherwise = np.full(grid.xy.shape, 99.0)
+        fallback_xy = np.full(grid.xy.shape, 99.0)
         lines, held = (
-            positions_on_grid(log, crowd.patrol, estimator=name, otherwise=otherwise)
+            positions_on_grid(
+                log, crowd.patrol, estimator=name, fallback_xy=fallback_xy
+            )
             for name in ("interpolate", "hold")
         )
         for person in range(len(grid)):
@@ -344,12 +341,12 @@ def test_an_empty_log_is_no_error():
     nothing = Log(
         np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(2, int)
     )
-    otherwise = np.ones(patrol.grid.xy.shape)
+    fallback_xy = np.ones(patrol.grid.xy.shape)
     for name in ESTIMATORS:
         estimate = positions_on_grid(
-            nothing, patrol, estimator=name, otherwise=otherwise
+            nothing, patrol, estimator=name, fallback_xy=fallback_xy
         )
-        np.testing.assert_array_equal(estimate, otherwise)
+        np.testing.assert_array_equal(estimate, fallback_xy)
 
 
 def test_a_map_of_walked_cells_alone_gives_the_same_guesses(monkeypatch):
@@ -438,11 +435,11 @@ class TestShapes:
             fleet_log(network, disclose(network, policy), robots=np.arange(3))
             for network in (crowd, with_shapes(crowd, ratio=1.0))
         ]
-        otherwise = np.zeros_like(crowd.patrol.grid.xy)
+        fallback_xy = np.zeros_like(crowd.patrol.grid.xy)
         for estimator in ESTIMATORS:
             expected, got = (
                 positions_on_grid(
-                    log, crowd.patrol, estimator=estimator, otherwise=otherwise
+                    log, crowd.patrol, estimator=estimator, fallback_xy=fallback_xy
                 )
                 for log in logs
             )
@@ -482,12 +479,12 @@ class TestShapes:
             cov=cov,
         )
         at_s = np.array([0.2, 1.5, 3.0])
-        got = state_positions(
+        got = estimate_positions(
             log,
             t=at_s,
             offsets=np.array([0, 3]),
             estimator=estimator,
-            otherwise=np.zeros((3, 2)),
+            fallback_xy=np.zeros((3, 2)),
         )
         for row, now_s in enumerate(at_s):
             used = t <= now_s if estimator == "extrapolate" else t >= 0.0
