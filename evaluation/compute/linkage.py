@@ -28,22 +28,13 @@ from evaluation.compute.candidates import (
 )
 from evaluation.compute.link_scores import (
     LinkResult,
+    evaluate_links,
+    fit_calibration,
     fit_score_scale,
-    fit_scores,
     match_pairs,
-    score_links,
 )
-from evaluation.compute.link_setup import (
-    SIDES,
-    FoldPairings,
-    Pairing,
-    SensedSessions,
-)
-from evaluation.compute.sharing import (
-    declared,
-    hide_sigma,
-    reconstructed,
-)
+from evaluation.compute.link_setup import SIDES, FoldPairings, Pairing, SensedSessions
+from evaluation.compute.sharing import declared, hide_sigma, reconstructed
 from evaluation.compute.tables import (
     DESCRIPTORS,
     ON_TRIAL,
@@ -233,7 +224,7 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
             (score(*view.pair_windows(pairing)), pairing)
             for pairing in pairings.calibrates
         ]
-        if (fold_calibration := fit_scores(calibrating)) is not None:
+        if (fold_calibration := fit_calibration(calibrating)) is not None:
             calibration[fold] = fold_calibration
         is_open = setup.sessions.task.is_open
         scale = fit_score_scale(calibrating) if is_open else None
@@ -242,12 +233,12 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
                 matched[number] = match_pairs(
                     scores[number], scale=scale, mate_rate=pairings.mate_rate
                 )
-    return score_links(
+    return evaluate_links(
         scores,
         setup=setup,
         calibration=calibration,
         matched=matched,
-        drawn_from=(consumer.spec, consumer.adversary),
+        attack_names=(consumer.spec, consumer.adversary),
     )
 
 
@@ -312,7 +303,7 @@ def bound(level: LinkedLevel, motion: Motion | None) -> LinkResult:
                 )
             )
         scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
-    return score_links(scores, setup=setup, drawn_from=(BOUND,))
+    return evaluate_links(scores, setup=setup, attack_names=(BOUND,))
 
 
 def _lag_distribution(sessions: Sessions) -> tuple[Floats, Floats]:
@@ -355,7 +346,7 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
         [result.exact - result.approximate for result in results.values()]
     )
     scores = {number: result.scores for number, result in results.items()}
-    return score_links(scores, setup=setup, drawn_from=name, losses=losses)
+    return evaluate_links(scores, setup=setup, attack_names=name, losses=losses)
 
 
 def _score_untrained(
@@ -371,8 +362,8 @@ def _link_control(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return what a control links: it learns nothing and knows what is declared."""
     control, rng = CONTROLS[consumer.control], _control_stream(consumer, level)
     scores = _control_scores(control, level, rng)
-    return score_links(
-        scores, setup=level.setup, drawn_from=rng, is_audit=control.is_audit
+    return evaluate_links(
+        scores, setup=level.setup, control_rng=rng, is_audit=control.is_audit
     )
 
 

@@ -25,8 +25,8 @@ from evaluation.compute import (
 )
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
-from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
+from evaluation.compute.link_tables import linkage_tables
 from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
 from evaluation.plan.fingerprint import OURS
 from evaluation.plan.world import OWN_WORLD, World

@@ -49,7 +49,12 @@ _SECTIONS: Final = {
         *_COMMON,
     ),
 }
-_LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
+_LINKAGE: Final = (
+    "evaluation.compute.linkage",
+    "evaluation.compute.link_tables",
+    "attacks.tasks.build",
+    *_COMMON,
+)
 _COMPUTES_NOTHING: Final = re.compile(
     r"evaluation|evaluation\.plan\.presets|isac_track\.plugins"
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"

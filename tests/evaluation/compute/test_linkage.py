@@ -31,8 +31,8 @@ from attacks.tasks.controls import CONTROLS
 from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
-from evaluation.compute.link_scores import DERIVED, linkage_tables
 from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_tables import DERIVED, linkage_tables
 from evaluation.estimates import linkability
 from evaluation.plan.axes import Consumer, axes
 from evaluation.plan.presets import PRESETS

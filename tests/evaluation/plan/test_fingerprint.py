@@ -120,6 +120,7 @@ SOURCES = {
         "isac_track.linkability._loops",
         "attacks.tasks.build",
         "evaluation.compute.link_scores",
+        "evaluation.compute.link_tables",
     ),
     (): (
         "evaluation.plan.presets",
