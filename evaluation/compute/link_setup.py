@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from attacks.tasks.sessions import Sessions
-from evaluation.compute.sharing import FAR_M, LONG_S, Frame
+from evaluation.compute.frames import FAR_M, LONG_S, Frame
 from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulate_walks

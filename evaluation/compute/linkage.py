@@ -26,6 +26,8 @@ from evaluation.compute.candidates import (
     among_candidates,
     first_stage,
 )
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.link_scores import (
     LinkResult,
     evaluate_links,
@@ -34,7 +36,7 @@ from evaluation.compute.link_scores import (
     match_pairs,
 )
 from evaluation.compute.link_setup import SIDES, FoldPairings, Pairing, SensedSessions
-from evaluation.compute.sharing import declared, hide_sigma, reconstructed
+from evaluation.compute.sharing import call_attack, declared_knowledge
 from evaluation.compute.tables import (
     DESCRIPTORS,
     ON_TRIAL,
@@ -46,6 +48,7 @@ from evaluation.compute.tables import (
     track_means,
 )
 from evaluation.plan.constants import BOUND
+from evaluation.plan.fingerprint import is_user_plugin
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch
@@ -157,7 +160,7 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
         )
         samples = sharing.samples_shared(release, sensed)
         if samples is not None:
-            windows = sharing.restricted(getattr(full_setup.sessions, side), samples)
+            windows = sharing.take_samples(getattr(full_setup.sessions, side), samples)
             setup = replace(setup, sessions=replace(setup.sessions, **{side: windows}))
         shared.append(release)
         if full_setup.frames:
@@ -188,7 +191,7 @@ def level_of_releases(
     )
 
 
-def sees_times_alone(consumer: Consumer, level: LinkedLevel) -> bool:
+def sees_times_only(consumer: Consumer, level: LinkedLevel) -> bool:
     """Whether a control has the same result at all levels that leave out no sample."""
     is_control = (
         consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
@@ -203,7 +206,7 @@ def view_key(consumer: Consumer) -> tuple[str, str]:
     """
     if consumer.reconstruction is None:
         return "", ""
-    granted = consumer.granted & declared(consumer.reconstruction)
+    granted = consumer.granted & declared_knowledge(consumer.reconstruction)
     return consumer.reconstruction.spec, ",".join(sorted(item.name for item in granted))
 
 
@@ -404,13 +407,13 @@ def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
     """Return both releases as a linker sees them: smoothed behind a smoother."""
     reconstruction, shows = consumer.reconstruction, consumer.granted
     if consumer.plugin is not None:
-        shows &= declared(consumer.plugin)
+        shows &= declared_knowledge(consumer.plugin)
     if reconstruction is None:
         return level.view_for(shows)
-    granted = consumer.granted & declared(reconstruction)
+    granted = consumer.granted & declared_knowledge(reconstruction)
     # Built-in attacks draw nothing: without training they are the same in both folds.
-    is_built_in = reconstruction.origin.startswith(sharing.OURS)
-    is_same_in_folds = Knowledge.TRAIN not in granted and is_built_in
+    may_draw = is_user_plugin(reconstruction)
+    is_same_in_folds = Knowledge.TRAIN not in granted and not may_draw
     key_fold = None if is_same_in_folds else fold
     key = (Knowledge.SIGMA in shows, reconstruction.spec, granted, key_fold)
     if key not in level.views:
@@ -445,21 +448,21 @@ def _smoothed_view(
 ) -> _View:
     """Return both releases with the positions that a reconstruction estimates."""
     name, setup = f"attack {reconstruction.spec} (behind {consumer.label})", level.setup
-    granted = consumer.granted & declared(reconstruction)
+    granted = consumer.granted & declared_knowledge(reconstruction)
     view = level.view_for(granted)
     learns, train = setup.folds[fold].learns, None
     if learns.probe.size:
         samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
         truth = _true_walks(level, 0)[samples.rows]
         probe, _ = view.pair_windows(learns)
-        train = TrainingSet(sharing.copy_for_user_plugin(probe, reconstruction), truth)
+        train = TrainingSet(copy_for_user_plugin(probe, reconstruction), truth)
     names = ("attacks", reconstruction.spec, "linkage", level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
-    attack = sharing.guarded(name, lambda: reconstruction.instance.fit(context))
+    attack = guarded(name, lambda: reconstruction.instance.fit(context))
     smoothed, claimed_std = list[Release](), []
     for release, visible in zip(level.seen.releases, view.releases, strict=True):
-        result = reconstructed(
-            attack, sharing.copy_for_user_plugin(visible, reconstruction), name=name
+        result = call_attack(
+            attack, copy_for_user_plugin(visible, reconstruction), name=name
         )
         smooth = hide_sigma(derived(release, xy=result.xy), shows)
         smoothed.append(record_shared(smooth, visible))
@@ -483,7 +486,7 @@ def _fitted_linker(
     assert consumer.plugin is not None
     plugin, setup, name = consumer.plugin, level.setup, f"attack {consumer.label}"
     view = _linker_view(consumer, level, fold)
-    granted = consumer.granted & declared(plugin)
+    granted = consumer.granted & declared_knowledge(plugin)
     learns = setup.folds[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
@@ -494,13 +497,13 @@ def _fitted_linker(
                 "use a recording of more people or leave the attack out"
             )
         probe, gallery = (
-            sharing.copy_for_user_plugin(release, plugin)
+            copy_for_user_plugin(release, plugin)
             for release in view.pair_windows(learns)
         )
         train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
     names = ("attacks", consumer.spec, consumer.adversary, level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
-    attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
+    attack = guarded(name, lambda: plugin.instance.fit(context))
     return partial(score_releases, attack, plugin=plugin, name=name), view
 
 
@@ -517,10 +520,8 @@ def score_releases(
     Raises PluginError if the linker raises or returns anything else; the message says
     its `name`.
     """
-    shown = [
-        sharing.copy_for_user_plugin(release, plugin) for release in (probe, gallery)
-    ]
-    result = sharing.guarded(name, lambda: attack(*shown))
+    shown = [copy_for_user_plugin(release, plugin) for release in (probe, gallery)]
+    result = guarded(name, lambda: attack(*shown))
     if np.ma.isMaskedArray(result):
         raise PluginError(
             f"{name} must return a score for every pair, got a masked array"

@@ -13,12 +13,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from attacks.following.logs import first_half
-from evaluation.compute.sharing import (
-    copy_for_user_plugin,
-    guarded,
-    hide_sigma,
-    reconstructed,
-)
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copy_for_user_plugin, guarded
+from evaluation.compute.sharing import call_attack
 from isac_track.errors import SettingsError
 from isac_track.measurement import scalar_covariance
 from isac_track.noise import MIN_VARIANCE_M2
@@ -177,7 +174,7 @@ def _attacked(
         return log
     plugin = attack.plugin
     release = hide_sigma(_as_release(network, log, rows, offsets), attack.granted)
-    rebuilt = reconstructed(
+    rebuilt = call_attack(
         reconstruct,
         copy_for_user_plugin(release, plugin),
         name=f"attack {plugin.spec!r}",

@@ -16,7 +16,7 @@ from numpy.random import Generator
 
 from attacks.following.logs import Following, follow_fleets
 from evaluation.compute.current_cell import note_cell
-from evaluation.compute.sharing import copy_for_user_plugin, guarded
+from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.tables import ROWS
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.fingerprint import is_user_plugin

@@ -16,14 +16,10 @@ import numpy as np
 
 from evaluation.compute import sharing
 from evaluation.compute.current_cell import note_cell
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copied, guarded
 from evaluation.compute.linkage import score_releases
-from evaluation.compute.work import (
-    Block,
-    PatrolWork,
-    TrackingWork,
-    Work,
-    compute_cells,
-)
+from evaluation.compute.work import Block, PatrolWork, TrackingWork, Work, compute_cells
 from isac_track import plugins
 from isac_track.errors import PluginError, code_at, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
@@ -222,12 +218,12 @@ def _call_linker(
     """Let a linker link two releases of the same people, on whom it is also trained."""
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
-    granted = consumer.granted & sharing.declared(plugin)
+    granted = consumer.granted & sharing.declared_knowledge(plugin)
     releases = (
         sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)
     )
-    probe, gallery = (sharing.hide_sigma(release, granted) for release in releases)
-    copies = sharing.copied(probe), sharing.copied(gallery)
+    probe, gallery = (hide_sigma(release, granted) for release in releases)
+    copies = copied(probe), copied(gallery)
     context = AttackContext(
         rng=stream(_SEED, "attacks", "trial"),
         epsilon_m=stages.privacy.epsilon_m,
@@ -237,7 +233,7 @@ def _call_linker(
     )
     name = f"attack {consumer.label}"
     started_s = process_time()
-    attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
+    attack = guarded(name, lambda: plugin.instance.fit(context))
     score_releases(attack, probe, gallery, plugin=plugin, name=name)
     return _CallTime(process_time() - started_s, len(probe) * len(gallery) / 1e6)
 

@@ -18,14 +18,10 @@ import numpy as np
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.compute import sharing
 from evaluation.compute.companions import companion_release
+from evaluation.compute.frames import Frame, adversary_view, hide_sigma
+from evaluation.compute.guards import copied, copy_for_user_plugin, guarded
 from evaluation.compute.model_walks import sensed_scenes
-from evaluation.compute.sharing import (
-    SHOWS,
-    Frame,
-    adversary_view,
-    hide_sigma,
-    reconstructed,
-)
+from evaluation.compute.sharing import SHOWS, call_attack
 from evaluation.compute.tables import Rows, described_rows, track_columns
 from evaluation.compute.track_bounds import benchmark, genie_plr
 from evaluation.plan.constants import MOST_SCENES
@@ -224,7 +220,7 @@ def attacked_level(
     )
     key = (mechanism.spec, "scene", int(block.scenes.index[0]), "part")
     samples = sharing.samples_shared(release, block.sensed)
-    scenes = sharing.restricted(block.scenes, samples)
+    scenes = sharing.take_samples(block.scenes, samples)
     victims = tuple(_victims(scenes, release, half) for half in block.halves)
     visible = {consumer.granted & SHOWS for consumer in consumers}
     training: dict[HalfAsSeen, TrainingSet] = {}
@@ -243,7 +239,7 @@ def attacked_level(
     companions: tuple[Release, ...] = ()
     if Knowledge.COMPANIONS in granted:
         companions = (_companions(mechanism, block),)
-    sensed = sharing.restricted(block.sensed, samples)
+    sensed = sharing.take_samples(block.sensed, samples)
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
@@ -307,7 +303,7 @@ def _training_sets(
             mechanism, others.sensed, "training", fold, seed=block.seed
         )
         samples = sharing.samples_shared(shared, others.sensed)
-        truth_m = sharing.restricted(others.walks, samples).xy
+        truth_m = sharing.take_samples(others.walks, samples).xy
         views = _views(shared, visible, *key, fold, "training", seed=block.seed)
         for knowledge, view in views:
             training[HalfAsSeen(fold, knowledge)] = TrainingSet(
@@ -410,9 +406,9 @@ def _attack_half(
         if attack is None or granted & WALK_KNOWLEDGE:
             context = _context(consumer, level, fold=fold, victims=part, frame=frame)
             fit = partial(consumer.plugin.instance.fit, context)
-            attack = sharing.guarded(name, fit)
-        rebuilt = reconstructed(
-            attack, sharing.copy_for_user_plugin(shown, consumer.plugin), name=name
+            attack = guarded(name, fit)
+        rebuilt = call_attack(
+            attack, copy_for_user_plugin(shown, consumer.plugin), name=name
         )
         # Only the correction is turned back: positions that the attack leaves as they
         # are stay the same bit by bit.
@@ -450,7 +446,7 @@ def _context(
     granted, seed = consumer.granted, level.block.seed
     train = level.training.get(HalfAsSeen(fold, granted & SHOWS))
     if train is not None and not consumer.is_built_in:
-        train = TrainingSet(sharing.copied(train.release), train.truth.copy())
+        train = TrainingSet(copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:
         raise DataError(
             f"attack {consumer.spec!r} needs other people to train on, but all tracks"

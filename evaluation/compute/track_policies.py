@@ -12,13 +12,9 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.compute.current_cell import note_cell
-from evaluation.compute.sharing import guarded
+from evaluation.compute.guards import guarded
 from evaluation.compute.tables import ROWS
-from evaluation.compute.tracking import (
-    count_horizons,
-    place_rows,
-    robot_tables,
-)
+from evaluation.compute.tracking import count_horizons, place_rows, robot_tables
 from isac_track.patrols import horizon_scans
 from isac_track.patrols.answers import disclose
 from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
@@ -33,11 +29,7 @@ from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.compute.tracking import (
-        CountsByHorizon,
-        SharedSeed,
-        TrackingSetup,
-    )
+    from evaluation.compute.tracking import CountsByHorizon, SharedSeed, TrackingSetup
     from evaluation.plan.axes import Consumer
     from isac_track.patrols.answers import Disclosure
     from isac_track.plugins import Plugin

@@ -16,7 +16,7 @@ import numpy as np
 
 from attacks.following.tracks import TrackFollowing, follow_tracks
 from evaluation.compute.current_cell import note_cell
-from evaluation.compute.sharing import copy_for_user_plugin, guarded
+from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.tables import ROWS
 from isac_track.config import LINK
 from isac_track.patrols import horizon_scans, make_patrol, query_scans, sense_people

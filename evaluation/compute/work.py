@@ -275,13 +275,13 @@ def _linkage_cells(
                 if setup.n_candidates:
                     # Thousands of people: forget all that was made of the level.
                     level = linkage.linked_level(mechanism, setup)
-            sees_only_times = linkage.sees_times_alone(consumer, level)
-            tables = shared_tables.get(consumer.label) if sees_only_times else None
+            sees_times_only = linkage.sees_times_only(consumer, level)
+            tables = shared_tables.get(consumer.label) if sees_times_only else None
             if tables is None:
                 tables = _linkage_tables(
                     consumer, level, setup, motion=motion, keep_scores=work.keep_scores
                 )
-            if sees_only_times:
+            if sees_times_only:
                 shared_tables[consumer.label] = tables
             yield FinishedCell(0, mechanism, consumer, tables)
 
@@ -322,7 +322,7 @@ def _scene_cells(
         # Nothing of the level before stays in memory.
         level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
-        shared_scenes = sharing.restricted(
+        shared_scenes = sharing.take_samples(
             scenes, sharing.samples_shared(release, sensed)
         )
         for consumer in consumers:

@@ -32,6 +32,8 @@ _COMMON: Final = (
     "isac_track.place",
     "isac_track.scenes",
     "isac_track.sensing",
+    "evaluation.compute.frames",
+    "evaluation.compute.guards",
     "evaluation.compute.sharing",
     "evaluation.compute.tables",
 )

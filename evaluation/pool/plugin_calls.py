@@ -16,7 +16,7 @@ from evaluation.compute.plugin_call import (
     defined_at,
     plugin_code,
 )
-from evaluation.compute.sharing import declared
+from evaluation.compute.sharing import declared_knowledge
 from evaluation.plan.fingerprint import has_user_plugins, is_user_plugin
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.pieces import unfinished
@@ -156,7 +156,7 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
                         kind="attack",
                         plugin=plugin,
                         reconstruction=None,
-                        granted=consumer.granted & declared(plugin),
+                        granted=consumer.granted & declared_knowledge(plugin),
                     )
                 # Blind comes before informed, and that before oracle.
                 calls[caller.kind, plugin.spec] = PluginCall(plugin, caller)

@@ -15,7 +15,7 @@ from helpers.small_runs import single_process
 from helpers.walkers import walkers
 
 from evaluation import matrix
-from evaluation.compute.sharing import guarded
+from evaluation.compute.guards import guarded
 from isac_track.command_line import check_interrupt, exit_code
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from helpers.cells import STAGES, World, parsed
 
-from evaluation.compute.sharing import Frame, adversary_view, share
+from evaluation.compute.frames import Frame, adversary_view
+from evaluation.compute.sharing import share
 from evaluation.compute.track_bounds import benchmark
 from evaluation.plan.axes import Axes
 from isac_track import plugins

@@ -107,6 +107,8 @@ SOURCES = {
     SECTIONS: (
         "isac_track.sensing",
         "isac_track.datasets.read_table",
+        "evaluation.compute.frames",
+        "evaluation.compute.guards",
         "evaluation.compute.sharing",
         "isac_track.privacy",
         "isac_track.conflict",
