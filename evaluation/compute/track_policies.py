@@ -138,7 +138,9 @@ def _count_logs(answers: _Answers, setup: TrackingSetup) -> Floats:
     total = np.zeros((len(LOG_COLUMNS[2:]), blocks.n))
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        sent = answers.disclosure.sent(answers.tracks.network.patrol, robots=robots)
+        sent = answers.disclosure.sent_mask(
+            answers.tracks.network.patrol, robots=robots
+        )
         key = np.packbits(sent).tobytes()
         if answers.disclosure.form == "state":
             key = answers.disclosure.key(robots=robots)  # A sample has several states.

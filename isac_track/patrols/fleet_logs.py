@@ -39,7 +39,7 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
     """
     people = network.patrol.people
     if disclosure.form == "state":
-        sent = disclosure.sent(network.patrol, robots=robots)
+        sent = disclosure.sent_mask(network.patrol, robots=robots)
         sample, reports = _state_entries(network, sent)
     else:
         row = _sent_rows(network, disclosure, robots)
@@ -58,21 +58,21 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
 
 
 def _sent_rows(network: Network, disclosure: Disclosure, robots: Ints) -> Ints:
-    """Return the rows of `network.sent` that robots were sent, (L,), ascending."""
+    """Return the rows of `network.sent_release` that robots were sent, (L,), ascending."""
     is_ours = np.isin(disclosure.robot, robots)
     begins = network.sent_rows(disclosure.presence[is_ours], disclosure.first[is_ours])
     sizes = disclosure.end[is_ours] - disclosure.first[is_ours]
-    change = np.zeros(network.sent.t.size + 1, dtype=np.int64)
+    change = np.zeros(network.sent_release.t.size + 1, dtype=np.int64)
     np.add.at(change, begins, 1)
     np.add.at(change, begins + sizes, -1)
     return np.flatnonzero(np.cumsum(change[:-1]) > 0)
 
 
 def sent_samples(network: Network, row: Ints) -> Ints:
-    """Return the samples of the patrol at rows of `network.sent`, (L,)."""
+    """Return the samples of the patrol at rows of `network.sent_release`, (L,)."""
     if network.histories is None:
         return row
-    offsets, pairs = network.sent.offsets, network.patrol.presences
+    offsets, pairs = network.sent_release.offsets, network.patrol.presences
     presence = np.searchsorted(offsets, row, side="right") - 1
     first = network.patrol.people.offsets[pairs.person[presence]]
     return np.asarray(first + row - offsets[presence])

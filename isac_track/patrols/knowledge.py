@@ -72,7 +72,7 @@ def known_places(
     fleets = []
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        sent = disclosure.sent(patrol, robots=robots)
+        sent = disclosure.sent_mask(patrol, robots=robots)
         key = np.packbits(sent).tobytes()
         if network.histories is not None:
             key = disclosure.key(robots=robots)  # An answer has errors of its own.

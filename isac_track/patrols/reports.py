@@ -98,8 +98,8 @@ def _average_covs(group: Ints, reports: Reports, n_groups: int) -> Reports:
 
 
 def sent_reports(network: Network) -> Reports:
-    """Return the rows of `network.sent`, with declared or estimated errors."""
-    return _reports(network, network.sent)
+    """Return the rows of `network.sent_release`, with declared or estimated errors."""
+    return _reports(network, network.sent_release)
 
 
 def released_reports(network: Network) -> Reports:

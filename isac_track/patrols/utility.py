@@ -184,7 +184,7 @@ def _forecast_samples(
     runs, starts = stretches(begin[chosen], n_runs[chosen])
     begins = network.sent_rows(presence[runs], disclosure.first[runs])
     forecast = forecast_runs(
-        network.sent,
+        network.sent_release,
         first=begins,
         end=begins + disclosure.end[runs] - disclosure.first[runs],
         track=np.repeat(np.arange(chosen.size), np.diff(starts)),

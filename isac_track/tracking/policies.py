@@ -125,7 +125,7 @@ def logged_tracks(
 ) -> SharedTracks:
     """Return what the log of a fleet of `robots` has of each track.
 
-    Samples are as they were sent (`Disclosure.sent`). A state gives an entry at every
+    Samples are as they were sent (`Disclosure.sent_mask`). A state gives an entry at every
     scan until the next query, by its position and velocity; a later state replaces an
     earlier one. Tracks without an entry are left out.
     """
@@ -134,7 +134,7 @@ def logged_tracks(
         is_ours = np.isin(disclosure.robot, robots)
         return _logged_states(tracks, np.unique(disclosure.presence[is_ours]))
     shared = tracks.shared
-    row = np.flatnonzero(disclosure.sent(tracks.network.patrol, robots=robots))
+    row = np.flatnonzero(disclosure.sent_mask(tracks.network.patrol, robots=robots))
     track = np.searchsorted(shared.release.offsets, row, side="right") - 1
     return _logged(
         shared,

@@ -246,7 +246,7 @@ class TestCounts:
         for fleet in range(3):
             sent = np.any(
                 [
-                    disclosure.sent(network.patrol, robots=np.array([robot]))
+                    disclosure.sent_mask(network.patrol, robots=np.array([robot]))
                     for robot in range(3 * fleet, 3 * fleet + 3)
                 ],
                 axis=0,
@@ -266,7 +266,7 @@ class TestCounts:
             if robot == 1:
                 sent[first:end] = True
         np.testing.assert_array_equal(
-            disclosure.sent(crowd.patrol, robots=np.array([1])), sent
+            disclosure.sent_mask(crowd.patrol, robots=np.array([1])), sent
         )
 
     def test_the_nearest_sample_is_nearest(self, crowd):
@@ -385,10 +385,12 @@ def networks(request):
 class TestErrorsOfEveryQuery:
     def test_an_answer_repeats_a_sample_with_another_error(self, networks):
         network = networks["query"]
-        pairs, offsets = network.patrol.presences, network.sent.offsets
+        pairs, offsets = network.patrol.presences, network.sent_release.offsets
         both = np.flatnonzero(pairs.person == pairs.person[0])[:2]
         n_common = np.diff(offsets)[both[0]]
-        first, second = (network.sent.xy[offsets[row] :][:n_common] for row in both)
+        first, second = (
+            network.sent_release.xy[offsets[row] :][:n_common] for row in both
+        )
         assert n_common > 0
         assert (first != second).all()
 

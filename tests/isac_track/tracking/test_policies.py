@@ -89,7 +89,7 @@ def answer(patrol, tracks, policy):
     """The log of a policy's answers, and the disclosed instants."""
     network = network_of(patrol, tracks)
     disclosure = disclose(network.network, policy)
-    sent = disclosure.sent(network.network.patrol, robots=ROBOT)
+    sent = disclosure.sent_mask(network.network.patrol, robots=ROBOT)
     log = logged_tracks(network, disclosure, robots=ROBOT)
     return log, disclosed_instants(network, sent)
 
