@@ -657,6 +657,15 @@ def positive(name: str, value: float, *, finite: bool = True) -> float:
     return float(value)
 
 
+def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
+    """Raise ValueError if a parameter is below `least` or not finite.
+
+    `name` and `unit`, such as ``" m"``, are for the message.
+    """
+    if not (np.isfinite(value) and value >= least):
+        raise ValueError(f"{name} must be {least}{unit} or more, got {value}")
+
+
 def check_offsets(offsets: Ints, n_samples: int) -> None:
     """Raise ValueError unless offsets cut the samples into tracks, none empty."""
     if offsets.size == 0 or offsets[0] != 0 or offsets[-1] != n_samples:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from attacks.tasks.sessions import Windows
-from evaluation.plan.fingerprint import is_user_plugin
+from evaluation.plan.origins import is_user_plugin
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, error_text, raised_at
 from isac_track.types import Release, Scenes, Sensed, derived

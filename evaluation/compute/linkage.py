@@ -48,7 +48,7 @@ from evaluation.compute.tables import (
     track_means,
 )
 from evaluation.plan.constants import BOUND
-from evaluation.plan.fingerprint import is_user_plugin
+from evaluation.plan.origins import is_user_plugin
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
 from isac_track.kalman import Batch

@@ -19,7 +19,7 @@ from evaluation.compute.current_cell import note_cell
 from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.tables import ROWS
 from evaluation.plan.constants import ORACLE
-from evaluation.plan.fingerprint import is_user_plugin
+from evaluation.plan.origins import is_user_plugin
 from isac_track.errors import PluginError, SettingsError
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import (

@@ -17,7 +17,8 @@ from evaluation.compute.plugin_call import (
     plugin_code,
 )
 from evaluation.compute.sharing import declared_knowledge
-from evaluation.plan.fingerprint import has_user_plugins, is_user_plugin
+from evaluation.plan.fingerprint import has_user_plugins
+from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.pieces import unfinished
 from evaluation.pool.workers import spread

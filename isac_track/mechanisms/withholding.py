@@ -11,8 +11,15 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.mechanisms.perturb import check_at_least, perturb
-from isac_track.types import TIME_TOLERANCE_S, Adding, Release, Sensed, positive
+from isac_track.mechanisms.perturb import perturb
+from isac_track.types import (
+    TIME_TOLERANCE_S,
+    Adding,
+    Release,
+    Sensed,
+    check_at_least,
+    positive,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,13 +8,8 @@ from helpers.sensed import sensed as sensed_walks
 from scipy import stats
 
 from isac_track.kalman import Batch, kalman_last
-from isac_track.mechanisms.protections import (
-    Forecast,
-    Laplace,
-    Ou,
-    OuFid,
-    session_errors,
-)
+from isac_track.mechanisms.error_paths import session_errors
+from isac_track.mechanisms.protections import Forecast, Laplace, Ou, OuFid
 from isac_track.sharing import fid_d_sigma
 
 N_WALKS, TAU_S = 1500, 2.0
