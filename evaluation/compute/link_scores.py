@@ -83,7 +83,9 @@ def evaluate_links(
         n_shuffles=AUDIT_SHUFFLES if is_audit else SHUFFLES,
     )
     scorecard = _with_known_estimates(
-        scorecard, is_assigned=is_assigned, comes_back=sessions.task.comes_back
+        scorecard,
+        is_assigned=is_assigned,
+        links_returning_people=sessions.task.links_returning_people,
     )
     is_control = control_rng is not None
     return LinkResult(
@@ -148,7 +150,7 @@ def _make_searches(
 
 
 def _with_known_estimates(
-    scorecard: linkability.Scorecard, *, is_assigned: bool, comes_back: bool
+    scorecard: linkability.Scorecard, *, is_assigned: bool, links_returning_people: bool
 ) -> linkability.Scorecard:
     """Return a scorecard without unknown assignments, exact for few people."""
     estimates = dict(scorecard.estimates)
@@ -156,7 +158,7 @@ def _with_known_estimates(
         for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
             unknown = np.full_like(estimates[name].replicates, np.nan)
             estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
-    if comes_back:  # a single outcome per person, and few people
+    if links_returning_people:  # a single outcome per person, and few people
         # Ties leave fractions of hits.
         hits = int(estimates["rank1"].value * scorecard.n_mated + 1e-9)
         low, high = exact_binomial(hits=hits, n=scorecard.n_mated)

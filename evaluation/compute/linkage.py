@@ -356,7 +356,7 @@ def _score_untrained(
     attack: LinkageAttack, level: LinkedLevel, view: _View, pairing: Pairing
 ) -> Floats:
     """Return the scores of a built-in linker that knows what the task grants to all."""
-    granted = attack.requires & level.setup.sessions.task.everyone
+    granted = attack.requires & level.setup.sessions.task.granted_to_all
     linker = attack.fit(level.context(granted, "linkage", "untaught"))
     return linker(*view.pair_windows(pairing))
 
@@ -383,14 +383,18 @@ def _control_scores(
     setup = level.setup
     task, scores = setup.sessions.task, dict[int, Floats]()
     score = control.scorer(task)
-    probe_about = setup.sessions.probe.about
-    gallery_about = setup.sessions.gallery.about
+    probe_circumstances = setup.sessions.probe.circumstances
+    gallery_circumstances = setup.sessions.gallery.circumstances
     columns = list(control.circumstance)
     for number, pairing in setup.searches.items():
-        if columns and probe_about is not None and gallery_about is not None:
+        if (
+            columns
+            and probe_circumstances is not None
+            and gallery_circumstances is not None
+        ):
             scores[number] = closeness(
-                probe_about[pairing.probe][:, columns],
-                gallery_about[pairing.gallery][:, columns],
+                probe_circumstances[pairing.probe][:, columns],
+                gallery_circumstances[pairing.gallery][:, columns],
             )
         elif score is not None:
             scores[number] = score(*level.seen.pair_windows(pairing), rng)

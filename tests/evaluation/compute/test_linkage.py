@@ -868,5 +868,7 @@ def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
     crowd = results["cross_session/control-run_density", ""].searches[0]
     assert (crowd.scores == 0).all()
     times = results["cross_session/control-run_time", ""].searches[0].scores
-    gap = np.subtract.outer(sessions.probe.about[:, 4], sessions.gallery.about[:, 4])
+    gap = np.subtract.outer(
+        sessions.probe.circumstances[:, 4], sessions.gallery.circumstances[:, 4]
+    )
     assert (np.argsort(-np.abs(gap), axis=1) == np.argsort(times, axis=1)).all()
