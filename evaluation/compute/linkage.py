@@ -87,7 +87,7 @@ _LEAST_WEIGHT = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _View:
+class _LinkerView:
     """Both releases as some linkers see them, and the windows of pairings so far."""
 
     releases: tuple[Release, ...]
@@ -117,9 +117,9 @@ class LinkedLevel:
     setup: SensedSessions
     # Of the probe and of the gallery side, in the true frame.
     shared: tuple[Release, ...]
-    blind: _View  # The same in the frames of the adversary,
-    seen: _View  # and with the declared standard deviations.
-    views: dict[tuple[object, ...], _View] = field(default_factory=dict)
+    blind: _LinkerView  # The same in the frames of the adversary,
+    seen: _LinkerView  # and with the declared standard deviations.
+    views: dict[tuple[object, ...], _LinkerView] = field(default_factory=dict)
     """A memo of smoothed views; `forget_views` empties it.
 
     The key is whether SIGMA shows, the reconstruction, its knowledge, and the fold."""
@@ -130,7 +130,7 @@ class LinkedLevel:
         self.blind.windows.clear()
         self.seen.windows.clear()
 
-    def view_for(self, granted: frozenset[Knowledge]) -> _View:
+    def view_for(self, granted: frozenset[Knowledge]) -> _LinkerView:
         """Return both releases as they show, the same objects every time."""
         return self.seen if Knowledge.SIGMA in granted else self.blind
 
@@ -172,8 +172,8 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
         full_setup=full_setup,
         setup=setup,
         shared=tuple(shared),
-        blind=_View(tuple(release.without_sigma() for release in seen)),
-        seen=_View(tuple(seen)),
+        blind=_LinkerView(tuple(release.without_sigma() for release in seen)),
+        seen=_LinkerView(tuple(seen)),
     )
 
 
@@ -186,8 +186,8 @@ def level_of_releases(
         full_setup=setup,
         setup=setup,
         shared=releases,
-        blind=_View(tuple(release.without_sigma() for release in releases)),
-        seen=_View(releases),
+        blind=_LinkerView(tuple(release.without_sigma() for release in releases)),
+        seen=_LinkerView(releases),
     )
 
 
@@ -260,7 +260,7 @@ def search_scores(consumer: Consumer, level: LinkedLevel) -> dict[int, Floats]:
 def _add_scores(
     scores: dict[int, Floats],
     score: Callable[[Release, Release], Floats],
-    view: _View,
+    view: _LinkerView,
     pairings: FoldPairings,
 ) -> None:
     """Add a fold's scores to those of its searches, which folds may have split."""
@@ -270,7 +270,7 @@ def _add_scores(
         scores[number] = np.concatenate([earlier, fold_scores])
 
 
-def bound(level: LinkedLevel, motion: Motion | None) -> LinkResult:
+def link_optimum(level: LinkedLevel, motion: Motion | None) -> LinkResult:
     """Return the links of the optimum: the likelihood ratio of pairs in a model world.
 
     The optimum knows the motion, the variance of every sample and the distribution of
@@ -353,7 +353,7 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
 
 
 def _score_untrained(
-    attack: LinkageAttack, level: LinkedLevel, view: _View, pairing: Pairing
+    attack: LinkageAttack, level: LinkedLevel, view: _LinkerView, pairing: Pairing
 ) -> Floats:
     """Return the scores of a built-in linker that knows what the task grants to all."""
     granted = attack.requires & level.setup.sessions.task.granted_to_all
@@ -407,7 +407,7 @@ def _control_scores(
     return scores
 
 
-def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _View:
+def _linker_view(consumer: Consumer, level: LinkedLevel, fold: int) -> _LinkerView:
     """Return both releases as a linker sees them: smoothed behind a smoother."""
     reconstruction, shows = consumer.reconstruction, consumer.granted
     if consumer.plugin is not None:
@@ -449,7 +449,7 @@ def _smoothed_view(
     level: LinkedLevel,
     fold: int,
     shows: frozenset[Knowledge],
-) -> _View:
+) -> _LinkerView:
     """Return both releases with the positions that a reconstruction estimates."""
     name, setup = f"attack {reconstruction.spec} (behind {consumer.label})", level.setup
     granted = consumer.granted & declared_knowledge(reconstruction)
@@ -471,7 +471,7 @@ def _smoothed_view(
         smooth = hide_sigma(derived(release, xy=result.xy), shows)
         smoothed.append(record_shared(smooth, visible))
         claimed_std.append(result.std)
-    return _View(tuple(smoothed), tuple(claimed_std))
+    return _LinkerView(tuple(smoothed), tuple(claimed_std))
 
 
 def _true_walks(level: LinkedLevel, side: int) -> Floats:
@@ -485,7 +485,7 @@ def _true_walks(level: LinkedLevel, side: int) -> Floats:
 
 def _fitted_linker(
     consumer: Consumer, level: LinkedLevel, fold: int
-) -> tuple[Callable[[Release, Release], Floats], _View]:
+) -> tuple[Callable[[Release, Release], Floats], _LinkerView]:
     """Return the scoring function of a linker fitted for a fold, and its view."""
     assert consumer.plugin is not None
     plugin, setup, name = consumer.plugin, level.setup, f"attack {consumer.label}"
@@ -557,7 +557,7 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
     return {ROWS: pa.concat_tables(sides).combine_chunks()}
 
 
-def _side_table(level: LinkedLevel, smoothed: _View, side: int) -> pa.Table:
+def _side_table(level: LinkedLevel, smoothed: _LinkerView, side: int) -> pa.Table:
     """Return the rows of `window_tables` of one side, 0 or 1."""
     setup, sessions = level.setup, level.full_setup.sessions
     release, offsets = level.shared[side], level.shared[side].offsets

@@ -19,7 +19,13 @@ from evaluation.compute.current_cell import note_cell
 from evaluation.compute.frames import hide_sigma
 from evaluation.compute.guards import copied, guarded
 from evaluation.compute.linkage import score_releases
-from evaluation.compute.work import Block, PatrolWork, TrackingWork, Work, compute_cells
+from evaluation.compute.work import (
+    PatrolWork,
+    SceneWork,
+    TrackingWork,
+    Work,
+    compute_cells,
+)
 from isac_track import plugins
 from isac_track.errors import PluginError, code_at, raised_at
 from isac_track.protocols import AttackContext, LinkageTrainingSet
@@ -139,7 +145,10 @@ def _least_time(
     """Return the least time of a few calls, or that of one slow call."""
     note_cell(plugin_call.plugin.spec)
     least = _call(plugin_call, stages, n_people=n_people)
-    for _ in range(1, _REPEATS if least.cpu_s < _REPEATED_S else 1):
+    n_calls = 1
+    if least.cpu_s < _REPEATED_S:
+        n_calls = _REPEATS
+    for _ in range(1, n_calls):
         least = min(least, _call(plugin_call, stages, n_people=n_people))
     return least
 
@@ -192,10 +201,11 @@ def _call(
             plugin, consumer, mechanism, tracks=tracks, order=order, stages=stages
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
-    work: Work = Block(0, 0, order, (level,))
+    work: Work = SceneWork(0, 0, order, (level,))
     if consumer is not None and consumer.reads_patrols:
-        reads_tracks = consumer.reads_tracks
-        work = (TrackingWork if reads_tracks else PatrolWork)(people, (level,))
+        work = PatrolWork(people, (level,))
+        if consumer.reads_tracks:
+            work = TrackingWork(people, (level,))
         stages = stages.changed(
             {"patrol.fleets": 1, "patrol.robots": 1, "tracking.seeds": 1}
         )

@@ -23,7 +23,7 @@ from evaluation.compute.guards import copied, copy_for_user_plugin, guarded
 from evaluation.compute.model_walks import sensed_scenes
 from evaluation.compute.sharing import SHOWS, call_attack
 from evaluation.compute.tables import Rows, described_rows, track_columns
-from evaluation.compute.track_bounds import benchmark, genie_plr
+from evaluation.compute.walk_bounds import benchmark, genie_plr
 from evaluation.plan.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
@@ -50,7 +50,7 @@ class HalfAsSeen(NamedTuple):
     shows: frozenset[Knowledge]  # Of `SHOWS`.
 
 
-class View(NamedTuple):
+class AttackView(NamedTuple):
     """A release as an adversary sees it."""
 
     release: Release
@@ -102,7 +102,7 @@ class AttackedLevel:
     scenes: Scenes  # Without the samples that the release left out.
     release: Release
     victims: tuple[Victims, ...]  # Each half of its tracks.
-    views: Mapping[HalfAsSeen, View]
+    views: Mapping[HalfAsSeen, AttackView]
     training: Mapping[HalfAsSeen, TrainingSet]
     """People to learn from, in a frame of theirs, for each half that has any."""
     repeats: tuple[Release, ...]  # Further releases of the walks, in the true frame.
@@ -111,11 +111,11 @@ class AttackedLevel:
     bound: Rows  # Columns of the best estimate that is possible of each track.
 
 
-def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
+def draw_halves(groups: tuple[str, ...], *, seed: int) -> Ints:
     """Return the half of each track, (N,) 0 or 1: members of a group stay together."""
     names = sorted(set(groups))
     order = stream(seed, "folds").permutation(len(names))
-    half_by_group = {names[name]: place % 2 for place, name in enumerate(order)}
+    half_by_group = {names[row]: place % 2 for place, row in enumerate(order)}
     return np.array([half_by_group[group] for group in groups], dtype=np.int64)
 
 
@@ -156,7 +156,7 @@ def attacked_block(
     sense_walks = partial(
         sensed_scenes, tracks=tracks, is_model=is_model, stages=stages, seed=seed
     )
-    half_by_track = folds(tracks.group, seed=seed)
+    half_by_track = draw_halves(tracks.group, seed=seed)
     half = half_by_track[scenes.track]
     # Agents are numbered over the whole run: each pass takes each track once.
     agents = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
@@ -339,7 +339,7 @@ def _views(
     visible: Collection[frozenset[Knowledge]],
     *key: str | int,
     seed: int,
-) -> Iterator[tuple[frozenset[Knowledge], View]]:
+) -> Iterator[tuple[frozenset[Knowledge], AttackView]]:
     """Yield a release as it shows by knowledge; without SCENE, in one drawn frame."""
     for sees_scene in {Knowledge.SCENE in knowledge for knowledge in visible}:
         rng = stream(seed, "frames", *key)
@@ -347,7 +347,7 @@ def _views(
         seen, frame = adversary_view(release, granted=most, rng=rng)
         for knowledge in visible:
             if (Knowledge.SCENE in knowledge) == sees_scene:
-                yield knowledge, View(hide_sigma(seen, knowledge), frame)
+                yield knowledge, AttackView(hide_sigma(seen, knowledge), frame)
 
 
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:

@@ -17,13 +17,13 @@ from evaluation.compute.tables import ROWS
 from evaluation.compute.tracking import count_horizons, place_rows, robot_tables
 from isac_track.patrols import horizon_scans
 from isac_track.patrols.answers import disclose
-from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
-from isac_track.tracking.policies import (
+from isac_track.tracking.answers import (
     disclosed_instants,
     forecasts_by_robot,
     logged_tracks,
     track_network,
 )
+from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
 from isac_track.tracking.utility import foresee_from_forecasts
 from predictors.kalman import KalmanCV
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from evaluation.plan.axes import Consumer
     from isac_track.patrols.answers import Disclosure
     from isac_track.plugins import Plugin
-    from isac_track.tracking.policies import TrackNetwork
+    from isac_track.tracking.answers import TrackNetwork
     from isac_track.types import Floats
 
 LOG_COLUMNS: Final = (

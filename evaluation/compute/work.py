@@ -56,7 +56,7 @@ class FinishedCell(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Block:
+class SceneWork:
     """Work of one block of scenes."""
 
     number: int
@@ -107,7 +107,7 @@ class TrackingWork:
     world: World = OWN_WORLD
 
 
-Work: TypeAlias = "Block | LinkWork | PatrolWork | ReturnWork | TrackingWork"
+Work: TypeAlias = "SceneWork | LinkWork | PatrolWork | ReturnWork | TrackingWork"
 
 
 def attempt_cells(
@@ -298,14 +298,14 @@ def _linkage_tables(
     if consumer.kind == "windows":
         return linkage.window_tables(consumer, level)
     if consumer.kind == "link_bound":
-        linked = linkage.bound(level, motion)
+        linked = linkage.link_optimum(level, motion)
     else:
         linked = linkage.link(consumer, level)
     return linkage_tables(linked, setup, keep_scores=keep_scores)
 
 
 def _scene_cells(
-    block: Block, *, tracks: Cut, stages: StageSettings, seed: int
+    block: SceneWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
     horizon_s, is_model = block.world.horizon_s, block.world.is_model
     if horizon_s is not None:
@@ -353,7 +353,7 @@ def _scene_cells(
 
 
 def _attacked_block(
-    block: Block,
+    block: SceneWork,
     scenes: Scenes,
     sensed: Sensed,
     *,

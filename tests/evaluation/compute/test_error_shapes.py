@@ -8,7 +8,7 @@ from helpers.cells import STAGES, World, parsed
 
 from evaluation.compute.frames import Frame, adversary_view
 from evaluation.compute.sharing import share
-from evaluation.compute.track_bounds import benchmark
+from evaluation.compute.walk_bounds import benchmark
 from evaluation.plan.axes import Axes
 from isac_track import plugins
 from isac_track.measurement import share_within

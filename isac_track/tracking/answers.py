@@ -1,4 +1,4 @@
-"""Disclosure policies on tracks that break and swap: answers, logs, forecasts.
+"""Answers of policies from tracks that break and swap: logs and forecasts.
 
 A policy sees the tracks that are alive at a query as it sees people on other patrols: a
 track that holds two people is one of them to it, and a track of nobody is a person. Its
@@ -10,16 +10,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from isac_track.noise import UNKNOWN_VARIANCE_M2
-from isac_track.patrols.answers import Disclosure, Network, forecast_runs
+from isac_track.patrols.answers import Disclosure, Network
 from isac_track.patrols.knowledge import nearest_samples
 from isac_track.patrols.patrol import Patrol, Presences
 from isac_track.patrols.utility import answer_forecasts
 from isac_track.protocols import Mechanism, Predictor
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
-from isac_track.tracking.utility import LiveTracks, TrackForecasts, live_tracks
-from isac_track.types import Bools, ErrorLaw, Floats, Ints, Prediction, Release, Sensed
-from isac_track.types import Tracks as Walks
+from isac_track.tracking.utility import (
+    LiveTracks,
+    TrackForecasts,
+    forecast_live_tracks,
+    live_tracks,
+)
+from isac_track.types import Bools, ErrorLaw, Floats, Ints, Release, Sensed, Tracks
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -50,17 +54,18 @@ def track_network(
     live, release = live_tracks(patrol, shared), raw.release
     sigma_m = np.sqrt(raw.variance)
     names = tuple(map(str, range(len(release))))
-    seen = replace(
+    tracked_patrol = replace(
         patrol,
-        people=Walks(release.t, release.xy, release.offsets, names, names),
+        people=Tracks(release.t, release.xy, release.offsets, names, names),
         scan=shared.scan,
         presences=Presences(live.query, live.track, live.sample),
     )
     raw_forecast, shared_forecast = (
-        _forecast(patrol, live, part.release, forecaster) for part in (raw, shared)
+        forecast_live_tracks(patrol, live, part.release, predictor=forecaster)
+        for part in (raw, shared)
     )
     network = Network(
-        patrol=seen,
+        patrol=tracked_patrol,
         mechanism=mechanism,
         forecaster=forecaster,
         sensed=Sensed(
@@ -79,21 +84,6 @@ def track_network(
         seed=seed,
     )
     return TrackNetwork(patrol, shared, live, network)
-
-
-def _forecast(
-    patrol: Patrol, live: LiveTracks, release: Release, predictor: Predictor
-) -> Prediction:
-    """Return forecasts of live tracks from their whole histories, (E, H)."""
-    now = patrol.query_scan[live.query][:, None] + np.arange(patrol.ahead_s.size)
-    return forecast_runs(
-        release,
-        first=release.offsets[live.track],
-        end=live.sample + 1,
-        track=np.arange(live.track.size),
-        t_future=patrol.scan_s[now],
-        predictor=predictor,
-    )
 
 
 def forecasts_by_robot(
