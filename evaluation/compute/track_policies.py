@@ -14,7 +14,8 @@ import numpy as np
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.guards import guarded
 from evaluation.compute.tables import ROWS
-from evaluation.compute.tracking import count_horizons, place_rows, robot_tables
+from evaluation.compute.track_rows import seed_block_columns
+from evaluation.compute.tracking import count_horizons, robot_tables
 from isac_track.patrols import horizon_scans
 from isac_track.patrols.answers import disclose
 from isac_track.tracking.answers import (
@@ -29,7 +30,11 @@ from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.compute.tracking import CountsByHorizon, SharedSeed, TrackingSetup
+    from evaluation.compute.tracking_setup import (
+        CountsByHorizon,
+        SeedRelease,
+        TrackingSetup,
+    )
     from evaluation.plan.axes import Consumer
     from isac_track.patrols.answers import Disclosure
     from isac_track.plugins import Plugin
@@ -56,7 +61,7 @@ class _Answers:
 
 def answer_rows(
     consumers: Iterable[Consumer],
-    releases: list[SharedSeed],
+    releases: list[SeedRelease],
     setup: TrackingSetup,
     *,
     mechanism: Plugin,
@@ -86,7 +91,7 @@ def answer_rows(
 
 def _answer(
     policy: Plugin,
-    release: SharedSeed,
+    release: SeedRelease,
     setup: TrackingSetup,
     *,
     mechanism: Plugin,
@@ -124,7 +129,7 @@ def _miss(robot: Plugin, answers: _Answers, setup: TrackingSetup) -> CountsByHor
 
 def _log_rows(seeds: list[_Answers], setup: TrackingSetup) -> Rows:
     """Return what logs disclose and reveal by seed and block: `LOG_COLUMNS`."""
-    rows = place_rows(len(seeds), setup.blocks.n)
+    rows = seed_block_columns(len(seeds), setup.blocks.n)
     counts = [_count_logs(answers, setup) for answers in seeds]
     for place, name in enumerate(LOG_COLUMNS[2:]):
         rows[name] = np.concatenate([part[place] for part in counts])

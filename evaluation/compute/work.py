@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from evaluation.compute import (
+    link_views,
     linkage,
     model_walks,
     patrols,
@@ -22,12 +23,14 @@ from evaluation.compute import (
     track_links,
     track_policies,
     tracking,
+    tracking_setup,
 )
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
 from evaluation.compute.link_tables import linkage_tables
 from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
+from evaluation.compute.window_tables import window_tables
 from evaluation.plan.origins import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
@@ -213,16 +216,18 @@ def _group_by_policy(consumers: Iterable[Consumer]) -> list[list[Consumer]]:
 def _tracking_cells(
     work: TrackingWork, *, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
-    setup = tracking.tracking_setup(work.recorded, stages=stages, seed=seed)
+    setup = tracking_setup.make_tracking_setup(work.recorded, stages=stages, seed=seed)
     for mechanism, consumers in work.levels:
         # By the tracker: policies answer from the same tracks.
-        shared: dict[str, list[tracking.SharedSeed]] = {}
+        shared: dict[str, list[tracking_setup.SeedRelease]] = {}
         for own in _group_by_policy(consumers):
             tracker = own[0].track_release
             assert tracker is not None
             note_cell(mechanism.spec, own[0].label)
             if tracker.name not in shared:
-                shared[tracker.name] = tracking.share_tracked(mechanism, tracker, setup)
+                shared[tracker.name] = tracking_setup.share_tracked(
+                    mechanism, tracker, setup
+                )
             releases = shared[tracker.name]
             for consumer, rows_by_table in _read_tracks(
                 own, releases, setup, mechanism=mechanism
@@ -233,8 +238,8 @@ def _tracking_cells(
 
 def _read_tracks(
     consumers: list[Consumer],
-    releases: list[tracking.SharedSeed],
-    setup: tracking.TrackingSetup,
+    releases: list[tracking_setup.SeedRelease],
+    setup: tracking_setup.TrackingSetup,
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
@@ -265,16 +270,16 @@ def _linkage_cells(
     shared_tables: dict[str, Tables] = {}
     for mechanism, consumers in work.levels:
         note_cell(mechanism.spec, "")
-        level, last_view = linkage.linked_level(mechanism, setup), ("", "")
-        for consumer in sorted(consumers, key=linkage.view_key):
+        level, last_view = link_views.linked_level(mechanism, setup), ("", "")
+        for consumer in sorted(consumers, key=link_views.view_key):
             note_cell(mechanism.spec, consumer.label)
-            if linkage.view_key(consumer) != last_view:
-                last_view = linkage.view_key(consumer)
+            if link_views.view_key(consumer) != last_view:
+                last_view = link_views.view_key(consumer)
                 # Releases of the last view, and all that linkers remember of them, go.
                 level.forget_views()
                 if setup.n_candidates:
                     # Thousands of people: forget all that was made of the level.
-                    level = linkage.linked_level(mechanism, setup)
+                    level = link_views.linked_level(mechanism, setup)
             sees_times_only = linkage.sees_times_only(consumer, level)
             tables = shared_tables.get(consumer.label) if sees_times_only else None
             if tables is None:
@@ -288,7 +293,7 @@ def _linkage_cells(
 
 def _linkage_tables(
     consumer: Consumer,
-    level: linkage.LinkedLevel,
+    level: link_views.LinkedLevel,
     setup: SensedSessions,
     *,
     motion: Motion | None,
@@ -296,7 +301,7 @@ def _linkage_tables(
 ) -> Tables:
     """Return the tables of a consumer of a linkage task; its scores are freed."""
     if consumer.kind == "windows":
-        return linkage.window_tables(consumer, level)
+        return window_tables(consumer, level)
     if consumer.kind == "link_bound":
         linked = linkage.link_optimum(level, motion)
     else:

@@ -54,6 +54,7 @@ _SECTIONS: Final = {
 _LINKAGE: Final = (
     "evaluation.compute.linkage",
     "evaluation.compute.link_tables",
+    "evaluation.compute.window_tables",
     "attacks.tasks.build",
     *_COMMON,
 )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evaluation.compute.linkage import view_key
+from evaluation.compute.link_views import view_key
 from evaluation.compute.work import (
     FinishedCell,
     Levels,

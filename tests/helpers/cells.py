@@ -11,7 +11,8 @@ from helpers.walkers import walkers
 from attacks.tasks import build
 from attacks.tasks.task_list import TASKS
 from evaluation.compute.link_setup import sensed_sessions
-from evaluation.compute.linkage import link, linked_level
+from evaluation.compute.link_views import linked_level
+from evaluation.compute.linkage import link
 from evaluation.compute.reconstruction import attacked_block, draw_halves
 from evaluation.compute.sharing import share
 from evaluation.compute.work import SceneWork, compute_cells

@@ -21,8 +21,9 @@ from attacks.reconstruction.averaging import Identity
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.tasks.sessions import Windows
 from evaluation.compute.link_setup import sensed_sessions
-from evaluation.compute.linkage import WINDOW_COLUMNS, sees_times_only
+from evaluation.compute.linkage import sees_times_only
 from evaluation.compute.sharing import samples_shared, share, take_samples
+from evaluation.compute.window_tables import WINDOW_COLUMNS
 from evaluation.compute.work import LinkWork, compute_cells
 from evaluation.plan.axes import Consumer, axes, windows_consumer
 from evaluation.plan.presets import DISSOCIATION, PROTECTIONS

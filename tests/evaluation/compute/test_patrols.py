@@ -12,7 +12,7 @@ import evaluation
 from attacks.following.followed import following_metrics
 from attacks.following.logs import follow_fleets
 from evaluation import matrix
-from evaluation.compute.patrols import (
+from evaluation.compute.patrol_rows import (
     followed_from_rows,
     followed_rows,
     known_from_rows,

@@ -123,6 +123,7 @@ SOURCES = {
         "attacks.tasks.build",
         "evaluation.compute.link_scores",
         "evaluation.compute.link_tables",
+        "evaluation.compute.window_tables",
     ),
     (): (
         "evaluation.plan.presets",

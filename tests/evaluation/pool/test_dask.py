@@ -21,7 +21,7 @@ from helpers.small_runs import smoke, write_walks
 import evaluation
 from evaluation import matrix
 from evaluation.compute.current_cell import Failure
-from evaluation.compute.linkage import view_key
+from evaluation.compute.link_views import view_key
 from evaluation.compute.work import LinkWork, SceneWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import make_plan
