@@ -23,7 +23,7 @@ COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "run_time": (4,),
     "walk_length": (5,),
 }
-"""Properties of the run, not of the person: columns of `Windows.circumstances`, by control."""
+"""By control, columns of `Windows.circumstances`: of the run, not of the person."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -308,9 +308,9 @@ def fit_score_scale(
 ) -> float | None:
     """Return the factor that turns scores of an open gallery into log ratios.
 
-    Fitted on the same people as `fit_calibration`, within the gallery of each: the scale
-    must separate a mate from the candidates nearby, not from those at the other end of
-    the scene. None without mates.
+    Fitted on the same people as `fit_calibration`, within the gallery of each: the
+    scale must separate a mate from the candidates nearby, not from those at the other
+    end of the scene. None without mates.
     """
     if not any((pairing.mate >= 0).any() for _, pairing in scored_searches):
         return None

@@ -128,7 +128,7 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
 def level_of_releases(
     mechanism: Plugin, setup: SensedSessions, releases: tuple[Release, ...]
 ) -> LinkedLevel:
-    """Return a level whose releases of both sessions are made already, in their frames."""
+    """Return a level of releases of both sessions, made already, in their frames."""
     return LinkedLevel(
         mechanism=mechanism,
         full_setup=setup,

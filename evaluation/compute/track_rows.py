@@ -1,4 +1,4 @@
-"""Rows of the cells of tracks by seed and block of the recording, which intervals draw."""
+"""Rows of the cells of tracks by seed and block, which intervals draw."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ TRACK_COLUMNS: Final = (
 )
 """Columns of the cells of tracks."""
 FOLLOWED_COLUMNS: Final = (*_PLACE, "present_s", "followed_s", "until_s", "ending")
-"""Columns of `FOLLOWED`: a row for each seed and person, in the first sample's block."""
+"""Columns of `FOLLOWED`: a row for each seed and person, in the block of the start."""
 ROBOT_COLUMNS: Final = (
     *_PLACE,
     *(f"{name}_{part}" for name in ROBOT_SHARES for part in ("sum", "over")),

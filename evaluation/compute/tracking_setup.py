@@ -1,4 +1,4 @@
-"""Detections and tracks of each seed of sensing, and what a mechanism shares of them."""
+"""Detections and tracks of each seed of sensing, and what a mechanism shares."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ class Network:
         return self.release if self.histories is None else self.histories.shared
 
     def sent_rows(self, presence: Ints, sample: Ints) -> Ints:
-        """Return the rows in `sent_release` of samples of the patrol in answers, (A,)."""
+        """Return the rows of `sent_release` that answers have of samples, (A,)."""
         if self.histories is None:
             return sample
         people = self.patrol.people

@@ -58,7 +58,7 @@ def fleet_log(network: Network, disclosure: Disclosure, *, robots: Ints) -> Log:
 
 
 def _sent_rows(network: Network, disclosure: Disclosure, robots: Ints) -> Ints:
-    """Return the rows of `network.sent_release` that robots were sent, (L,), ascending."""
+    """Return the ascending rows of `network.sent_release` that robots got, (L,)."""
     is_ours = np.isin(disclosure.robot, robots)
     begins = network.sent_rows(disclosure.presence[is_ours], disclosure.first[is_ours])
     sizes = disclosure.end[is_ours] - disclosure.first[is_ours]

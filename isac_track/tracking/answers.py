@@ -115,9 +115,9 @@ def logged_tracks(
 ) -> SharedTracks:
     """Return what the log of a fleet of `robots` has of each track.
 
-    Samples are as they were sent (`Disclosure.sent_mask`). A state gives an entry at every
-    scan until the next query, by its position and velocity; a later state replaces an
-    earlier one. Tracks without an entry are left out.
+    Samples are as they were sent (`Disclosure.sent_mask`). A state gives an entry at
+    every scan until the next query, by its position and velocity; a later state
+    replaces an earlier one. Tracks without an entry are left out.
     """
     if disclosure.form == "state":
         # By answer, not by sample: a track that coasts has one sample at many queries.
