@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from isac_track.measurement import axis_share
 from isac_track.noise import UNKNOWN_VARIANCE_M2
 from isac_track.patrols.answers import Disclosure, Network
 from isac_track.patrols.knowledge import nearest_samples
@@ -52,7 +53,7 @@ def track_network(
     shares them. A policy may choose on either. `law` is that of the raw errors.
     """
     live, release = live_tracks(patrol, shared), raw.release
-    sigma_m = np.sqrt(raw.variance)
+    sigma_m = np.sqrt(raw.variance / axis_share(law))
     names = tuple(map(str, range(len(release))))
     tracked_patrol = replace(
         patrol,
