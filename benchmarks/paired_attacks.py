@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from evaluation.compute.reconstruction import folds
+from evaluation.compute.reconstruction import draw_halves
 from evaluation.plan.constants import MOST_SCENES
 from isac_track import datasets, intervals, plugins, privacy
 from isac_track.command_line import DONE, Parser, exit_code
@@ -149,7 +149,7 @@ def _run(options: argparse.Namespace) -> int:
     taught = stream(seed, "taught").permutation(len(others))
     parts = [(attacked, taught)]
     if not options.learn_on:
-        half = folds(victims.group, seed=seed)
+        half = draw_halves(victims.group, seed=seed)
         parts = [
             (attacked[half[attacked] == fold], taught[half[taught] != fold])
             for fold in (0, 1)

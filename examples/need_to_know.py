@@ -39,8 +39,9 @@ from isac_track.errors import IsacTrackError, SettingsError
 from isac_track.intervals import Estimate
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import Network, disclose, share_patrol
+from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.intervals import cluster_numbers, sum_clusters, two_way_ratio
-from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import (
     RobotTask,
     is_by_construction,

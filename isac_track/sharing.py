@@ -7,8 +7,9 @@ returns a `isac_track.types.Release`.
 from typing import TYPE_CHECKING
 
 from isac_track.mechanisms.paper import Clean, Fid, Fixed, Raw, fid_d_sigma
-from isac_track.mechanisms.perturb import check_at_least, perturb, split_pseudonyms
+from isac_track.mechanisms.perturb import perturb, split_pseudonyms
 from isac_track.renamed import renamed
+from isac_track.types import check_at_least
 
 __all__ = ["Clean", "Fid", "Fixed", "Raw"]
 __all__ += ["check_at_least", "fid_d_sigma", "perturb", "split_pseudonyms"]

@@ -53,6 +53,8 @@ SHARED_LIMIT_M: Final = 1e10
 """Limit of a shared coordinate or std, ten times that of recordings, safe to square."""
 ESTIMATE_LIMIT_M: Final = 1e12
 """Limit of an estimate, which may lie beyond the shared positions."""
+TIME_TOLERANCE_S: Final = 1e-9
+"""Tolerance of comparisons of times: 4.4 - 3.1 is a little more than 1.3."""
 # Tolerance of a covariance, relative to the larger variance: float32 after many steps.
 _ROUNDING: Final = 1e-5
 
@@ -653,6 +655,15 @@ def positive(name: str, value: float, *, finite: bool = True) -> float:
     if not value > 0 or (finite and not np.isfinite(value)):
         raise ValueError(f"{name} must be positive, got {value}")
     return float(value)
+
+
+def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
+    """Raise ValueError if a parameter is below `least` or not finite.
+
+    `name` and `unit`, such as ``" m"``, are for the message.
+    """
+    if not (np.isfinite(value) and value >= least):
+        raise ValueError(f"{name} must be {least}{unit} or more, got {value}")
 
 
 def check_offsets(offsets: Ints, n_samples: int) -> None:

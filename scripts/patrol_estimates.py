@@ -25,7 +25,8 @@ from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate
 from isac_track.patrols.equal_alarms import AlarmCounts
-from isac_track.patrols.knowledge import ESTIMATORS, Known
+from isac_track.patrols.estimators import ESTIMATORS
+from isac_track.patrols.knowledge import Known
 from isac_track.patrols.metrics import (
     SHARES,
     UtilityCounts,

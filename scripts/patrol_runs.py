@@ -33,12 +33,8 @@ from isac_track.patrols.answers import (
     share_sensed,
 )
 from isac_track.patrols.equal_alarms import AlarmCounts
-from isac_track.patrols.knowledge import (
-    ESTIMATORS,
-    Known,
-    guesses_from_map,
-    known_places,
-)
+from isac_track.patrols.estimators import ESTIMATORS
+from isac_track.patrols.knowledge import Known, guesses_from_map, known_places
 from isac_track.patrols.metrics import (
     RobotTask,
     count_utility,

@@ -21,7 +21,7 @@ from isac_track.mechanisms.protections import Ou
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import make_patrol
 from isac_track.patrols.answers import Network, share_patrol
-from isac_track.patrols.knowledge import released_reports
+from isac_track.patrols.reports import released_reports
 from isac_track.place import placed
 from predictors.kalman import KalmanCV
 
@@ -76,11 +76,11 @@ def known_with(network: Network, error: SlowError, *, epsilon_m: float) -> float
     for number in range(len(grid)):
         ours = slice(people.offsets[number], people.offsets[number + 1])
         rows = slice(grid.offsets[number], grid.offsets[number + 1])
-        stated = [
+        estimates = [
             np.interp(grid.t[rows], people.t[ours], smoothed[ours, axis])
             for axis in (0, 1)
         ]
-        gap = np.stack(stated, axis=1) - grid.xy[rows]
+        gap = np.stack(estimates, axis=1) - grid.xy[rows]
         hits += int((np.hypot(*gap.T) < epsilon_m).sum())
     return hits / grid.t.size
 

@@ -31,8 +31,10 @@ from isac_track.patrols.answers import (
     sense_patrol,
     share_sensed,
 )
+from isac_track.patrols.estimators import estimate_positions
+from isac_track.patrols.fleet_logs import fleet_log
 from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
-from isac_track.patrols.knowledge import fleet_log, guesses_from_map, state_positions
+from isac_track.patrols.knowledge import guesses_from_map
 from isac_track.patrols.patrol import Patrol, horizon_scans
 from isac_track.patrols.utility import (
     answer_forecasts,
@@ -195,14 +197,14 @@ def known_from_log(task: Task, network: Network, *, estimator: str) -> Shares:
     """Return the known instants of people, if everything is sent."""
     grid = task.patrol.grid
     log = fleet_log(network, disclose(network, Everything()), robots=np.arange(1))
-    stated = state_positions(
+    estimate = estimate_positions(
         log,
         t=grid.t,
         offsets=grid.offsets,
         estimator=estimator,
-        otherwise=np.repeat(task.guesses, np.diff(grid.offsets), axis=0),
+        fallback_xy=np.repeat(task.guesses, np.diff(grid.offsets), axis=0),
     )
-    is_known = squared_lengths(stated - grid.xy) < task.epsilon_m**2
+    is_known = squared_lengths(estimate - grid.xy) < task.epsilon_m**2
     return task.walk_shares(is_known, grid.offsets)
 
 

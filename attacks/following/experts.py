@@ -15,14 +15,13 @@ from scipy.special import chndtr, ndtr
 from attacks.following.chain_smoother import smooth_chain
 from attacks.following.walk_chain import Chain, ChainOptions
 from isac_track.measurement import mass_within, scalar_covariance
-from isac_track.patrols.knowledge import (
-    ANNEAL,
+from isac_track.patrols.estimators import (
     APART_S,
-    PASSES,
+    RADIAL_ANNEAL,
+    RADIAL_PASSES,
     UNINFORMATIVE_M2,
-    Reports,
-    smooth_reports,
 )
+from isac_track.patrols.reports import Reports, smooth_reports
 from isac_track.types import Bools, Floats, Ints, squared_lengths
 
 _PRIOR_STD: Final = (100.0, 1.4)  # m and m/s
@@ -108,7 +107,7 @@ def smooth_gaussians(
     middle = options.q[len(options.q) // 2]
     offsets = np.array([0, entries.t.size])
     batch = entries.reports.batch(entries.t, offsets, prior_std=_PRIOR_STD)
-    closer = smooth_reports(batch, q=middle, passes=PASSES, anneal=ANNEAL)
+    closer = smooth_reports(batch, q=middle, passes=RADIAL_PASSES, anneal=RADIAL_ANNEAL)
     near = _smooth_instants(
         Entries(entries.t, closer.xy, closer.variance, closer.cov), t, q=middle
     )

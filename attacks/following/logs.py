@@ -14,7 +14,9 @@ from attacks.following.links import Links, candidate_links, entropy_bits, next_p
 from attacks.following.pieces import Pieces, Pseudonyms, collect_pieces
 from isac_track.patrols import Patrol
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.knowledge import Log, average_draws, state_positions
+from isac_track.patrols.estimators import estimate_positions
+from isac_track.patrols.fleet_logs import Log
+from isac_track.patrols.reports import average_draws
 from isac_track.protocols import Policy
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, squared_lengths
@@ -260,7 +262,7 @@ def _known_by_chains(
     person the nearest in time counts.
     """
     grid = network.patrol.grid
-    stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
+    estimate = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     if len(pieces):
         log = _chain_log(network, pieces, chains.chain)
         row, chain = _instants_of_chains(
@@ -269,14 +271,14 @@ def _known_by_chains(
         order = np.lexsort((row, chain))
         row, chain = row[order], chain[order]
         offsets = np.searchsorted(chain, np.arange(log.offsets.size))
-        stated[row] = state_positions(
+        estimate[row] = estimate_positions(
             log,
             t=grid.t[row],
             offsets=offsets,
             estimator=estimator,
-            otherwise=stated[row],
+            fallback_xy=estimate[row],
         )
-    is_known = squared_lengths(stated - grid.xy) < epsilon_m**2
+    is_known = squared_lengths(estimate - grid.xy) < epsilon_m**2
     return np.asarray(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
 
 

@@ -13,12 +13,8 @@ import numpy as np
 
 from isac_track.kalman import kalman_last, planar_last
 from isac_track.patrols.answers import Disclosure, Network
-from isac_track.patrols.knowledge import (
-    Reports,
-    average_draws,
-    sent_reports,
-    sent_samples,
-)
+from isac_track.patrols.fleet_logs import sent_samples
+from isac_track.patrols.reports import Reports, average_draws, sent_reports
 from isac_track.types import Floats, Ints, stretches
 
 Pseudonyms: TypeAlias = Literal["query", "encounter"]
@@ -206,7 +202,7 @@ def _piece_entries(network: Network, runs: _Runs, label: Ints) -> _Entries:
     sizes = runs.end - runs.begin
     row, _ = stretches(runs.begin, sizes)
     # A single number a pair: numbers sort much faster than rows.
-    n_rows = network.sent.t.size
+    n_rows = network.sent_release.t.size
     piece, row = np.divmod(np.unique(np.repeat(label, sizes) * n_rows + row), n_rows)
     n_samples = network.patrol.people.t.size
     key = piece * n_samples + sent_samples(network, row)
@@ -300,7 +296,7 @@ def _first_states(t: Floats, reports: Reports, *, starts: Ints, ends: Ints) -> S
 
 def _filtered_states(network: Network, row: Ints) -> States:
     """Return the network's filter over a person's whole shared history, (L,) states."""
-    release, reports = network.sent, sent_reports(network).floored()
+    release, reports = network.sent_release, sent_reports(network).floored()
     begins = release.offsets[np.searchsorted(release.offsets, row, side="right") - 1]
     history, within = stretches(begins, row + 1 - begins)
     return last_states(release.t[history], reports[history], within)

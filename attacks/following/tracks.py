@@ -21,8 +21,8 @@ from attacks.following.links import (
 )
 from attacks.following.logs import CONFUSED_BITS, Ending, first_half
 from attacks.following.pieces import Pieces, end_states
-from isac_track.patrols.knowledge import Reports
 from isac_track.patrols.patrol import Patrol
+from isac_track.patrols.reports import Reports
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
 from isac_track.types import Bools, Floats, Ints, stretches

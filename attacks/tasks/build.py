@@ -47,7 +47,7 @@ def make_sessions(
             task=task, tracks=tracks, later=later or tracks, settings=stages, seed=seed
         )
     )
-    if task.comes_back:
+    if task.links_returning_people:
         return sessions
     mated = sessions.mate >= 0
     fold = sessions.fold[sessions.probe.search[mated]]

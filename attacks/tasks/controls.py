@@ -49,13 +49,13 @@ class Control:
     """
     # Whether its scores are the same at all levels that share every sample.
     sees_times_only: bool = False
-    # Columns of `circumstances` that it uses instead of the releases.
+    # Columns of `Windows.circumstances` that it uses instead of the releases.
     circumstance: tuple[int, ...] = ()
 
     def applies(self, task: Task) -> bool:
         """Whether a task has this control."""
         if self.circumstance:
-            return task.comes_back
+            return task.links_returning_people
         return not (self.hides_in_scene and task.shows_scene)
 
     def audits(self, task: Task) -> bool:

@@ -116,7 +116,7 @@ class Draft:
 
     def require_people(self, count: int, counted: str) -> None:
         """Raise DataError for too few people; `counted` describes them in words."""
-        least = LEAST_COME_BACK if self.task.comes_back else LEAST_PEOPLE
+        least = LEAST_COME_BACK if self.task.links_returning_people else LEAST_PEOPLE
         if count < least:
             raise DataError(
                 f"task {self.task.name}: {count} {counted}, but it takes {least}; use a"
@@ -178,7 +178,7 @@ class Draft:
         learn; all others are fields of `Sessions`.
         """
         learns, calibrates = may_teach, np.zeros_like(may_teach)
-        if not self.task.comes_back:
+        if not self.task.links_returning_people:
             learns, calibrates = roles(
                 group, may_teach=may_teach, rng=self.rng("roles")
             )

@@ -14,18 +14,11 @@ import numpy as np
 from numpy.random import Generator
 
 from attacks.tasks.draft import LEAST_PEOPLE, Draft, track_rows
-from attacks.tasks.sessions import Sessions, Windows, circumstances, halves
+from attacks.tasks.sessions import Sessions, Windows, halves, measure_circumstances
 from attacks.tasks.task_list import NAMED_SESSIONS
 from isac_track.datasets.repair import walking_groups
 from isac_track.errors import DataError, SettingsError
-from isac_track.types import (
-    Bools,
-    Floats,
-    Ints,
-    Tracks,
-    end_to_end,
-    sample_runs,
-)
+from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, sample_runs
 
 # People of the two-session crowd: simulating more would not show more.
 MOST_SIMULATED = 300
@@ -48,7 +41,7 @@ def rerelease(draft: Draft) -> Sessions:
         base_s = first_s + rng.uniform(0.0, slack_s[0] - reach_s)
         return np.asarray(base_s + rng.uniform(0.0, reach_s, 2))
 
-    return _closed(draft, draft.settings.linkage.window_s, starts_s)
+    return _paired_sessions(draft, draft.settings.linkage.window_s, starts_s)
 
 
 def split(draft: Draft) -> Sessions:
@@ -60,12 +53,12 @@ def split(draft: Draft) -> Sessions:
     def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
         return np.asarray(first_s + apart_s + np.sort(rng.uniform(0.0, slack_s)))
 
-    return _closed(draft, length_s, starts_s, needed_s=2.0 * length_s + gap_s)
+    return _paired_sessions(draft, length_s, starts_s, needed_s=2.0 * length_s + gap_s)
 
 
 def new_traversal(draft: Draft) -> Sessions:
     """Return a window of each person's walk in either session of a crowd."""
-    return _closed(draft, draft.settings.linkage.window_s, _anywhere)
+    return _paired_sessions(draft, draft.settings.linkage.window_s, _anywhere)
 
 
 def _anywhere(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
@@ -91,22 +84,24 @@ def cross_session(draft: Draft) -> Sessions:
     by_duration = np.argsort((draft.end_s - draft.start_s)[long], kind="stable")
     for row in long[by_duration].tolist():
         longest[tracks.session[row]][tracks.person[row]] = row
-    first_day, second_day = max(
+    first_session, second_session = max(
         combinations(longest.values(), 2),
         key=lambda days: len(days[0].keys() & days[1].keys()),
     )
-    names = sorted(first_day.keys() & second_day.keys())
+    names = sorted(first_session.keys() & second_session.keys())
     draft.require_people(len(names), f"people walk for {needed_s:g} s in two sessions")
-    first_rows = np.array([first_day[name] for name in names])
-    second_rows = np.array([second_day[name] for name in names])
+    first_rows = np.array([first_session[name] for name in names])
+    second_rows = np.array([second_session[name] for name in names])
     first = _named(tracks, first_rows, names)
     second = _named(tracks, second_rows, names)
-    sessions = _closed(replace(draft, tracks=first, later=second), needed_s, _anywhere)
+    sessions = _paired_sessions(
+        replace(draft, tracks=first, later=second), needed_s, _anywhere
+    )
     number = np.array([names.index(name) for name in sessions.source])
 
     def with_circumstances(windows: Windows, rows: Ints) -> Windows:
-        about = circumstances(tracks, rows[number[windows.person]], windows)
-        return replace(windows, about=about)
+        measured = measure_circumstances(tracks, rows[number[windows.person]], windows)
+        return replace(windows, circumstances=measured)
 
     return replace(
         sessions,
@@ -147,7 +142,7 @@ def samples_at_shares(shares: Floats, tracks: Tracks) -> Ints:
     return np.asarray(np.minimum(places, tracks.t.size - 1))
 
 
-def _closed(
+def _paired_sessions(
     draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0
 ) -> Sessions:
     """Return sessions in which everybody is in both, with a search for each half.
@@ -176,7 +171,7 @@ def _closed(
         rows,
         group=group,
         may_teach=searches.may_teach,
-        probe=_closed_windows(
+        probe=_paired_windows(
             draft,
             "probe",
             rows=rows,
@@ -185,7 +180,7 @@ def _closed(
             person=everybody,
             search=searches.search,
         ),
-        gallery=_closed_windows(
+        gallery=_paired_windows(
             later,
             "gallery",
             rows=rows_later[order],
@@ -216,7 +211,7 @@ def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
 
     Who comes back is linked by an adversary who learns from all other groups.
     """
-    if draft.task.comes_back:
+    if draft.task.links_returning_people:
         cluster = np.unique(group, return_inverse=True)[1]
         everybody = np.zeros(len(group), dtype=np.int64)
         return _Searches(everybody, cluster[:, None] != cluster, ("everybody",))
@@ -255,7 +250,7 @@ def _draw_people(draft: Draft, rows: Sequence[int]) -> Ints:
     return np.sort(draft.rng("people").permutation(rows)[:most])
 
 
-def _closed_windows(
+def _paired_windows(
     draft: Draft,
     side: str,
     *,

@@ -23,7 +23,7 @@ COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "run_time": (4,),
     "walk_length": (5,),
 }
-"""Properties of the run, not of the person: columns of `circumstances`, by control."""
+"""By control, columns of `Windows.circumstances`: of the run, not of the person."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -35,13 +35,21 @@ class Windows:
     offsets: Ints  # (N + 1,)
     person: Ints  # (N,) row in the people of the `Sessions`.
     search: Ints  # (N,) search of each window; it has the candidates of its probes.
-    # (N, 6) `circumstances`, where a task controls for them.
-    about: Floats | None = None
+    # (N, 6) as of `measure_circumstances`, where a task controls for them.
+    circumstances: Floats | None = None
     walked_m: Floats | None = None
     """(M,) m, walked since the recorded walk began; None: since its window began."""
 
     def __post_init__(self) -> None:
-        for name in ("t", "xy", "offsets", "person", "search", "about", "walked_m"):
+        for name in (
+            "t",
+            "xy",
+            "offsets",
+            "person",
+            "search",
+            "circumstances",
+            "walked_m",
+        ):
             if (value := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_only(value))
 
@@ -85,7 +93,7 @@ class Sessions:
             attacked = np.concatenate(
                 [side.person[self.fold[side.search] == fold] for side in sides]
             )
-            if self.task.comes_back:
+            if self.task.links_returning_people:
                 attacked = np.array([fold])
             if np.intersect1d(cluster[attacked], cluster[teachers]).size:
                 raise AssertionError("a victim's group is among the training people")
@@ -125,7 +133,7 @@ def roles(
     return may_teach & ~calibrates, calibrates
 
 
-def circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
+def measure_circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Floats:
     """Return six properties of each window that do not depend on its person, (N, 6).
 
     `rows`, (N,), are the tracks that the windows are cut from. The columns are:

@@ -27,7 +27,7 @@ class Task:
     shows_scene: bool = False
     gap_s: float = 0.0  # Silence before all pseudonyms rotate.
     # Whether it is of the few people in two sessions: to learn, a person is left out.
-    comes_back: bool = False
+    links_returning_people: bool = False
     # Whether both sides show the same steps, at least in part.
     is_same_stretch: bool = False
     # Whether it needs the two-session crowd instead of a recording.
@@ -49,7 +49,7 @@ class Task:
     @property
     def is_single_walk(self) -> bool:
         """Whether probe and gallery show one walk of one session."""
-        return not (self.simulated or self.comes_back)
+        return not (self.simulated or self.links_returning_people)
 
     @property
     def is_sensed_once(self) -> bool:
@@ -57,14 +57,14 @@ class Task:
         return self.is_single_walk and not self.is_same_stretch
 
     @property
-    def everyone(self) -> frozenset[Knowledge]:
+    def granted_to_all(self) -> frozenset[Knowledge]:
         """Knowledge that every adversary is granted."""
         return frozenset({Knowledge.SCENE} if self.shows_scene else ())
 
     @property
-    def nobody(self) -> frozenset[Knowledge]:
+    def granted_to_none(self) -> frozenset[Knowledge]:
         """Knowledge that no adversary is granted: it would make another task of it."""
-        return (WALK_KNOWLEDGE | {Knowledge.SCENE}) - self.everyone
+        return (WALK_KNOWLEDGE | {Knowledge.SCENE}) - self.granted_to_all
 
 
 TASKS: Final[Mapping[str, Task]] = {
@@ -100,7 +100,9 @@ TASKS: Final[Mapping[str, Task]] = {
             "new_traversal", "the same person on another day, simulated", simulated=True
         ),
         Task(
-            "cross_session", "the same real person in another session", comes_back=True
+            "cross_session",
+            "the same real person in another session",
+            links_returning_people=True,
         ),
     )
 }
@@ -112,7 +114,9 @@ NAMED_SESSIONS: Final = (
 )
 """What a recording lacks in which nobody is known to come back."""
 RETURNS: Final = Task(
-    "returns", "whole passages of the same real person in another run", comes_back=True
+    "returns",
+    "whole passages of the same real person in another run",
+    links_returning_people=True,
 )
 """The task that links whole passages: `attacks.tasks.returns`."""
 FUSED: Final = ("gait", "behaviour", "likelihood_ratio")

@@ -85,30 +85,30 @@ def track_handover(
     begin_s = at_s + task.gap_s
     start_s = shared.release.t[shared.release.offsets[:-1]]
     end_s = patrol.scan_s[shared.last]
-    before = _there(start_s, end_s, at_s - least_s, at_s)
-    after = _there(start_s, end_s, begin_s, begin_s + least_s)
+    before = _present_throughout(start_s, end_s, at_s - least_s, at_s)
+    after = _present_throughout(start_s, end_s, begin_s, begin_s + least_s)
     rng = stream(seed, "linkage", "tracks", task.family, "order")
-    probe = _cut(shared, before, at_s - window_s, at_s, rng)
-    gallery = _cut(shared, after, begin_s, begin_s + window_s, rng)
+    probe = _cut_windows(shared, before, at_s - window_s, at_s, rng)
+    gallery = _cut_windows(shared, after, begin_s, begin_s + window_s, rng)
     people = patrol.people
     came_s = people.t[people.offsets[:-1]]
     left_s = people.t[people.offsets[1:] - 1]
-    was_there = _there(came_s, left_s, at_s - least_s, at_s)
-    is_there = _there(came_s, left_s, begin_s, begin_s + least_s)
-    trials = _trials(was_there & is_there, probe, gallery)
+    present_before = _present_throughout(came_s, left_s, at_s - least_s, at_s)
+    present_after = _present_throughout(came_s, left_s, begin_s, begin_s + least_s)
+    trials = _trials(present_before & present_after, probe, gallery)
     # A rotation with nobody to link has no search.
     used = np.unique(trials.rotation[trials.is_linkable])
     if used.size < N_FOLDS:
         return TrackHandover(trials, None, ())
     sides = tuple(_take_rotations(side, used) for side in (probe, gallery))
-    trials = _trials(was_there & is_there, *sides)
+    trials = _trials(present_before & present_after, *sides)
     sessions = _sessions(
         task,
         patrol,
         shared,
         trials=trials,
         sides=sides,
-        present=(was_there | is_there)[used],
+        present=(present_before | present_after)[used],
         used=used,
         seed=seed,
     )
@@ -141,13 +141,15 @@ def _take_rotations(side: _Side, used: Ints) -> _Side:
     )
 
 
-def _there(start_s: Floats, end_s: Floats, first_s: Floats, last_s: Floats) -> Bools:
+def _present_throughout(
+    start_s: Floats, end_s: Floats, first_s: Floats, last_s: Floats
+) -> Bools:
     """Return who is there from a time to another at each rotation, (S, N)."""
     came = start_s - CLOCK_S <= first_s[:, None]
     return np.asarray(came & (end_s + CLOCK_S >= last_s[:, None]))
 
 
-def _cut(
+def _cut_windows(
     shared: SharedTracks,
     present: Bools,
     first_s: Floats,

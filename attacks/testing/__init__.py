@@ -120,7 +120,7 @@ def _granted(
         return {getattr(subject, "requires", nothing): ""}
     tasks = [(nothing, nothing)]
     if attack_kind(subject) == "linkage":
-        tasks = [(task.everyone, task.nobody) for task in TASKS.values()]
+        tasks = [(task.granted_to_all, task.granted_to_none) for task in TASKS.values()]
     adversary_by_grant: dict[frozenset[Knowledge], str] = {}
     for everyone, nobody in tasks:
         for adversary, granted in grants(

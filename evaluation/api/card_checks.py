@@ -14,7 +14,7 @@ from evaluation.estimates.cards import (
     primary_fault,
     same_board,
 )
-from evaluation.plan.fingerprint import is_user_plugin
+from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.store.cards import Card, read_card
 from isac_track.errors import DataError, SettingsError

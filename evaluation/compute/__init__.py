@@ -1,1 +1,1 @@
-"""One unit of work's numbers: scenes, adversaries, reconstruction, linkage; no disk."""
+"""The numbers of a unit of work: scenes, links, patrols, tracks, returns; no disk."""

@@ -14,8 +14,9 @@ from attacks.reconstruction.low_digits import Message, read_message
 from evaluation.compute.log_attacks import Logs, known_by_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, patrol_setup
 from isac_track.patrols import horizon_scans
+from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.intervals import cluster_numbers, sum_clusters, two_way_ratio
-from isac_track.patrols.knowledge import ESTIMATORS, known_places
+from isac_track.patrols.knowledge import known_places
 from isac_track.patrols.metrics import utility_metrics
 from isac_track.place import placed
 from isac_track.types import Ints, Release

@@ -6,12 +6,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from evaluation.compute.sharing import (
-    copy_for_user_plugin,
-    guarded,
-    hide_sigma,
-    track_samples,
-)
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copy_for_user_plugin, guarded
+from evaluation.compute.sharing import track_samples
 from evaluation.compute.tables import (
     Rows,
     descriptors,

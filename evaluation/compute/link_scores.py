@@ -1,33 +1,23 @@
-"""The scorecard of a linkage attack, and the tables of its cell.
+"""The scorecard of a linkage attack or control.
 
 The scorecard takes a bootstrap and a permutation test. The cell stores it, so that a
-report computes neither again. Replicates of rank metrics follow from the probes. Those
-of score metrics visit every pair; the cells of attacks store them. Cells of controls do
-not: each control has its own permutation test, and no comparison pairs two.
+report computes neither again.
 """
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
-import pyarrow as pa
 from numpy.random import Generator
 
 from evaluation.compute.link_setup import Pairing, SensedSessions
-from evaluation.compute.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
 from isac_track.linkability.ranks import expected_hit
-from isac_track.linkability.scoring import (
-    RANK_METRICS,
-    Drawn,
-    draw,
-    scorecard_from_draws,
-)
+from isac_track.linkability.scoring import Drawn, draw, scorecard_from_draws
 from isac_track.linkability.significance import People, searched_people
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
@@ -36,31 +26,6 @@ WITHOUT_GROUPS, WITHOUT_FROZEN = "without_groups", "without_frozen"
 """Cohorts without groups, whose members move together, or frozen annotations."""
 SHUFFLES = 999
 AUDIT_SHUFFLES = 1999  # Enough to reject at a hundredth over six tests.
-ESTIMATES: Final = "estimates"
-REPLICATES: Final = "replicates"
-ABOUT: Final = "about"
-DERIVED: Final = ("chance", "residual_risk", "d_sys_corrected")
-"""Metrics whose replicates follow from those of others."""
-COMPANIONS: Final = ("companions", "companions_above", "companions_tied")
-"""Columns of `ProbeRanks.companions`, which are no candidates of `rank1_g100`."""
-ASSIGNED: Final = ("nobody", "other", "mate", "mate if any", "unknown")
-"""Names of `ProbeRanks.assigned` + 1; unknown where scores have no scale."""
-NAMED_MATES: Final = frozenset({"mate", "mate if any"})
-"""The values of `ASSIGNED` that count as hits."""
-_NUMBERS = (
-    "p_value",
-    "p_value_low",
-    "p_rank1",
-    "n_probes",
-    "n_mated",
-    "gallery_sizes",
-    "n_clusters",
-    "realised_fpr_1pct",
-    "realised_fpr_01pct",
-    "d_sys_bins",
-    "is_inverted",
-    "minimum_detectable_rank1",
-)
 # Probes that are compared at a time: thousands at once would take 200 MB.
 _AT_ONCE = 256
 _NOTHING: Final[Mapping[int, Any]] = MappingProxyType({})
@@ -80,11 +45,12 @@ class LinkResult:
     """(n,) hits lost by each fully searched probe if only candidates are scored."""
 
 
-def score_links(
+def evaluate_links(
     scores: Mapping[int, Floats],
     *,
     setup: SensedSessions,
-    drawn_from: Generator | tuple[str, ...],
+    control_rng: Generator | None = None,
+    attack_names: tuple[str, ...] = (),
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
     matched: Mapping[int, Floats] = _NOTHING,
     is_audit: bool = False,
@@ -96,9 +62,10 @@ def score_links(
     search, (P, G) each, by its number; `calibration` has that of every fold with people
     to calibrate on. `matched` has by search the probabilities of the pairs of an open
     gallery (`match_pairs`): without them an open gallery has no assignment.
-    `drawn_from` is a control's own random stream, or the name of an attack, whose
-    stream is the same at all levels. With `setup.n_candidates` all metrics follow from
-    the ranks, and `losses` holds what the attack lost.
+    `control_rng` is the random stream of a control. Without it the scores are of an
+    attack: the stream of its `attack_names` is the same at all levels. With
+    `setup.n_candidates` all metrics follow from the ranks, and `losses` holds what the
+    attack lost.
     """
     sessions = setup.sessions
     searches = _make_searches(scores, setup)
@@ -109,15 +76,18 @@ def score_links(
     scorecard = _scorecard(
         searches,
         setup,
-        drawn_from=drawn_from,
+        control_rng=control_rng,
+        attack_names=attack_names,
         calibration=calibration,
         matched=[matched[number] for number in sorted(scores)] if is_matched else None,
         n_shuffles=AUDIT_SHUFFLES if is_audit else SHUFFLES,
     )
     scorecard = _with_known_estimates(
-        scorecard, is_assigned=is_assigned, comes_back=sessions.task.comes_back
+        scorecard,
+        is_assigned=is_assigned,
+        links_returning_people=sessions.task.links_returning_people,
     )
-    is_control = isinstance(drawn_from, Generator)
+    is_control = control_rng is not None
     return LinkResult(
         searches=searches,
         calibration=calibration,
@@ -132,25 +102,26 @@ def _scorecard(
     searches: tuple[linkability.Search, ...],
     setup: SensedSessions,
     *,
-    drawn_from: Generator | tuple[str, ...],
+    control_rng: Generator | None,
+    attack_names: tuple[str, ...],
     calibration: Mapping[int, linkability.Calibration],
     matched: Sequence[Floats] | None,
     n_shuffles: int,
 ) -> linkability.Scorecard:
     """Return the scorecard of all searches; `matched` has the pairs of each, if any."""
     if setup.n_candidates:
-        rng = drawn_from
-        if not isinstance(rng, Generator):
-            rng = _stream(setup.seed, *rng)
+        rng = control_rng
+        if rng is None:
+            rng = _stream(setup.seed, *attack_names)
         return linkability.rank_scorecard(
             searches, weights=setup.weights, rng=rng, n_shuffles=n_shuffles
         )
     is_calibrated = {search.scale for search in searches} <= set(calibration)
     people = tuple(searched_people(search) for search in searches)
-    if isinstance(drawn_from, Generator):
-        draws = draw(people, drawn_from, n_shuffles)
+    if control_rng is not None:
+        draws = draw(people, control_rng, n_shuffles)
     else:
-        draws = _draws(people, setup.seed, *drawn_from)
+        draws = _draws(people, setup.seed, *attack_names)
     return scorecard_from_draws(
         searches,
         weights=setup.weights,
@@ -179,7 +150,7 @@ def _make_searches(
 
 
 def _with_known_estimates(
-    scorecard: linkability.Scorecard, *, is_assigned: bool, comes_back: bool
+    scorecard: linkability.Scorecard, *, is_assigned: bool, links_returning_people: bool
 ) -> linkability.Scorecard:
     """Return a scorecard without unknown assignments, exact for few people."""
     estimates = dict(scorecard.estimates)
@@ -187,7 +158,7 @@ def _with_known_estimates(
         for name in estimates.keys() & {"rank1_assigned", "false_link_rate"}:
             unknown = np.full_like(estimates[name].replicates, np.nan)
             estimates[name] = Estimate(np.nan, n=estimates[name].n, replicates=unknown)
-    if comes_back:  # a single outcome per person, and few people
+    if links_returning_people:  # a single outcome per person, and few people
         # Ties leave fractions of hits.
         hits = int(estimates["rank1"].value * scorecard.n_mated + 1e-9)
         low, high = exact_binomial(hits=hits, n=scorecard.n_mated)
@@ -314,7 +285,7 @@ def _cohort_trials(setup: SensedSessions) -> _CohortTrials:
     )
 
 
-def fit_scores(
+def fit_calibration(
     scored_searches: Sequence[tuple[Floats, Pairing]],
 ) -> linkability.Calibration | None:
     """Return the calibration on people neither attacked nor learnt from.
@@ -337,9 +308,9 @@ def fit_score_scale(
 ) -> float | None:
     """Return the factor that turns scores of an open gallery into log ratios.
 
-    Fitted on the same people as `fit_scores`, within the gallery of each: the scale
-    must separate a mate from the candidates nearby, not from those at the other end of
-    the scene. None without mates.
+    Fitted on the same people as `fit_calibration`, within the gallery of each: the
+    scale must separate a mate from the candidates nearby, not from those at the other
+    end of the scene. None without mates.
     """
     if not any((pairing.mate >= 0).any() for _, pairing in scored_searches):
         return None
@@ -355,130 +326,3 @@ def match_pairs(scores: Floats, *, scale: float, mate_rate: float) -> Floats:
     every probe.
     """
     return linkability.open_matches(scale * scores, n_links=mate_rate * len(scores))
-
-
-def linkage_tables(
-    result: LinkResult, setup: SensedSessions, *, keep_scores: bool
-) -> Tables:
-    """Return the tables of a linkage attack or control at one level.
-
-    - `rows`, one per probe: `search` (a half, or the instant of a handover), `source`,
-      `group`; `above` and `tied`, the numbers of candidates that score above its mate
-      and as high, the mate included (-1 and 0 without a mate); `chance` of rank 1,
-      `assigned` (`ASSIGNED`); with the raw scores also `mate` (place in the gallery, or
-      -1) and `scores` against the whole gallery; `COMPANIONS`;
-    - `estimates`, one per metric: `metric`, `value`, `ci_low`, `ci_high`, `n`;
-    - `replicates`, one per bootstrap draw: a column for each score metric, in single
-      precision;
-    - `about`: one row with all other numbers as JSON.
-    """
-    scorecard, probes = result.scorecard, result.scorecard.probes
-    assigned = np.full_like(probes.assigned, len(ASSIGNED) - 1)
-    if result.is_assigned:
-        assigned = probes.assigned + 1
-    rows = {
-        **_probe_names(setup),
-        "above": probes.above.astype(np.int32),
-        "tied": probes.tied.astype(np.int32),
-        "chance": probes.chance,
-        "assigned": names_column(assigned, ASSIGNED),
-    }
-    companions = probes.companions.astype(np.int32).T
-    rows.update(zip(COMPANIONS, companions, strict=True))
-    about = _about_result(result)
-    if keep_scores:
-        rows |= _score_columns(result.searches)
-        about["gallery"] = _gallery_sources(setup)
-    estimates = scorecard.estimates
-    columns = {"metric": [*estimates]} | {
-        field: np.array([getattr(estimate, field) for estimate in estimates.values()])
-        for field in ("value", "ci_low", "ci_high", "n")
-    }
-    tables = {
-        ROWS: table(rows),
-        ESTIMATES: table(columns),
-        ABOUT: table({"about": [_about_task(setup) + _json(about)[1:]]}),
-    }
-    if result.cohorts:  # no comparison pairs two controls
-        stored = estimates.keys() - {*DERIVED, *RANK_METRICS}
-        tables[REPLICATES] = table(
-            {
-                name: estimate.replicates.astype(np.float32)
-                for name, estimate in estimates.items()
-                if name in stored
-            }
-        )
-    return tables
-
-
-def _about_result(result: LinkResult) -> dict[str, Any]:
-    """Return the numbers of a result that are stored as JSON."""
-    numbers = {name: getattr(result.scorecard, name) for name in _NUMBERS}
-    if result.losses is not None:
-        numbers["n_checked"] = result.losses.size
-        numbers["rank1_loss"] = None
-        if result.losses.size:
-            numbers["rank1_loss"] = float(result.losses.mean())
-    return {
-        "calibration": {
-            fold: asdict(calibration)
-            for fold, calibration in result.calibration.items()
-        },
-        "numbers": numbers,
-        "cohorts": result.cohorts,
-    }
-
-
-def _score_columns(searches: Sequence[linkability.Search]) -> dict[str, Any]:
-    """Return the columns of raw scores: each probe's mate, and its scores."""
-    flat = np.concatenate([search.scores.ravel() for search in searches])
-    sizes = [row.size for search in searches for row in search.scores]
-    starts = np.cumsum([0, *sizes], dtype=np.int32)
-    return {
-        "mate": np.concatenate([search.mate for search in searches]).astype(np.int32),
-        "scores": pa.ListArray.from_arrays(
-            column(starts), column(flat.astype(np.float32))
-        ),
-    }
-
-
-def _gallery_sources(setup: SensedSessions) -> list[list[str]]:
-    """Return the people of the gallery of every search, by the number of the search."""
-    sessions = setup.sessions
-    return [
-        [sessions.source[person] for person in sessions.gallery.person[pairing.gallery]]
-        for _, pairing in sorted(setup.searches.items())
-    ]
-
-
-# As above.
-@lru_cache(maxsize=4)
-def _probe_names(setup: SensedSessions) -> dict[str, pa.Array]:
-    """Return the columns that name the probes: those of every cell of a task."""
-    sessions = setup.sessions
-    probe = np.concatenate(
-        [pairing.probe for _, pairing in sorted(setup.searches.items())]
-    )
-    person = sessions.probe.person[probe]
-    return {
-        "search": names_column(sessions.probe.search[probe], sessions.searches),
-        "source": names_column(person, sessions.source),
-        "group": names_column(person, sessions.group),
-    }
-
-
-# As above.
-@lru_cache(maxsize=4)
-def _about_task(setup: SensedSessions) -> str:
-    """Return the beginning of the JSON about every cell of a task."""
-    about = {
-        "clusters": sorted(set(setup.sessions.group)),
-        "drawn_as": setup.drawn_as.tolist(),
-        "n_groups": setup.n_groups,
-        "seed": setup.seed,
-    }
-    return f"{_json(about)[:-1]}, "
-
-
-def _json(about: dict[str, Any]) -> str:
-    return json.dumps(about, default=lambda number: number.item())

@@ -14,7 +14,7 @@ from itertools import chain
 import numpy as np
 
 from attacks.tasks.sessions import Sessions
-from evaluation.compute.sharing import FAR_M, LONG_S, Frame
+from evaluation.compute.frames import FAR_M, LONG_S, Frame
 from isac_track.config import PrivacySettings, StageSettings
 from isac_track.intervals import cluster_weights
 from isac_track.model_world import Motion, simulate_walks
@@ -109,9 +109,9 @@ def sensed_sessions(
     drawn_as = np.array([group_place.get(name, -1) for name in clusters.tolist()])
     task = sessions.task
     largest = int(np.bincount(sessions.gallery.search).max())
-    n_candidates = 0 if task.comes_back else stages.linkage.candidates
+    n_candidates = 0 if task.links_returning_people else stages.linkage.candidates
     numbers = np.unique(sessions.fold).tolist()
-    if task.comes_back:
+    if task.links_returning_people:
         numbers = list(range(len(sessions.learns)))
     folds = tuple(prepare_fold(sessions, fold) for fold in numbers)
     frames: tuple[Frame, ...] = ()
@@ -187,7 +187,9 @@ def prepare_fold(sessions: Sessions, fold: int) -> FoldPairings:
     own = np.flatnonzero(sessions.fold == fold)
     others = np.flatnonzero(sessions.fold != fold)
     attacked = everybody = np.ones(len(sessions.source), dtype=bool)
-    if sessions.task.comes_back:  # a fold is a person, searched for among all people
+    if (
+        sessions.task.links_returning_people
+    ):  # a fold is a person, searched for among all people
         own = others = np.arange(sessions.fold.size)
         attacked = np.arange(everybody.size) == fold
     learns, calibrates = sessions.learns[fold], sessions.calibrates[fold]

@@ -13,16 +13,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from attacks.following.logs import first_half
-from evaluation.compute.sharing import (
-    copy_for_user_plugin,
-    guarded,
-    hide_sigma,
-    reconstructed,
-)
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copy_for_user_plugin, guarded
+from evaluation.compute.sharing import call_attack
 from isac_track.errors import SettingsError
 from isac_track.measurement import scalar_covariance
 from isac_track.noise import MIN_VARIANCE_M2
-from isac_track.patrols.knowledge import Log, fleet_log, state_positions
+from isac_track.patrols.estimators import estimate_positions
+from isac_track.patrols.fleet_logs import Log, fleet_log
 from isac_track.protocols import (
     USUAL,
     WALK_KNOWLEDGE,
@@ -86,7 +84,7 @@ def log_attack(plugin: Plugin) -> LogAttack:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Logs:
-    """The answers of a policy to all fleets, and how positions are stated without."""
+    """The answers of a policy to all fleets, and the guesses without."""
 
     network: Network
     disclosure: Disclosure
@@ -176,7 +174,7 @@ def _attacked(
         return log
     plugin = attack.plugin
     release = hide_sigma(_as_release(network, log, rows, offsets), attack.granted)
-    rebuilt = reconstructed(
+    rebuilt = call_attack(
         reconstruct,
         copy_for_user_plugin(release, plugin),
         name=f"attack {plugin.spec!r}",
@@ -217,9 +215,9 @@ def _count(logs: Logs, log: Log) -> Ints:
     guess = np.repeat(logs.guesses, np.diff(grid.offsets), axis=0)
     counts = []
     for reading in READINGS:
-        stated = state_positions(
-            log, t=grid.t, offsets=grid.offsets, estimator=reading, otherwise=guess
+        estimate = estimate_positions(
+            log, t=grid.t, offsets=grid.offsets, estimator=reading, fallback_xy=guess
         )
-        is_known = squared_lengths(stated - grid.xy) < logs.epsilon_m**2
+        is_known = squared_lengths(estimate - grid.xy) < logs.epsilon_m**2
         counts.append(np.add.reduceat(is_known.astype(np.int64), grid.offsets[:-1]))
     return np.stack(counts)

@@ -16,10 +16,12 @@ import numpy as np
 
 from evaluation.compute import sharing
 from evaluation.compute.current_cell import note_cell
+from evaluation.compute.frames import hide_sigma
+from evaluation.compute.guards import copied, guarded
 from evaluation.compute.linkage import score_releases
 from evaluation.compute.work import (
-    Block,
     PatrolWork,
+    SceneWork,
     TrackingWork,
     Work,
     compute_cells,
@@ -143,7 +145,10 @@ def _least_time(
     """Return the least time of a few calls, or that of one slow call."""
     note_cell(plugin_call.plugin.spec)
     least = _call(plugin_call, stages, n_people=n_people)
-    for _ in range(1, _REPEATS if least.cpu_s < _REPEATED_S else 1):
+    n_calls = 1
+    if least.cpu_s < _REPEATED_S:
+        n_calls = _REPEATS
+    for _ in range(1, n_calls):
         least = min(least, _call(plugin_call, stages, n_people=n_people))
     return least
 
@@ -196,10 +201,11 @@ def _call(
             plugin, consumer, mechanism, tracks=tracks, order=order, stages=stages
         )
     level = (plugin, ()) if consumer is None else (mechanism, (consumer,))
-    work: Work = Block(0, 0, order, (level,))
+    work: Work = SceneWork(0, 0, order, (level,))
     if consumer is not None and consumer.reads_patrols:
-        reads_tracks = consumer.reads_tracks
-        work = (TrackingWork if reads_tracks else PatrolWork)(people, (level,))
+        work = PatrolWork(people, (level,))
+        if consumer.reads_tracks:
+            work = TrackingWork(people, (level,))
         stages = stages.changed(
             {"patrol.fleets": 1, "patrol.robots": 1, "tracking.seeds": 1}
         )
@@ -222,12 +228,12 @@ def _call_linker(
     """Let a linker link two releases of the same people, on whom it is also trained."""
     scenes = make_scenes(tracks, order=order, first=0, settings=stages, seed=_SEED)
     sensed = sense_scenes(scenes, settings=stages.sensing, seed=_SEED)
-    granted = consumer.granted & sharing.declared(plugin)
+    granted = consumer.granted & sharing.declared_knowledge(plugin)
     releases = (
         sharing.share(mechanism, sensed, "trial", n, seed=_SEED) for n in range(2)
     )
-    probe, gallery = (sharing.hide_sigma(release, granted) for release in releases)
-    copies = sharing.copied(probe), sharing.copied(gallery)
+    probe, gallery = (hide_sigma(release, granted) for release in releases)
+    copies = copied(probe), copied(gallery)
     context = AttackContext(
         rng=stream(_SEED, "attacks", "trial"),
         epsilon_m=stages.privacy.epsilon_m,
@@ -237,7 +243,7 @@ def _call_linker(
     )
     name = f"attack {consumer.label}"
     started_s = process_time()
-    attack = sharing.guarded(name, lambda: plugin.instance.fit(context))
+    attack = guarded(name, lambda: plugin.instance.fit(context))
     score_releases(attack, probe, gallery, plugin=plugin, name=name)
     return _CallTime(process_time() - started_s, len(probe) * len(gallery) / 1e6)
 

@@ -14,20 +14,16 @@ import numpy as np
 
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.tables import ROWS
-from evaluation.compute.tracking import (
-    FOLLOWED,
-    FOLLOWED_COLUMNS,
-    release_rows,
-    share_tracked,
-    track_tables,
-)
+from evaluation.compute.track_rows import FOLLOWED, FOLLOWED_COLUMNS, track_tables
+from evaluation.compute.tracking import release_rows
+from evaluation.compute.tracking_setup import share_tracked
 from isac_track.plugins import parse
 from isac_track.tracking.knowledge import TRACK_ESTIMATORS
 from isac_track.tracking.methods import REFERENCE_TYPES
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.compute.tracking import SharedSeed, TrackingSetup
+    from evaluation.compute.tracking_setup import SeedRelease, TrackingSetup
     from evaluation.plan.axes import Consumer
     from isac_track.plugins import Plugin
     from isac_track.types import Bools, Ints
@@ -40,7 +36,7 @@ _REJOINED: Final = ("rejoined_share_sum", "rejoined_share_over")
 
 def recipient_rows(
     consumers: Iterable[Consumer],
-    releases: list[SharedSeed],
+    releases: list[SeedRelease],
     setup: TrackingSetup,
     *,
     mechanism: Plugin,
@@ -63,7 +59,7 @@ def recipient_rows(
 def recipient_tables(
     mechanism: Plugin,
     tracker: Plugin,
-    releases: list[SharedSeed],
+    releases: list[SeedRelease],
     setup: TrackingSetup,
 ) -> dict[str, Rows]:
     """Return the tables of tracks, and what the adversary makes of the same detections.

@@ -18,16 +18,12 @@ import numpy as np
 from attacks.reconstruction.learning import N_CANDIDATES
 from evaluation.compute import sharing
 from evaluation.compute.companions import companion_release
+from evaluation.compute.frames import Frame, adversary_view, hide_sigma
+from evaluation.compute.guards import copied, copy_for_user_plugin, guarded
 from evaluation.compute.model_walks import sensed_scenes
-from evaluation.compute.sharing import (
-    SHOWS,
-    Frame,
-    adversary_view,
-    hide_sigma,
-    reconstructed,
-)
+from evaluation.compute.sharing import SHOWS, call_attack
 from evaluation.compute.tables import Rows, described_rows, track_columns
-from evaluation.compute.track_bounds import benchmark, genie_plr
+from evaluation.compute.walk_bounds import benchmark, genie_plr
 from evaluation.plan.constants import MOST_SCENES
 from isac_track import privacy
 from isac_track.errors import DataError, PluginError
@@ -54,7 +50,7 @@ class HalfAsSeen(NamedTuple):
     shows: frozenset[Knowledge]  # Of `SHOWS`.
 
 
-class View(NamedTuple):
+class AttackView(NamedTuple):
     """A release as an adversary sees it."""
 
     release: Release
@@ -106,7 +102,7 @@ class AttackedLevel:
     scenes: Scenes  # Without the samples that the release left out.
     release: Release
     victims: tuple[Victims, ...]  # Each half of its tracks.
-    views: Mapping[HalfAsSeen, View]
+    views: Mapping[HalfAsSeen, AttackView]
     training: Mapping[HalfAsSeen, TrainingSet]
     """People to learn from, in a frame of theirs, for each half that has any."""
     repeats: tuple[Release, ...]  # Further releases of the walks, in the true frame.
@@ -115,11 +111,11 @@ class AttackedLevel:
     bound: Rows  # Columns of the best estimate that is possible of each track.
 
 
-def folds(groups: tuple[str, ...], *, seed: int) -> Ints:
+def draw_halves(groups: tuple[str, ...], *, seed: int) -> Ints:
     """Return the half of each track, (N,) 0 or 1: members of a group stay together."""
     names = sorted(set(groups))
     order = stream(seed, "folds").permutation(len(names))
-    half_by_group = {names[name]: place % 2 for place, name in enumerate(order)}
+    half_by_group = {names[row]: place % 2 for place, row in enumerate(order)}
     return np.array([half_by_group[group] for group in groups], dtype=np.int64)
 
 
@@ -160,7 +156,7 @@ def attacked_block(
     sense_walks = partial(
         sensed_scenes, tracks=tracks, is_model=is_model, stages=stages, seed=seed
     )
-    half_by_track = folds(tracks.group, seed=seed)
+    half_by_track = draw_halves(tracks.group, seed=seed)
     half = half_by_track[scenes.track]
     # Agents are numbered over the whole run: each pass takes each track once.
     agents = scenes.index[0] * scenes.n_agents + np.arange(scenes.track.size)
@@ -224,7 +220,7 @@ def attacked_level(
     )
     key = (mechanism.spec, "scene", int(block.scenes.index[0]), "part")
     samples = sharing.samples_shared(release, block.sensed)
-    scenes = sharing.restricted(block.scenes, samples)
+    scenes = sharing.take_samples(block.scenes, samples)
     victims = tuple(_victims(scenes, release, half) for half in block.halves)
     visible = {consumer.granted & SHOWS for consumer in consumers}
     training: dict[HalfAsSeen, TrainingSet] = {}
@@ -243,7 +239,7 @@ def attacked_level(
     companions: tuple[Release, ...] = ()
     if Knowledge.COMPANIONS in granted:
         companions = (_companions(mechanism, block),)
-    sensed = sharing.restricted(block.sensed, samples)
+    sensed = sharing.take_samples(block.sensed, samples)
     return AttackedLevel(
         mechanism=mechanism,
         block=block,
@@ -307,7 +303,7 @@ def _training_sets(
             mechanism, others.sensed, "training", fold, seed=block.seed
         )
         samples = sharing.samples_shared(shared, others.sensed)
-        truth_m = sharing.restricted(others.walks, samples).xy
+        truth_m = sharing.take_samples(others.walks, samples).xy
         views = _views(shared, visible, *key, fold, "training", seed=block.seed)
         for knowledge, view in views:
             training[HalfAsSeen(fold, knowledge)] = TrainingSet(
@@ -343,7 +339,7 @@ def _views(
     visible: Collection[frozenset[Knowledge]],
     *key: str | int,
     seed: int,
-) -> Iterator[tuple[frozenset[Knowledge], View]]:
+) -> Iterator[tuple[frozenset[Knowledge], AttackView]]:
     """Yield a release as it shows by knowledge; without SCENE, in one drawn frame."""
     for sees_scene in {Knowledge.SCENE in knowledge for knowledge in visible}:
         rng = stream(seed, "frames", *key)
@@ -351,7 +347,7 @@ def _views(
         seen, frame = adversary_view(release, granted=most, rng=rng)
         for knowledge in visible:
             if (Knowledge.SCENE in knowledge) == sees_scene:
-                yield knowledge, View(hide_sigma(seen, knowledge), frame)
+                yield knowledge, AttackView(hide_sigma(seen, knowledge), frame)
 
 
 def attack_rows(consumer: Consumer, level: AttackedLevel) -> Rows:
@@ -410,9 +406,9 @@ def _attack_half(
         if attack is None or granted & WALK_KNOWLEDGE:
             context = _context(consumer, level, fold=fold, victims=part, frame=frame)
             fit = partial(consumer.plugin.instance.fit, context)
-            attack = sharing.guarded(name, fit)
-        rebuilt = reconstructed(
-            attack, sharing.copy_for_user_plugin(shown, consumer.plugin), name=name
+            attack = guarded(name, fit)
+        rebuilt = call_attack(
+            attack, copy_for_user_plugin(shown, consumer.plugin), name=name
         )
         # Only the correction is turned back: positions that the attack leaves as they
         # are stay the same bit by bit.
@@ -450,7 +446,7 @@ def _context(
     granted, seed = consumer.granted, level.block.seed
     train = level.training.get(HalfAsSeen(fold, granted & SHOWS))
     if train is not None and not consumer.is_built_in:
-        train = TrainingSet(sharing.copied(train.release), train.truth.copy())
+        train = TrainingSet(copied(train.release), train.truth.copy())
     if Knowledge.TRAIN in granted and train is None:
         raise DataError(
             f"attack {consumer.spec!r} needs other people to train on, but all tracks"

@@ -12,13 +12,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from attacks.reconstruction.kalman_rts import RadialRTS
-from evaluation.compute.sharing import (
-    copied,
-    guarded,
-    restricted,
-    samples_shared,
-    share,
-)
+from evaluation.compute.guards import copied, guarded
+from evaluation.compute.sharing import samples_shared, share, take_samples
 from evaluation.compute.tables import names_column, table
 from evaluation.plan.constants import IDENTITY
 from isac_track.privacy import leakage_indicator
@@ -111,7 +106,7 @@ def gallery_rows(
     hidden = copied(release.without_sigma())
     rebuilt = guarded(f"attack {name!r}", lambda: attack.fit(context)(hidden))
     # A mechanism may share fewer samples than were sensed.
-    truth = restricted(scenes, samples_shared(release, sensed)).xy
+    truth = take_samples(scenes, samples_shared(release, sensed)).xy
     owner = np.repeat(np.arange(len(release)), np.diff(release.offsets))
     columns: dict[str, Any] = {
         "track": owner,

@@ -1,33 +1,23 @@
-"""Releases: share with a mechanism, check what it returns, and show it to a reader.
-
-An adversary sees a release in a frame and on a clock of its own. `guarded` calls a
-user's plug-in and names its mistakes; `copied` protects our arrays from it.
-"""
+"""Releases: share with a mechanism, check what it returns, and select samples."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.random import Generator
 
-from attacks.tasks.sessions import Windows
-from isac_track.command_line import check_interrupt, may_be_ctrl_c
-from isac_track.errors import PluginError, error_text, raised_at
+from evaluation.compute.guards import Batch, copy_for_user_plugin, guarded
+from isac_track.errors import PluginError
 from isac_track.measurement import covariance_after
 from isac_track.rng import stream
 from isac_track.sharing import split_pseudonyms
 from isac_track.types import (
     SHARED_LIMIT_M,
-    Complexes,
-    Floats,
     Ints,
     Knowledge,
     Reconstruction,
     Release,
-    Scenes,
     Sensed,
     derived,
     stretches,
@@ -37,14 +27,9 @@ from isac_track.types import (
 if TYPE_CHECKING:
     from isac_track.plugins import Plugin
 
-_Batch = TypeVar("_Batch", Release, Scenes, Sensed, Windows)
-# Where the project's own plug-ins come from.
-OURS = ("isac_track.", "attacks.", "predictors.")
 # Knowledge that shows in the release itself.
 SHOWS = frozenset({Knowledge.SIGMA, Knowledge.SCENE})
-# How far off, and how long ago, an adversary's frame and clock may begin.
-FAR_M = 1000.0
-LONG_S = 86_400.0
+# Fields with a value for each sample, of any of the batches.
 _PER_SAMPLE = (
     "t",
     "xy",
@@ -63,38 +48,6 @@ class Samples(NamedTuple):
 
     rows: Ints  # (m,) which of the M samples.
     offsets: Ints  # (n + 1,) of the tracks among them.
-
-
-def guarded(name: str, call: Callable[[], Any]) -> Any:  # noqa: ANN401 - whatever a plug-in returns
-    """Return what a plug-in's function returns.
-
-    Raises PluginError for whatever it raises, with the plug-in's name and the place in
-    its code. The user's Ctrl-C passes.
-    """
-    try:
-        with np.errstate():  # undoes what the call sets
-            return call()
-    except BaseException as error:  # a plug-in may do anything
-        if isinstance(error, KeyboardInterrupt) and may_be_ctrl_c():
-            raise
-        check_interrupt()  # it may have caught the user's and raised something else
-        raise PluginError(
-            f"{name} failed: {error_text(error)}{raised_at(error)}"
-        ) from error
-
-
-def copy_for_user_plugin(batch: _Batch, to: Plugin) -> _Batch:
-    """Return a batch as a plug-in gets it: a user's own plug-in gets a copy."""
-    return batch if to.origin.startswith(OURS) else copied(batch)
-
-
-def copied(batch: _Batch) -> _Batch:
-    """Return a batch in arrays of its own: a plug-in may unlock them and write."""
-    values = ((field.name, getattr(batch, field.name)) for field in fields(batch))
-    copies = {
-        name: value.copy() for name, value in values if isinstance(value, np.ndarray)
-    }
-    return derived(batch, **copies)
 
 
 def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Release:
@@ -131,7 +84,7 @@ def share(mechanism: Plugin, sensed: Sensed, *key: str | int, seed: int) -> Rele
         if (release.sigma >= 0).all():
             fault = f"above {limit}, the limit"
         raise PluginError(f"{name} declared a sigma {fault}")
-    release = _with_covariance(release, restricted(sensed, shared))
+    release = _with_covariance(release, take_samples(sensed, shared))
     # A stream for every release: from a common stream all would draw the same.
     drawn = stream(seed, "pseudonyms", mechanism.spec, *key).bytes(8 * len(release))
     return derived(release, pseudonym=split_pseudonyms(drawn))
@@ -192,81 +145,24 @@ def track_samples(offsets: Ints, tracks: Ints) -> Samples:
     return Samples(*stretches(offsets[tracks], np.diff(offsets)[tracks]))
 
 
-def restricted(batch: _Batch, to: Samples | None) -> _Batch:
-    """Return a batch with only the samples `to` of its tracks; None: with all."""
-    if to is None:
+def take_samples(batch: Batch, samples: Samples | None) -> Batch:
+    """Return a batch with only some samples of its tracks; None: with all."""
+    if samples is None:
         return batch
-    samples = {
-        name: values.take(to.rows, axis=0)
+    arrays = {
+        name: values.take(samples.rows, axis=0)
         for name in _PER_SAMPLE
         if (values := getattr(batch, name, None)) is not None
     }
-    return derived(batch, offsets=to.offsets, **samples)
+    return derived(batch, offsets=samples.offsets, **arrays)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Frame:
-    """A frame and a clock, of all samples or of each: turn by an angle, then shift."""
-
-    turn: Complexes | complex = 1.0  # (M,) or a number: cosine and sine of the angle
-    shift_m: Complexes | complex = 0.0  # (M,) or a number: x and y, m
-    clock_s: Floats | float = 0.0
-
-    def points(self, xy: Floats) -> Floats:
-        """Return positions, (M, 2) m, in the frame."""
-        points = np.ascontiguousarray(xy).view(np.complex128)[:, 0]
-        return (self.turn * points + self.shift_m).view(np.float64).reshape(-1, 2)
-
-    def release(self, release: Release) -> Release:
-        """Return a release in the frame and on the clock."""
-        return replace(
-            release,
-            xy=self.points(release.xy),
-            t=release.t + self.clock_s,
-            cov=None if release.cov is None else self._turned(release.cov),
-        )
-
-    def _turned(self, cov: Floats) -> Floats:
-        """Return covariances, (M, 2, 2) m^2, in the frame."""
-        turn = np.asarray(self.turn)
-        rows = np.array([[turn.real, -turn.imag], [turn.imag, turn.real]])
-        matrix = np.moveaxis(rows, (0, 1), (-2, -1))
-        return np.asarray(matrix @ cov @ np.swapaxes(matrix, -2, -1))
-
-    def per_sample(self, offsets: Ints) -> Frame:
-        """Return the frame of each sample from those of walks; `offsets`, (N + 1,)."""
-        n_samples = np.diff(offsets)
-        return Frame(
-            turn=np.repeat(self.turn, n_samples),
-            shift_m=np.repeat(self.shift_m, n_samples),
-            clock_s=np.repeat(self.clock_s, n_samples),
-        )
-
-
-def adversary_view(
-    release: Release, *, granted: frozenset[Knowledge], rng: Generator
-) -> tuple[Release, Frame]:
-    """Return a release as an adversary sees it, and its frame: drawn without SCENE."""
-    release = hide_sigma(release, granted)
-    if Knowledge.SCENE in granted:
-        return release, Frame()
-    angle = float(rng.uniform(0.0, 2.0 * np.pi))
-    shift_m, clock_s = complex(*rng.uniform(-FAR_M, FAR_M, 2)), rng.uniform(0.0, LONG_S)
-    frame = Frame(np.cos(angle) + 1j * np.sin(angle), shift_m, clock_s)
-    return frame.release(release), frame
-
-
-def hide_sigma(release: Release, granted: frozenset[Knowledge]) -> Release:
-    """Return a release, without standard deviations unless SIGMA is granted."""
-    return release if Knowledge.SIGMA in granted else release.without_sigma()
-
-
-def declared(plugin: Plugin) -> frozenset[Knowledge]:
+def declared_knowledge(plugin: Plugin) -> frozenset[Knowledge]:
     """Return the knowledge that a plug-in needs or takes."""
     return frozenset(plugin.instance.requires | plugin.instance.uses)
 
 
-def reconstructed(
+def call_attack(
     attack: Callable[[Release], object], release: Release, *, name: str
 ) -> Reconstruction:
     """Return the reconstruction of a fitted attack, in the frame of the release.

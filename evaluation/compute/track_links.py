@@ -16,7 +16,8 @@ from attacks.tasks.task_list import TASKS
 from attacks.tasks.track_handover import track_handover
 from evaluation.compute.current_cell import note_cell
 from evaluation.compute.link_setup import SensedSessions, prepare_fold, whole_searches
-from evaluation.compute.linkage import level_of_releases, search_scores
+from evaluation.compute.link_views import level_of_releases
+from evaluation.compute.linkage import search_scores
 from evaluation.compute.tables import ROWS
 from isac_track.linkability.ranks import rank1
 from isac_track.types import Knowledge
@@ -25,7 +26,7 @@ if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
     from attacks.tasks.track_handover import TrackHandover
     from evaluation.compute.tables import Rows
-    from evaluation.compute.tracking import SharedSeed, TrackingSetup
+    from evaluation.compute.tracking_setup import SeedRelease, TrackingSetup
     from evaluation.plan.axes import Consumer
     from isac_track.plugins import Plugin
     from isac_track.types import Floats
@@ -36,7 +37,7 @@ LINK_COLUMNS: Final = ("seed", "block", "hits", "chance", "linkable", "trials")
 
 def link_rows(
     consumers: Iterable[Consumer],
-    releases: list[SharedSeed],
+    releases: list[SeedRelease],
     setup: TrackingSetup,
     *,
     mechanism: Plugin,

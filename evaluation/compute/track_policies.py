@@ -12,36 +12,33 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from evaluation.compute.current_cell import note_cell
-from evaluation.compute.sharing import guarded
+from evaluation.compute.guards import guarded
 from evaluation.compute.tables import ROWS
-from evaluation.compute.tracking import (
-    count_horizons,
-    place_rows,
-    robot_tables,
-)
+from evaluation.compute.track_rows import seed_block_columns
+from evaluation.compute.tracking import count_horizons, robot_tables
 from isac_track.patrols import horizon_scans
 from isac_track.patrols.answers import disclose
-from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
-from isac_track.tracking.policies import (
+from isac_track.tracking.answers import (
     disclosed_instants,
     forecasts_by_robot,
     logged_tracks,
     track_network,
 )
+from isac_track.tracking.knowledge import TRACK_ESTIMATORS, known_instants
 from isac_track.tracking.utility import foresee_from_forecasts
 from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.compute.tracking import (
+    from evaluation.compute.tracking_setup import (
         CountsByHorizon,
-        SharedSeed,
+        SeedRelease,
         TrackingSetup,
     )
     from evaluation.plan.axes import Consumer
     from isac_track.patrols.answers import Disclosure
     from isac_track.plugins import Plugin
-    from isac_track.tracking.policies import TrackNetwork
+    from isac_track.tracking.answers import TrackNetwork
     from isac_track.types import Floats
 
 LOG_COLUMNS: Final = (
@@ -64,7 +61,7 @@ class _Answers:
 
 def answer_rows(
     consumers: Iterable[Consumer],
-    releases: list[SharedSeed],
+    releases: list[SeedRelease],
     setup: TrackingSetup,
     *,
     mechanism: Plugin,
@@ -94,7 +91,7 @@ def answer_rows(
 
 def _answer(
     policy: Plugin,
-    release: SharedSeed,
+    release: SeedRelease,
     setup: TrackingSetup,
     *,
     mechanism: Plugin,
@@ -132,7 +129,7 @@ def _miss(robot: Plugin, answers: _Answers, setup: TrackingSetup) -> CountsByHor
 
 def _log_rows(seeds: list[_Answers], setup: TrackingSetup) -> Rows:
     """Return what logs disclose and reveal by seed and block: `LOG_COLUMNS`."""
-    rows = place_rows(len(seeds), setup.blocks.n)
+    rows = seed_block_columns(len(seeds), setup.blocks.n)
     counts = [_count_logs(answers, setup) for answers in seeds]
     for place, name in enumerate(LOG_COLUMNS[2:]):
         rows[name] = np.concatenate([part[place] for part in counts])
@@ -146,10 +143,14 @@ def _count_logs(answers: _Answers, setup: TrackingSetup) -> Floats:
     total = np.zeros((len(LOG_COLUMNS[2:]), blocks.n))
     for fleet in range(patrol.n_fleets):
         robots = np.arange(patrol.robots_per_fleet) + fleet * patrol.robots_per_fleet
-        sent = answers.disclosure.sent(answers.tracks.network.patrol, robots=robots)
+        sent = answers.disclosure.sent_mask(
+            answers.tracks.network.patrol, robots=robots
+        )
         key = np.packbits(sent).tobytes()
+        if answers.disclosure.form == "state":
+            key = answers.disclosure.key(robots=robots)  # A sample has several states.
         if key not in by_log:
-            log = logged_tracks(answers.tracks, answers.disclosure, sent)
+            log = logged_tracks(answers.tracks, answers.disclosure, robots=robots)
             known = known_instants(
                 patrol,
                 log,

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 from evaluation.compute import (
+    link_views,
     linkage,
     model_walks,
     patrols,
@@ -22,13 +23,15 @@ from evaluation.compute import (
     track_links,
     track_policies,
     tracking,
+    tracking_setup,
 )
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
-from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
+from evaluation.compute.link_tables import linkage_tables
 from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
-from evaluation.plan.fingerprint import OURS
+from evaluation.compute.window_tables import window_tables
+from evaluation.plan.origins import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
 from isac_track.scenes import Cut, make_scenes
@@ -56,7 +59,7 @@ class FinishedCell(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Block:
+class SceneWork:
     """Work of one block of scenes."""
 
     number: int
@@ -107,7 +110,7 @@ class TrackingWork:
     world: World = OWN_WORLD
 
 
-Work: TypeAlias = "Block | LinkWork | PatrolWork | ReturnWork | TrackingWork"
+Work: TypeAlias = "SceneWork | LinkWork | PatrolWork | ReturnWork | TrackingWork"
 
 
 def attempt_cells(
@@ -213,16 +216,18 @@ def _group_by_policy(consumers: Iterable[Consumer]) -> list[list[Consumer]]:
 def _tracking_cells(
     work: TrackingWork, *, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
-    setup = tracking.tracking_setup(work.recorded, stages=stages, seed=seed)
+    setup = tracking_setup.make_tracking_setup(work.recorded, stages=stages, seed=seed)
     for mechanism, consumers in work.levels:
         # By the tracker: policies answer from the same tracks.
-        shared: dict[str, list[tracking.SharedSeed]] = {}
+        shared: dict[str, list[tracking_setup.SeedRelease]] = {}
         for own in _group_by_policy(consumers):
             tracker = own[0].track_release
             assert tracker is not None
             note_cell(mechanism.spec, own[0].label)
             if tracker.name not in shared:
-                shared[tracker.name] = tracking.share_tracked(mechanism, tracker, setup)
+                shared[tracker.name] = tracking_setup.share_tracked(
+                    mechanism, tracker, setup
+                )
             releases = shared[tracker.name]
             for consumer, rows_by_table in _read_tracks(
                 own, releases, setup, mechanism=mechanism
@@ -233,8 +238,8 @@ def _tracking_cells(
 
 def _read_tracks(
     consumers: list[Consumer],
-    releases: list[tracking.SharedSeed],
-    setup: tracking.TrackingSetup,
+    releases: list[tracking_setup.SeedRelease],
+    setup: tracking_setup.TrackingSetup,
     *,
     mechanism: Plugin,
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
@@ -265,30 +270,30 @@ def _linkage_cells(
     shared_tables: dict[str, Tables] = {}
     for mechanism, consumers in work.levels:
         note_cell(mechanism.spec, "")
-        level, last_view = linkage.linked_level(mechanism, setup), ("", "")
-        for consumer in sorted(consumers, key=linkage.view_key):
+        level, last_view = link_views.linked_level(mechanism, setup), ("", "")
+        for consumer in sorted(consumers, key=link_views.view_key):
             note_cell(mechanism.spec, consumer.label)
-            if linkage.view_key(consumer) != last_view:
-                last_view = linkage.view_key(consumer)
+            if link_views.view_key(consumer) != last_view:
+                last_view = link_views.view_key(consumer)
                 # Releases of the last view, and all that linkers remember of them, go.
                 level.forget_views()
                 if setup.n_candidates:
                     # Thousands of people: forget all that was made of the level.
-                    level = linkage.linked_level(mechanism, setup)
-            sees_only_times = linkage.sees_times_alone(consumer, level)
-            tables = shared_tables.get(consumer.label) if sees_only_times else None
+                    level = link_views.linked_level(mechanism, setup)
+            sees_times_only = linkage.sees_times_only(consumer, level)
+            tables = shared_tables.get(consumer.label) if sees_times_only else None
             if tables is None:
                 tables = _linkage_tables(
                     consumer, level, setup, motion=motion, keep_scores=work.keep_scores
                 )
-            if sees_only_times:
+            if sees_times_only:
                 shared_tables[consumer.label] = tables
             yield FinishedCell(0, mechanism, consumer, tables)
 
 
 def _linkage_tables(
     consumer: Consumer,
-    level: linkage.LinkedLevel,
+    level: link_views.LinkedLevel,
     setup: SensedSessions,
     *,
     motion: Motion | None,
@@ -296,16 +301,16 @@ def _linkage_tables(
 ) -> Tables:
     """Return the tables of a consumer of a linkage task; its scores are freed."""
     if consumer.kind == "windows":
-        return linkage.window_tables(consumer, level)
+        return window_tables(consumer, level)
     if consumer.kind == "link_bound":
-        linked = linkage.bound(level, motion)
+        linked = linkage.link_optimum(level, motion)
     else:
         linked = linkage.link(consumer, level)
     return linkage_tables(linked, setup, keep_scores=keep_scores)
 
 
 def _scene_cells(
-    block: Block, *, tracks: Cut, stages: StageSettings, seed: int
+    block: SceneWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
     horizon_s, is_model = block.world.horizon_s, block.world.is_model
     if horizon_s is not None:
@@ -322,7 +327,7 @@ def _scene_cells(
         # Nothing of the level before stays in memory.
         level: reconstruction.AttackedLevel | None = None
         release = sharing.share(mechanism, sensed, "block", block.number, seed=seed)
-        shared_scenes = sharing.restricted(
+        shared_scenes = sharing.take_samples(
             scenes, sharing.samples_shared(release, sensed)
         )
         for consumer in consumers:
@@ -353,7 +358,7 @@ def _scene_cells(
 
 
 def _attacked_block(
-    block: Block,
+    block: SceneWork,
     scenes: Scenes,
     sensed: Sensed,
     *,

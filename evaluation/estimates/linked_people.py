@@ -15,8 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from evaluation.compute.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.compute.link_setup import SIDES
+from evaluation.compute.link_tables import COMPANIONS, NAMED_MATES
 from evaluation.compute.tables import ON_TRIAL
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
 from evaluation.estimates.matching import Sweeps

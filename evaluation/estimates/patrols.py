@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from attacks.following.followed import following_metrics
-from evaluation.compute.patrols import (
+from evaluation.compute.patrol_rows import (
     ALARM_COLUMNS,
     ALARMS,
     CONFLICT_COLUMNS,

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 from scipy.special import expit, logit, ndtri, stdtrit
 
-from evaluation.compute.link_scores import COMPANIONS
+from evaluation.compute.link_tables import COMPANIONS
 from evaluation.estimates.metrics import SUCCESS, SUCCESS_OF_100
 from evaluation.estimates.summary import cell_columns, ratios
 from evaluation.store.cell_files import read_rows

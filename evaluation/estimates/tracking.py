@@ -20,7 +20,7 @@ from attacks.following.logs import Ending
 from evaluation.compute.tables import ROWS
 from evaluation.compute.track_links import LINK_COLUMNS
 from evaluation.compute.track_policies import LOG_COLUMNS
-from evaluation.compute.tracking import (
+from evaluation.compute.track_rows import (
     ALARM_COLUMNS,
     ALARMS,
     FOLLOWED,

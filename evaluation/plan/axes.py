@@ -418,7 +418,9 @@ class Axes:
 def _granted(
     link: Consumer, task: Task, asked: tuple[str, ...]
 ) -> dict[str, frozenset[Knowledge]]:
-    return grants(link, everyone=task.everyone, nobody=task.nobody, asked=asked)
+    return grants(
+        link, everyone=task.granted_to_all, nobody=task.granted_to_none, asked=asked
+    )
 
 
 def windows_consumer(task: str) -> Consumer:

@@ -15,23 +15,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 import isac_track
+from evaluation.plan.origins import OURS, is_user_plugin
 
 if TYPE_CHECKING:
     from evaluation.plan.axes import Axes, Consumer
     from isac_track.plugins import Plugin
+
 
 # Sections of scenes. A section without a name here is a linkage task, by its name.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 RETURNS: Final = "returns"  # People who come back: a task of whole passages.
 TRACKING: Final = "tracking"  # Robots and logs with tracks of detections.
-# The packages of the project.
-OURS: Final = ("isac_track", "predictors", "attacks", "evaluation")
 _COMMON: Final = (
     "isac_track.datasets",
     "isac_track.place",
     "isac_track.scenes",
     "isac_track.sensing",
+    "evaluation.compute.frames",
+    "evaluation.compute.guards",
     "evaluation.compute.sharing",
     "evaluation.compute.tables",
 )
@@ -49,7 +51,13 @@ _SECTIONS: Final = {
         *_COMMON,
     ),
 }
-_LINKAGE: Final = ("evaluation.compute.linkage", "attacks.tasks.build", *_COMMON)
+_LINKAGE: Final = (
+    "evaluation.compute.linkage",
+    "evaluation.compute.link_tables",
+    "evaluation.compute.window_tables",
+    "attacks.tasks.build",
+    *_COMMON,
+)
 _COMPUTES_NOTHING: Final = re.compile(
     r"evaluation|evaluation\.plan\.presets|isac_track\.plugins"
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
@@ -122,11 +130,6 @@ def list_user_plugins(run_axes: Axes) -> dict[str, list[str]]:
         link.spec for link in links if any(map(is_user_plugin, link.plugins))
     ]
     return {axis: [*dict.fromkeys(names)] for axis, names in strange.items() if names}
-
-
-def is_user_plugin(plugin: Plugin) -> bool:
-    """Whether a plug-in is a user's, not one of the project's own."""
-    return plugin.origin.partition(":")[0].partition(".")[0] not in OURS
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:

@@ -260,7 +260,7 @@ def _task_sessions(
         except DataError as error:
             if task.name in settings.choice("tasks").named:
                 raise
-            if task.comes_back and dataset.tracks.session is None:
+            if task.links_returning_people and dataset.tracks.session is None:
                 continue  # a recording of a single session: no notice
             skipped[task.name] = str(error)
     return tuple(sessions), skipped

@@ -11,7 +11,13 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.compute.work import Block, PatrolWork, ReturnWork, TrackingWork, Work
+from evaluation.compute.work import (
+    PatrolWork,
+    ReturnWork,
+    SceneWork,
+    TrackingWork,
+    Work,
+)
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import Plan
 from evaluation.pool.pieces import cut_work, planned_cells, unfinished
@@ -79,7 +85,7 @@ def _millions_of_samples(work: Work, plan: Plan) -> float:
 
     For linkage these are samples of both sides, where `work_size` counts pairs.
     """
-    if isinstance(work, Block | PatrolWork | TrackingWork):
+    if isinstance(work, SceneWork | PatrolWork | TrackingWork):
         return work_size(work, plan)
     if isinstance(work, ReturnWork):
         return float(work.passages.offsets[-1]) / 1e6
@@ -123,7 +129,7 @@ def work_size(work: Work, plan: Plan) -> float:
         rules = plan.settings.stages.patrol
         n_queries = _present_s(work.recorded) / rules.query_s
         return n_queries * rules.robots * rules.fleets / 1e6
-    if isinstance(work, Block):
+    if isinstance(work, SceneWork):
         return work.order.size * float(np.diff(plan.tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
     probes, gallery = (
@@ -146,7 +152,7 @@ def setup_name(work: Work) -> str:
         return "setup/patrol"
     if isinstance(work, TrackingWork):
         return "setup/tracking"
-    return "setup/scenes" if isinstance(work, Block) else "setup/linkage"
+    return "setup/scenes" if isinstance(work, SceneWork) else "setup/linkage"
 
 
 def rate_name(consumer: Consumer) -> str:

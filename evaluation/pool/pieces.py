@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 
-from evaluation.compute.linkage import view_key
+from evaluation.compute.link_views import view_key
 from evaluation.compute.work import (
-    Block,
     FinishedCell,
     Levels,
     LinkWork,
     PatrolWork,
     ReturnWork,
+    SceneWork,
     TrackingWork,
     Work,
 )
@@ -107,7 +107,7 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
 
 
-def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
+def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
     """Return the missing levels of every block of scenes, in every world."""
     n_scenes = plan.settings.n_utility_scenes
     tasks = {sessions.task.name for sessions in plan.sessions}
@@ -130,7 +130,9 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
             )
             is_attacked = number < n_attacked and not world
             blocks += [
-                Block(number, first, order[first : first + BLOCK_SCENES], piece, world)
+                SceneWork(
+                    number, first, order[first : first + BLOCK_SCENES], piece, world
+                )
                 for piece in _share_out(levels, n_pieces if is_attacked else 1)
             ]
     return blocks
@@ -267,7 +269,7 @@ def _cut_by_view(work: Work) -> Iterator[Work]:
 
 def planned_cells(work: Work) -> Iterator[PlannedCell]:
     """Yield the cells of a piece of work."""
-    number = work.number if isinstance(work, Block) else 0
+    number = work.number if isinstance(work, SceneWork) else 0
     for mechanism, consumers in work.levels:
         for consumer in consumers:
             yield PlannedCell(number, mechanism, consumer)

@@ -16,8 +16,9 @@ from evaluation.compute.plugin_call import (
     defined_at,
     plugin_code,
 )
-from evaluation.compute.sharing import declared
-from evaluation.plan.fingerprint import has_user_plugins, is_user_plugin
+from evaluation.compute.sharing import declared_knowledge
+from evaluation.plan.fingerprint import has_user_plugins
+from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.plan import Plan, Unit
 from evaluation.pool.pieces import unfinished
 from evaluation.pool.workers import spread
@@ -156,7 +157,7 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
                         kind="attack",
                         plugin=plugin,
                         reconstruction=None,
-                        granted=consumer.granted & declared(plugin),
+                        granted=consumer.granted & declared_knowledge(plugin),
                     )
                 # Blind comes before informed, and that before oracle.
                 calls[caller.kind, plugin.spec] = PluginCall(plugin, caller)

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.compute.link_scores import ABOUT
+from evaluation.compute.link_tables import ABOUT
 from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column

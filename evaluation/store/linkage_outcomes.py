@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
-from evaluation.compute.link_scores import (
+from evaluation.compute.link_setup import linkage_weights
+from evaluation.compute.link_tables import (
     ABOUT,
     ASSIGNED,
     COMPANIONS,
@@ -26,7 +27,6 @@ from evaluation.compute.link_scores import (
     ESTIMATES,
     REPLICATES,
 )
-from evaluation.compute.link_setup import linkage_weights
 from evaluation.compute.tables import ROWS
 from evaluation.store.cell_files import (
     check_columns,

@@ -8,66 +8,15 @@ must predict it under these as well.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import import_module
-from typing import ClassVar, Final, get_args
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.random import Generator
 
 from isac_track.measurement import shaped_errors
-from isac_track.mechanisms.perturb import check_at_least, perturb
-from isac_track.sensing import track_directions
-from isac_track.types import Adding, ErrorLaw, Floats, Ints, Release, Sensed, positive
-
-
-def correlated_errors(
-    *, t: Floats, offsets: Ints, law: ErrorLaw, tau_s: float, rng: Generator
-) -> Floats:
-    """Draw standardised errors that change slowly along each track, (M, 2).
-
-    Every sample has the law of `isac_track.sensing.unit_errors`. Two samples c, d of a
-    track have E[c . d] = exp(-|t_c - t_d| / tau_s) E[|c|^2]; tracks are independent.
-
-    - `isotropic`: two Ornstein-Uhlenbeck (OU) processes.
-    - `radial`: an OU process of time constant 2 tau_s times a direction that moves on
-      the circle as Brownian motion, with E[cos turn] = exp(-dt / 2 tau_s).
-    - `fixed_direction`: an OU process of time constant tau_s times a direction that is
-      drawn once a track.
-
-    All are exact at any instants, and use three draws a sample. `t` are (M,) s,
-    increasing within a track, `offsets` (N + 1,), `tau_s` is positive. An unknown law
-    is a ValueError.
-    """
-    if law not in get_args(ErrorLaw):
-        raise ValueError(
-            f"unknown error law {law!r}; known: {', '.join(get_args(ErrorLaw))}"
-        )
-    draws = rng.standard_normal((t.size, 3))
-    first = offsets[:-1]
-    dt_s = np.diff(t, prepend=t[:1])
-    # Stationary from the first sample on, which depends on no earlier sample.
-    elapsed = dt_s / (2.0 * tau_s if law == "radial" else tau_s)
-    elapsed[first] = np.inf
-    decay, noise = np.exp(-elapsed), np.sqrt(-np.expm1(-2.0 * elapsed))
-    if law == "isotropic":
-        return _recursion(decay, noise[:, None] * draws[:, 1:])
-    amplitude = _recursion(decay, noise[:, None] * draws[:, :1])
-    if law == "fixed_direction":
-        return amplitude * track_directions(draws[:, 1:], offsets=offsets)
-    # The step from one track to the next may be negative.
-    turn = np.sqrt(np.abs(dt_s) / tau_s) * draws[:, 1]
-    turn[first] = np.arctan2(draws[first, 2], draws[first, 1])
-    # A decay of 1 sums the turns; 0 starts a new track.
-    no_decay = np.ones(t.size)
-    no_decay[first] = 0.0
-    angle = _recursion(no_decay, turn[:, None])
-    return np.asarray(amplitude * np.hstack([np.cos(angle), np.sin(angle)]))
-
-
-def _recursion(decay: Floats, step: Floats) -> Floats:
-    """Overwrite steps, (M, D), with x_k = decay_k x_(k-1) + step_k, and return them."""
-    import_module("isac_track.kalman._error_loops").recursion(decay, step)
-    return step
+from isac_track.mechanisms.error_paths import correlated_errors
+from isac_track.mechanisms.perturb import perturb
+from isac_track.types import Adding, Release, Sensed, check_at_least, positive
 
 
 @dataclass(frozen=True, slots=True)

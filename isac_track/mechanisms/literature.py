@@ -28,8 +28,9 @@ from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError, filter_tracks
 from isac_track.kalman.steady import INTERVAL_S, Q_M2_PER_S3
 from isac_track.measurement import axis_variance
-from isac_track.mechanisms.perturb import add_isotropic, check_at_least
-from isac_track.mechanisms.protections import Laplace, Reuse, check_slow
+from isac_track.mechanisms.error_paths import Reuse, check_slow
+from isac_track.mechanisms.perturb import add_isotropic
+from isac_track.mechanisms.protections import Laplace
 from isac_track.mechanisms.stationary import (
     Filter,
     add_stationary,
@@ -44,6 +45,7 @@ from isac_track.types import (
     Floats,
     Release,
     Sensed,
+    check_at_least,
     derived,
     positive,
 )

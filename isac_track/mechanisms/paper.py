@@ -8,8 +8,16 @@ import numpy as np
 from numpy.random import Generator
 
 from isac_track.measurement import least_share
-from isac_track.mechanisms.perturb import check_at_least, draw_pseudonyms, perturb
-from isac_track.types import Adding, ErrorLaw, Floats, Release, Sensed, positive
+from isac_track.mechanisms.perturb import draw_pseudonyms, perturb
+from isac_track.types import (
+    Adding,
+    ErrorLaw,
+    Floats,
+    Release,
+    Sensed,
+    check_at_least,
+    positive,
+)
 
 
 def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floats:

@@ -194,15 +194,6 @@ def _errors_from(
     return read_only(errors), bits.state
 
 
-def check_at_least(name: str, value: float, least: float, unit: str = "") -> None:
-    """Raise ValueError if a mechanism's parameter is below `least` or not finite.
-
-    `name` and `unit`, such as ``" m"``, are for the message.
-    """
-    if not (np.isfinite(value) and value >= least):
-        raise ValueError(f"{name} must be {least}{unit} or more, got {value}")
-
-
 def draw_pseudonyms(n_tracks: int, rng: Generator) -> tuple[str, ...]:
     """Draw a pseudonym for each track, without a draw from the errors' stream."""
     (child,) = rng.spawn(1)

@@ -7,22 +7,27 @@ Fisher information density is high. Derivations: docs/explanation/mechanisms.md.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Final, Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Final, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
 
 from isac_track.kalman import Batch, kalman_last, planar_last
 from isac_track.measurement import (
+    axis_share,
     axis_variance,
     error_ellipses,
     mean_variance,
     scalar_covariance,
 )
-from isac_track.mechanisms.controls import correlated_errors
+from isac_track.mechanisms.error_paths import (
+    Reuse,
+    check_slow,
+    correlated_errors,
+    session_errors,
+)
 from isac_track.mechanisms.paper import Fid, fid_d_sigma
-from isac_track.mechanisms.perturb import add_isotropic, check_at_least, draw_pseudonyms
-from isac_track.rng import stream
+from isac_track.mechanisms.perturb import add_isotropic, draw_pseudonyms
 from isac_track.types import (
     Adding,
     ErrorLaw,
@@ -30,86 +35,14 @@ from isac_track.types import (
     Ints,
     Release,
     Sensed,
+    check_at_least,
     positive,
     stretches,
 )
 
-Reuse: TypeAlias = Literal["release", "session"]
-"""Errors are drawn anew for every release, or once for each walk and session."""
-# Correlation times that a process remembers: after them 1e-10 of a value is left.
-_MEMORY_BLOCKS = 24
-# Points of a session's path within one correlation time; between them it is a line.
-_POINTS = 512
 # m around the first sample, and m/s: far more than any walk; not tuned.
 _PRIOR_STD = (100.0, 10.0)
 _MEMORY_S = 6.0  # Samples older than this no longer change a filter's estimate.
-
-
-def session_errors(*, t: Floats, offsets: Ints, walk: Ints, tau_s: float) -> Floats:
-    """Return standardised Ornstein-Uhlenbeck errors that depend on the walk, (M, 2).
-
-    An instant of a walk has the same error in every release: the path of errors follows
-    from the number of the walk alone. Its values at multiples of `tau_s` are those of a
-    stationary process. Between them lies a bridge, exact at 512 points and linear
-    between these, with unit variance everywhere. `t` are (M,) s, `offsets` (N + 1,),
-    `walk`, (N,), are the numbers.
-    """
-    errors = np.empty((t.size, 2))
-    for number, first, end in zip(
-        walk.tolist(), offsets[:-1], offsets[1:], strict=True
-    ):
-        place = t[first:end] / tau_s
-        block = np.floor(place).astype(np.int64)
-        known: dict[int, Floats] = {}
-        for block_number in np.unique(block).tolist():
-            path = _bridge(number, block_number, known)
-            inside = np.flatnonzero(block == block_number)
-            point = (place[inside] - block_number) * _POINTS
-            left = np.minimum(point.astype(np.int64), _POINTS - 1)
-            weight = (point - left)[:, None]
-            mixed = (1.0 - weight) * path[left] + weight * path[left + 1]
-            # The line between two points with correlation f has the variance
-            # 1 - 2 w (1 - w) (1 - f).
-            lost = -2.0 * np.expm1(-1.0 / _POINTS) * weight * (1.0 - weight)
-            errors[first + inside] = mixed / np.sqrt(1.0 - lost)
-    return errors
-
-
-def _bridge(walk: int, block: int, known: dict[int, Floats]) -> Floats:
-    """Return the path of a walk over one correlation time, (512 + 1, 2).
-
-    `known` holds the draws of the blocks so far; new draws are added to it.
-    """
-    for number in range(block - _MEMORY_BLOCKS, block + 2):
-        if number not in known:
-            draws = stream(0, "session errors", walk, number).standard_normal(2)
-            known[number] = draws
-    start, end = _block_value(block, known), _block_value(block + 1, known)
-    # Draw a free path from the start, then correct its miss of the end (Matheron's
-    # rule).
-    f = np.exp(-1.0 / _POINTS)
-    grid = np.arange(_POINTS + 1) / _POINTS
-    growth = np.exp(grid)[:, None]
-    steps = stream(0, "session bridge", walk, block).standard_normal((_POINTS, 2))
-    steps *= np.sqrt(-np.expm1(-2.0 / _POINTS))
-    free = start / growth
-    free[1:] += (
-        np.cumsum(steps * f ** -np.arange(1.0, _POINTS + 1)[:, None], axis=0)
-        / growth[1:]
-    )
-    pull = np.exp(-(1.0 - grid)) * np.expm1(-2.0 * grid) / np.expm1(-2.0)
-    return np.asarray(free + pull[:, None] * (end - free[-1]))
-
-
-def _block_value(block: int, known: dict[int, Floats]) -> Floats:
-    """Return the stationary process after the draws up to a block, (2,).
-
-    It is the value at which the path over that block begins.
-    """
-    decay = np.exp(-np.arange(_MEMORY_BLOCKS, dtype=float))
-    scale = np.sqrt(-np.expm1(-2.0))
-    draws = np.stack([known[block - age] for age in range(_MEMORY_BLOCKS)])
-    return np.asarray(scale * (decay @ draws))
 
 
 def _with_slow_error(
@@ -127,13 +60,6 @@ def _with_slow_error(
     if mechanism.reuse == "session":
         unit = session_errors(t=t, offsets=offsets, walk=sensed.walk, tau_s=tau_s)
     return add_isotropic(sensed, std_m, rng, unit_error=unit)
-
-
-def check_slow(tau_s: float, reuse: str) -> None:
-    """Raise ValueError for a time that is not positive, or an unknown reuse."""
-    positive("tau_s", tau_s)
-    if reuse not in ("release", "session"):
-        raise ValueError(f"reuse must be release or session, got {reuse!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -284,13 +210,15 @@ class Forecast:
         raw_m2 = axis_variance(sigma_m=sensed.sigma_raw[sample], law=sensed.law)
         variance = np.maximum(raw_m2, np.finfo(float).tiny)
         filtered = _filter_positions(sensed, sample, variance, offsets, q=self.q)
+        # As the raw error is declared: its standard deviation under the sensor's law.
+        filtered_m2 = mean_variance(filtered.cov) / axis_share(sensed.law)
         cov = None
         if sensed.cov is not None:
             cov = filtered.cov + self.std_m**2 * np.eye(2)
         return Release(
             t=sensed.t[rows],
             xy=filtered.xy + self.std_m * white[rows],
-            sigma=np.hypot(np.sqrt(mean_variance(filtered.cov)), self.std_m),
+            sigma=np.sqrt(filtered_m2 + self.std_m**2),
             cov=cov,
             offsets=np.append(
                 0, np.cumsum(np.bincount(owner[rows], minlength=len(sensed)))

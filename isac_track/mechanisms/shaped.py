@@ -12,7 +12,7 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.mechanisms.protections import Reuse, check_slow
+from isac_track.mechanisms.error_paths import Reuse, check_slow
 from isac_track.mechanisms.stationary import add_stationary, smooth_filter
 from isac_track.types import Adding, ErrorLaw, Release, Sensed
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
+from isac_track.mechanisms.error_paths import Reuse
 from isac_track.mechanisms.perturb import add_isotropic
-from isac_track.mechanisms.protections import Reuse
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints, Release, Sensed
 

@@ -11,8 +11,15 @@ from typing import ClassVar, Final
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.mechanisms.perturb import check_at_least, perturb
-from isac_track.types import Adding, Release, Sensed, positive
+from isac_track.mechanisms.perturb import perturb
+from isac_track.types import (
+    TIME_TOLERANCE_S,
+    Adding,
+    Release,
+    Sensed,
+    check_at_least,
+    positive,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +52,7 @@ class Window:
         full = perturb(sensed, self.d_sigma, rng, adding=self.adding)
         sizes = np.diff(full.offsets)
         age_s = np.repeat(full.t[full.offsets[1:] - 1], sizes) - full.t
-        is_shared = age_s <= self.seconds
+        is_shared = age_s <= self.seconds + TIME_TOLERANCE_S
         shared_before = np.concatenate([[0], np.cumsum(is_shared)])
         return full.samples(is_shared, offsets=shared_before[full.offsets])
 

@@ -60,12 +60,12 @@ class Network:
         return np.array_equal(self.release.xy, self.sensed.xy)
 
     @property
-    def sent(self) -> Release:
+    def sent_release(self) -> Release:
         """The release that answers are cut from."""
         return self.release if self.histories is None else self.histories.shared
 
     def sent_rows(self, presence: Ints, sample: Ints) -> Ints:
-        """Return the rows in `sent` of samples of the patrol in answers, (A,)."""
+        """Return the rows of `sent_release` that answers have of samples, (A,)."""
         if self.histories is None:
             return sample
         people = self.patrol.people
@@ -94,7 +94,7 @@ class Disclosure:
         runs = np.stack([self.presence, self.first, self.end])[:, is_ours]
         return np.unique(runs, axis=1).tobytes()
 
-    def sent(self, patrol: Patrol, *, robots: Ints) -> Bools:
+    def sent_mask(self, patrol: Patrol, *, robots: Ints) -> Bools:
         """Return which samples were sent to at least one of `robots`, (M,)."""
         is_ours = np.isin(self.robot, robots)
         change = np.zeros(patrol.people.t.size + 1, dtype=np.int64)
@@ -112,8 +112,8 @@ class SensedPatrol:
     sensed: Sensed
     raw_forecast: Prediction  # Of the E presences, from all history as sensed.
     seed: int
-    # All history of the people at each query with people; empty: errors last.
-    again: tuple[Sensed, ...] = ()
+    # All history of the people at each query with people; empty if errors last.
+    sensed_by_query: tuple[Sensed, ...] = ()
 
 
 def sense_patrol(
@@ -125,19 +125,19 @@ def sense_patrol(
     """
     sensed = sense_people(patrol, settings=settings, seed=seed)
     if settings.patrol.errors == "query":
-        again = tuple(
+        by_query = tuple(
             sense_again(patrol, number, settings=settings, seed=seed)
             for number in np.unique(patrol.presences.query).tolist()
         )
-        forecast = _forecast_histories(patrol, _joined_raw(again), forecaster)
-        return SensedPatrol(patrol, forecaster, sensed, forecast, seed, again)
+        forecast = _forecast_histories(patrol, _joined_raw(by_query), forecaster)
+        return SensedPatrol(patrol, forecaster, sensed, forecast, seed, by_query)
     forecast = _forecast_presences(patrol, _as_sensed(sensed), forecaster)
     return SensedPatrol(patrol, forecaster, sensed, forecast, seed)
 
 
-def _joined_raw(again: Sequence[Sensed]) -> Release:
+def _joined_raw(by_query: Sequence[Sensed]) -> Release:
     """Return the histories of all queries, as sensed, one below the other."""
-    return _joined_releases([_as_sensed(sensed) for sensed in again])
+    return _joined_releases([_as_sensed(sensed) for sensed in by_query])
 
 
 def _as_sensed(sensed: Sensed) -> Release:
@@ -214,7 +214,7 @@ def share_each(
     """Return the release of everybody, and behind it those of each query, if any."""
     seed = sensed_patrol.seed
     releases = [share(sensed_patrol.sensed, stream(seed, "patrols", "sharing"))]
-    for number, sensed in enumerate(sensed_patrol.again):
+    for number, sensed in enumerate(sensed_patrol.sensed_by_query):
         rng = stream(seed, "patrols", "sharing", "query", number)
         releases.append(share(sensed, rng))
     return releases
@@ -227,46 +227,46 @@ def make_network(
 
     They are as `share_each` returns them.
     """
-    sensed, patrol = sensed_patrol.sensed, sensed_patrol.patrol
-    release, *again = releases
-    for part, sensed_part in zip(releases, (sensed, *sensed_patrol.again), strict=True):
+    sensed, by_query = sensed_patrol.sensed, sensed_patrol.sensed_by_query
+    for part, sensed_part in zip(releases, (sensed, *by_query), strict=True):
         if not np.array_equal(part.t, sensed_part.t):
             name = type(mechanism).__name__
             raise SettingsError(
                 f"{name} does not share every sample at its time; on patrols a policy"
                 " selects samples, such as window:SECONDS"
             )
-    if again:
-        histories = Histories(_joined_raw(sensed_patrol.again), _joined_releases(again))
-        return Network(
-            patrol=patrol,
-            mechanism=mechanism,
-            forecaster=sensed_patrol.forecaster,
-            sensed=sensed,
-            release=release,
-            raw_forecast=sensed_patrol.raw_forecast,
-            shared_forecast=_forecast_histories(
-                patrol, histories.shared, sensed_patrol.forecaster
-            ),
-            seed=sensed_patrol.seed,
-            histories=histories,
+    release, *releases_by_query = releases
+    histories = None
+    if releases_by_query:
+        histories = Histories(
+            raw=_joined_raw(by_query), shared=_joined_releases(releases_by_query)
         )
-    shared_forecast = sensed_patrol.raw_forecast
-    if not _is_raw(release, sensed):
-        shared_forecast = _forecast_presences(patrol, release, sensed_patrol.forecaster)
     return Network(
-        patrol=patrol,
+        patrol=sensed_patrol.patrol,
         mechanism=mechanism,
         forecaster=sensed_patrol.forecaster,
         sensed=sensed,
         release=release,
         raw_forecast=sensed_patrol.raw_forecast,
-        shared_forecast=shared_forecast,
+        shared_forecast=_forecast_shared(sensed_patrol, release, histories),
         seed=sensed_patrol.seed,
+        histories=histories,
     )
 
 
-def _is_raw(release: Release, sensed: Sensed) -> bool:
+def _forecast_shared(
+    sensed_patrol: SensedPatrol, release: Release, histories: Histories | None
+) -> Prediction:
+    """Return the network's forecasts from what is shared, (E, H)."""
+    patrol, forecaster = sensed_patrol.patrol, sensed_patrol.forecaster
+    if histories is not None:
+        return _forecast_histories(patrol, histories.shared, forecaster)
+    if _declares_raw(release, sensed_patrol.sensed):
+        return sensed_patrol.raw_forecast
+    return _forecast_presences(patrol, release, forecaster)
+
+
+def _declares_raw(release: Release, sensed: Sensed) -> bool:
     """Whether a release has the positions and standard deviations that were sensed."""
     return (
         release.sigma is not None
@@ -365,12 +365,12 @@ def disclose_each(
     """
     runs: dict[str, list[Ints]] = {name: [] for name in policies}
     for number in range(network.patrol.query_scan.size):
-        scene = _present_people(network, number)
+        people = _present_people(network, number)
         for name, policy in policies.items():
             for robot in range(network.patrol.n_robots):
-                query = _make_query(network, scene, robot)
+                query = _make_query(network, people, robot)
                 selected = _select_samples(policy, query, name=name)
-                runs[name].append(_answer_runs(selected, scene, robot))
+                runs[name].append(_answer_runs(selected, people, robot))
     return {
         name: _joined_answers(policy, runs[name]) for name, policy in policies.items()
     }
@@ -391,7 +391,7 @@ def _joined_answers(policy: Policy, runs: Sequence[Ints]) -> Disclosure:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Scene:
+class _QueryPeople:
     """People who are present at a query of any robot."""
 
     number: int
@@ -403,7 +403,7 @@ class _Scene:
     shared: View
 
 
-def _present_people(network: Network, number: int) -> _Scene:
+def _present_people(network: Network, number: int) -> _QueryPeople:
     """Return the people who are present at the query of this number."""
     patrol = network.patrol
     start, stop = np.searchsorted(patrol.presences.query, [number, number + 1])
@@ -418,7 +418,7 @@ def _present_people(network: Network, number: int) -> _Scene:
         shared_xy = network.histories.shared.xy[rows]
     raw_forecast = _take_forecasts(network.raw_forecast, presence)
     shared_forecast = _take_forecasts(network.shared_forecast, presence)
-    return _Scene(
+    return _QueryPeople(
         number=number,
         presence=presence,
         shift=first - offsets[:-1],
@@ -435,17 +435,17 @@ def _take_forecasts(forecast: Prediction, rows: Ints) -> Prediction:
     return Prediction(forecast.mean[rows], cov)
 
 
-def _make_query(network: Network, scene: _Scene, robot: int) -> Query:
+def _make_query(network: Network, people: _QueryPeople, robot: int) -> Query:
     patrol = network.patrol
-    now = patrol.query_scan[scene.number]
+    now = patrol.query_scan[people.number]
     return Query(
-        t=scene.t,
-        offsets=scene.offsets,
-        raw=scene.raw,
-        shared=scene.shared,
+        t=people.t,
+        offsets=people.offsets,
+        raw=people.raw,
+        shared=people.shared,
         robot_xy=patrol.robot_xy[robot, now : now + patrol.ahead_s.size],
         ahead_s=patrol.ahead_s,
-        rng=stream(network.seed, "patrols", "policy", robot, scene.number),
+        rng=stream(network.seed, "patrols", "policy", robot, people.number),
     )
 
 
@@ -461,7 +461,7 @@ def _select_samples(policy: Policy, query: Query, *, name: str) -> Bools:
     return mask
 
 
-def _answer_runs(selected: Bools, scene: _Scene, robot: int) -> Ints:
+def _answer_runs(selected: Bools, people: _QueryPeople, robot: int) -> Ints:
     """Return robot, presence, first sample and end of each selected run, (4, A).
 
     No run reaches from one person to the next. A person with gaps has several runs.
@@ -469,16 +469,16 @@ def _answer_runs(selected: Bools, scene: _Scene, robot: int) -> Ints:
     starts, ends = selected.copy(), selected.copy()
     starts[1:] &= ~selected[:-1]
     ends[:-1] &= ~selected[1:]
-    first_samples, last_samples = scene.offsets[:-1], scene.offsets[1:] - 1
+    first_samples, last_samples = people.offsets[:-1], people.offsets[1:] - 1
     starts[first_samples] = selected[first_samples]
     ends[last_samples] = selected[last_samples]
     first, end = np.flatnonzero(starts), np.flatnonzero(ends) + 1
-    person = np.searchsorted(scene.offsets, first, side="right") - 1
-    shift = scene.shift[person]
+    person = np.searchsorted(people.offsets, first, side="right") - 1
+    shift = people.shift[person]
     return np.stack(
         [
             np.full(person.size, robot),
-            scene.presence[person],
+            people.presence[person],
             first + shift,
             end + shift,
         ]

@@ -8,9 +8,7 @@ import numpy as np
 
 from isac_track.patrols.patrol import Patrol
 from isac_track.patrols.utility import Counts
-from isac_track.types import Bools, Ints
-
-_ROUNDING_S = 1e-9
+from isac_track.types import TIME_TOLERANCE_S, Bools, Ints
 
 
 def refused_queries(
@@ -30,7 +28,7 @@ def refused_queries(
     for robot in range(patrol.n_robots):
         free_s = -np.inf
         for number in range(n_queries):
-            if query_s[number] < free_s - _ROUNDING_S:
+            if query_s[number] < free_s - TIME_TOLERANCE_S:
                 refused[number, robot] = True
             elif alarm[number, robot]:
                 free_s = query_s[number] + commitment_s

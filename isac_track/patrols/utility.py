@@ -184,7 +184,7 @@ def _forecast_samples(
     runs, starts = stretches(begin[chosen], n_runs[chosen])
     begins = network.sent_rows(presence[runs], disclosure.first[runs])
     forecast = forecast_runs(
-        network.sent,
+        network.sent_release,
         first=begins,
         end=begins + disclosure.end[runs] - disclosure.first[runs],
         track=np.repeat(np.arange(chosen.size), np.diff(starts)),
@@ -251,14 +251,26 @@ def false_alarms(patrol: Patrol, actual: Ints, foreseen: Ints, *, horizon: int) 
     query, n_queries = patrol.presences.query, patrol.query_scan.size
     is_alarm = _any_person(foreseen <= horizon, query, n_queries)
     is_conflict = _any_person(actual <= horizon, query, n_queries)
-    numbers = np.zeros(patrol.n_robots, dtype=np.int64)
-    for robot in range(patrol.n_robots):
-        alarm = is_alarm[:, robot]
-        begins = alarm & ~np.append(False, alarm[:-1])
-        run = np.cumsum(begins)[alarm]
-        justified = np.unique(run[is_conflict[alarm, robot]])
-        numbers[robot] = int(begins.sum()) - justified.size
-    return numbers
+    return np.asarray(false_alarm_starts(is_alarm, is_conflict).sum(axis=0))
+
+
+def false_alarm_starts(alarm: Bools, conflict: Bools) -> Bools:
+    """Return the queries at which a false alarm of a robot begins, (Q, R).
+
+    `alarm` and `conflict`, (Q, R), are the queries with a warning, and with a true
+    conflict within the horizon. An alarm is a run of queries with a warning. It is
+    false without a conflict at any of them.
+    """
+    begins = alarm.copy()
+    begins[1:] &= ~alarm[:-1]
+    is_false = np.zeros_like(alarm)
+    for robot in range(alarm.shape[1]):
+        run = np.cumsum(begins[:, robot]) - 1
+        first = np.flatnonzero(begins[:, robot])
+        is_justified = np.zeros(first.size, dtype=bool)
+        is_justified[run[alarm[:, robot] & conflict[:, robot]]] = True
+        is_false[first[~is_justified], robot] = True
+    return is_false
 
 
 def false_alarm_queries(

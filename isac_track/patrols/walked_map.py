@@ -40,7 +40,7 @@ def map_guesses(
     for number in range(len(guesses)):
         is_own = owner == number
         if is_own.all():
-            guesses[number] = 0.5 * np.array(shape)
+            guesses[number] = 0.5 * (np.array(shape) - 1)
             continue
         others = everybody - _time_around(cell[is_own], weight[is_own], shape)
         guesses[number] = np.unravel_index(others.argmax(), shape)
@@ -68,7 +68,7 @@ def _guesses_on_large_map(
     everybody = np.bincount(place.ravel(), weights=np.repeat(time, shift.size))
     n_clusters = int(owner.max()) + 1
     if n_clusters == 1:
-        return np.asarray(0.5 * (cell.max(axis=0) + 1.0)[None])
+        return np.asarray(0.5 * cell.max(axis=0)[None])
     guesses = np.empty((n_clusters, 2))
     for number in range(n_clusters):
         is_own = pairs[0] == number

@@ -6,19 +6,25 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from isac_track.types import Bools, Floats, Ints, Prediction, squared_lengths
+from isac_track.types import (
+    TIME_TOLERANCE_S,
+    Bools,
+    Floats,
+    Ints,
+    Prediction,
+    squared_lengths,
+)
 
 Form: TypeAlias = Literal["samples", "state", "flag"]
 """Form of an answer: samples, a filtered state of each person, or yes and no."""
 SelectOn: TypeAlias = Literal["raw", "shared"]
 """Positions on which a selection rests: as sensed, or as the mechanism shares them."""
-_ROUNDING_S = 1e-9  # Tolerance of comparisons of times.
-_ROUNDING_SCANS = 2  # By which clocks may shorten a forecast.
+_SCAN_TOLERANCE = 2  # By which clocks may shorten a forecast.
 
 
 def check_reach(horizon_s: float, *, ahead_s: Floats) -> None:
     """Raise ValueError if forecasts at instants (H,) s end before a horizon."""
-    if horizon_s > ahead_s[-1] + _ROUNDING_SCANS * (ahead_s[1] - ahead_s[0]):
+    if horizon_s > ahead_s[-1] + _SCAN_TOLERANCE * (ahead_s[1] - ahead_s[0]):
         raise ValueError(
             f"horizon_s={horizon_s:g} is beyond the {ahead_s[-1]:.3g} s that the network"
             " forecasts: name a shorter horizon_s, or a longer horizon of conflicts by"
@@ -76,7 +82,7 @@ class Query:
         chosen: Bools = np.repeat(people, np.diff(self.offsets))
         if window_s is None:
             return chosen
-        return chosen & (self.age_s <= window_s + _ROUNDING_S)
+        return chosen & (self.age_s <= window_s + TIME_TOLERANCE_S)
 
     def near_robot(self, *, radius_m: float, select_on: SelectOn) -> Bools:
         """Return which people stand less than `radius_m` from the robot now, (P,)."""
@@ -99,7 +105,7 @@ class Query:
         """
         forecast = self.view(select_on).forecast
         check_reach(horizon_s, ahead_s=self.ahead_s)
-        n_steps = int((self.ahead_s <= horizon_s + _ROUNDING_S).sum())
+        n_steps = int((self.ahead_s <= horizon_s + TIME_TOLERANCE_S).sum())
         gap = forecast.mean[:, :n_steps] - self.robot_xy[:n_steps]
         reach_m: Floats = np.full(gap.shape[:2], margin_m)
         if stds > 0.0:

@@ -5,9 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from isac_track.mechanisms.perturb import check_at_least
 from isac_track.policies.query import Form, Query, SelectOn
-from isac_track.types import Bools, positive
+from isac_track.types import Bools, check_at_least, positive
 
 WINDOW_S = 1.3
 """Duration of the 16 samples that the paper's robot reads, at the usual interval."""

@@ -49,6 +49,22 @@ def _drawn_weights(n_blocks: int, n_seeds: int, *, seed: int) -> list[Floats]:
     ]
 
 
+def _block_estimate(
+    values: Floats, by_block: Floats, *, is_share: bool = False
+) -> Estimate:
+    """Return the estimate of a value and its replicates, (1 + R,).
+
+    `by_block`, (B,), says how much each block counts: with few effective blocks there
+    is no interval, nor for a share of 0 or 1.
+    """
+    effective, n = effective_clusters(by_block), int((by_block > 0).sum())
+    if effective < LEAST_CLUSTERS or (is_share and values[0] in (0.0, 1.0)):
+        return Estimate(
+            float(values[0]), n=n, replicates=values[1:], effective=effective
+        )
+    return estimate_from_replicates(values, n=n, effective=effective)
+
+
 def block_ratio(
     *, numerator: Floats, denominator: Floats, seed: int, is_share: bool = True
 ) -> Estimate:
@@ -60,21 +76,13 @@ def block_ratio(
     effective blocks there is no interval, nor for a share of 0 or 1.
     """
     n_blocks, n_seeds = denominator.shape
-    weights = _drawn_weights(n_blocks, n_seeds, seed=seed)
+    blocks, seeds = _drawn_weights(n_blocks, n_seeds, seed=seed)
     top, bottom = (
-        ((weights[0] @ part) * weights[1]).sum(axis=1)
-        for part in (numerator, denominator)
+        ((blocks @ part) * seeds).sum(axis=1) for part in (numerator, denominator)
     )
     with np.errstate(divide="ignore", invalid="ignore"):
         values = top / bottom
-    by_block = denominator.sum(axis=1)
-    effective = effective_clusters(by_block)
-    n = int((by_block > 0).sum())
-    if effective < LEAST_CLUSTERS or (is_share and values[0] in (0.0, 1.0)):
-        return Estimate(
-            float(values[0]), n=n, replicates=values[1:], effective=effective
-        )
-    return estimate_from_replicates(values, n=n, effective=effective)
+    return _block_estimate(values, denominator.sum(axis=1), is_share=is_share)
 
 
 def block_missed_at_equal_alarms(
@@ -103,14 +111,7 @@ def block_missed_at_equal_alarms(
         people=np.ones((len(weights), 1)),
         routes=weights,
     )
-    by_block = trials.sum(axis=1)
-    effective = effective_clusters(by_block)
-    n = int((by_block > 0).sum())
-    if effective < LEAST_CLUSTERS:
-        return Estimate(
-            float(values[0]), n=n, replicates=values[1:], effective=effective
-        )
-    return estimate_from_replicates(values, n=n, effective=effective)
+    return _block_estimate(values, trials.sum(axis=1))
 
 
 def block_hota(*, association: Floats, pairs: Floats, seed: int) -> Estimate:
@@ -121,13 +122,7 @@ def block_hota(*, association: Floats, pairs: Floats, seed: int) -> Estimate:
         for part in (association, pairs)
     ]
     values = hota_from_sums(*sums)
-    by_block = pairs[0].sum(axis=1)
-    effective, n = effective_clusters(by_block), int((by_block > 0).sum())
-    if effective < LEAST_CLUSTERS or values[0] in (0.0, 1.0):
-        return Estimate(
-            float(values[0]), n=n, replicates=values[1:], effective=effective
-        )
-    return estimate_from_replicates(values, n=n, effective=effective)
+    return _block_estimate(values, pairs[0].sum(axis=1), is_share=True)
 
 
 def block_statistic(
@@ -152,10 +147,4 @@ def block_statistic(
         )
     ]
     values = np.concatenate(parts)
-    by_block = counted.sum(axis=1)
-    effective, n = effective_clusters(by_block), int((by_block > 0).sum())
-    if effective < LEAST_CLUSTERS:
-        return Estimate(
-            float(values[0]), n=n, replicates=values[1:], effective=effective
-        )
-    return estimate_from_replicates(values, n=n, effective=effective)
+    return _block_estimate(values, counted.sum(axis=1))

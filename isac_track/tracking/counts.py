@@ -13,6 +13,7 @@ from isac_track.patrols.equal_alarms import DISTANCES_M, first_alarms
 from isac_track.patrols.patrol import Patrol
 from isac_track.patrols.utility import (
     Counts,
+    false_alarm_starts,
     missed_conflicts,
     missed_encounters,
     missed_futures,
@@ -177,7 +178,8 @@ def robot_counts(
     return RobotCounts(
         shares=shares,
         false_alarms=BlockCounts(
-            blocks.count(query_s, _false_runs(alarm, conflict)), minutes
+            blocks.count(query_s, false_alarm_starts(alarm, conflict).sum(axis=1)),
+            minutes,
         ),
         false_queries=BlockCounts(
             blocks.count(query_s, (alarm & ~conflict).sum(axis=1)), per_query
@@ -202,23 +204,6 @@ def _encounter_share(blocks: Blocks, entries: Ints, encounters: Counts) -> Block
         blocks.count(t, encounters.hits[person, robot].astype(np.int64)),
         blocks.count(t),
     )
-
-
-def _false_runs(alarm: Bools, conflict: Bools) -> Ints:
-    """Return the false alarms that begin at each query, (Q,), of all robots.
-
-    An alarm is a run of queries with a warning; it is false without a conflict at any.
-    """
-    begins = alarm.copy()
-    begins[1:] &= ~alarm[:-1]
-    false = np.zeros(len(alarm), dtype=np.int64)
-    for robot in range(alarm.shape[1]):
-        run = np.cumsum(begins[:, robot]) - 1
-        first = np.flatnonzero(begins[:, robot])
-        is_justified = np.zeros(first.size, dtype=bool)
-        is_justified[run[alarm[:, robot] & conflict[:, robot]]] = True
-        false[first[~is_justified]] += 1
-    return false
 
 
 def _alarm_blocks(

@@ -330,9 +330,8 @@ def _draw_clutter(
         corner = cells[rng.integers(len(cells), size=n)]
         places.append(corner + CELL_M * rng.random((n, 2)))
         models.append(rng.integers(sensed.t.size, size=n))
-        errors.append(
-            unit_errors(n_samples=n, law=sensed.law, rng=rng, offsets=np.array([0, n]))
-        )
+        apart = np.arange(n + 1)  # Each of a track of its own.
+        errors.append(unit_errors(n_samples=n, law=sensed.law, rng=rng, offsets=apart))
     if not scans:
         no_points = np.zeros((0, 2))
         none = np.zeros(0, dtype=np.int64)

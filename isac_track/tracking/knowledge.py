@@ -9,8 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.patrols.knowledge import ESTIMATORS, Log, Reports, state_positions
+from isac_track.patrols.estimators import ESTIMATORS, estimate_positions
+from isac_track.patrols.fleet_logs import Log
 from isac_track.patrols.patrol import Patrol
+from isac_track.patrols.reports import Reports
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.metrics import track_owners
 from isac_track.tracking.sharing import SharedTracks
@@ -30,13 +32,13 @@ def known_instants(
 ) -> Bools:
     """Return which instants of the patrol's grid are known, (J, G), by J estimators.
 
-    An instant of a person is stated by the nearest in time of the tracks that belong to
-    the person. People without a track are at their guess from the map: `guesses`, (N,
-    2) m, of `guesses_from_map`. An instant is known if the estimate lies within
+    An instant of a person is estimated by the nearest in time of the tracks that belong
+    to the person. People without a track are at their guess from the map: `guesses`,
+    (N, 2) m, of `guesses_from_map`. An instant is known if the estimate lies within
     `epsilon_m` of the truth.
     """
     grid = patrol.grid
-    stated = np.repeat(guesses, np.diff(grid.offsets), axis=0)
+    fallback_xy = np.repeat(guesses, np.diff(grid.offsets), axis=0)
     row, track = _nearest_tracks(patrol, shared)
     offsets = np.searchsorted(track, np.arange(len(shared.release) + 1))
     release = shared.release
@@ -51,14 +53,14 @@ def known_instants(
     )
     known = []
     for estimator in estimators:
-        estimate = stated.copy()
+        estimate = fallback_xy.copy()
         if row.size:
-            estimate[row] = state_positions(
+            estimate[row] = estimate_positions(
                 log,
                 t=grid.t[row],
                 offsets=offsets,
                 estimator=estimator,
-                otherwise=stated[row],
+                fallback_xy=fallback_xy[row],
             )
         known.append(squared_lengths(estimate - grid.xy) < epsilon_m**2)
     return np.stack(known)

@@ -15,7 +15,7 @@ from isac_track.patrols.utility import NEVER, scans_left
 from isac_track.protocols import Predictor
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
-from isac_track.types import Bools, Floats, Ints, squared_lengths
+from isac_track.types import Bools, Floats, Ints, Prediction, Release, squared_lengths
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -78,14 +78,8 @@ def foresee_from_tracks(
     live = live_tracks(patrol, shared)
     forecasts: list[TrackForecasts] = []
     if live.query.size:
-        now = patrol.query_scan[live.query][:, None] + np.arange(patrol.ahead_s.size)
-        mean = forecast_runs(
-            shared.release,
-            first=shared.release.offsets[live.track],
-            end=live.sample + 1,
-            track=np.arange(live.track.size),
-            t_future=patrol.scan_s[now],
-            predictor=predictor,
+        mean = forecast_live_tracks(
+            patrol, live, shared.release, predictor=predictor
         ).mean
         person = shared.person[live.sample]
         forecasts = [TrackForecasts(mean, live.query, person)] * patrol.n_robots
@@ -161,6 +155,21 @@ def live_tracks(patrol: Patrol, shared: SharedTracks) -> LiveTracks:
         return LiveTracks(query, track, query)
     end = _samples_by(shared, track, patrol.query_scan[query])
     return LiveTracks(query, track, end - 1)
+
+
+def forecast_live_tracks(
+    patrol: Patrol, live: LiveTracks, release: Release, *, predictor: Predictor
+) -> Prediction:
+    """Return forecasts of live tracks from their whole histories, (E, H)."""
+    now = patrol.query_scan[live.query][:, None] + np.arange(patrol.ahead_s.size)
+    return forecast_runs(
+        release,
+        first=release.offsets[live.track],
+        end=live.sample + 1,
+        track=np.arange(live.track.size),
+        t_future=patrol.scan_s[now],
+        predictor=predictor,
+    )
 
 
 def _samples_by(shared: SharedTracks, track: Ints, scan: Ints) -> Ints:

@@ -11,10 +11,11 @@ from helpers.walkers import walkers
 from attacks.tasks import build
 from attacks.tasks.task_list import TASKS
 from evaluation.compute.link_setup import sensed_sessions
-from evaluation.compute.linkage import link, linked_level
-from evaluation.compute.reconstruction import attacked_block, folds
+from evaluation.compute.link_views import linked_level
+from evaluation.compute.linkage import link
+from evaluation.compute.reconstruction import attacked_block, draw_halves
 from evaluation.compute.sharing import share
-from evaluation.compute.work import Block, compute_cells
+from evaluation.compute.work import SceneWork, compute_cells
 from evaluation.plan.axes import Axes, Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
@@ -94,7 +95,7 @@ class World:
         self.scenes = make_scenes(self.tracks, order=self.order, first=0, **own)
         self.sensed = sense_scenes(self.scenes, settings=stages.sensing, seed=seed)
         self.release = self.share(mechanism)
-        self.half = folds(self.tracks.group, seed=seed)
+        self.half = draw_halves(self.tracks.group, seed=seed)
 
     def share(self, by):
         """The release of all scenes, as of the first block."""
@@ -130,7 +131,7 @@ class World:
         )
         size = size or len(self.order)
         for number, first in enumerate(range(0, len(self.order), size)):
-            block = Block(number, first, self.order[first : first + size], levels)
+            block = SceneWork(number, first, self.order[first : first + size], levels)
             own = {"tracks": self.tracks, "stages": self.stages, "seed": self.seed}
             for _, level, consumer, tables in compute_cells(block, **own):
                 yield level, consumer, arrays(tables, tracks=self.tracks)

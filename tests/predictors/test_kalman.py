@@ -9,7 +9,8 @@ from helpers.walks import cv_walks, flat_release
 from scipy.stats import chi2
 
 from isac_track import plugins
-from isac_track.mechanisms.controls import Correlated, Offset, correlated_errors
+from isac_track.mechanisms.controls import Correlated, Offset
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.rng import stream
 from isac_track.types import Knowledge
 from predictors import filterpy_engine

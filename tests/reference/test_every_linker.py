@@ -13,7 +13,7 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from attacks.tasks.task_list import TASKS
-from evaluation.compute.link_scores import ESTIMATES
+from evaluation.compute.link_tables import ESTIMATES
 from evaluation.compute.work import compute_cells
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import PRESETS

@@ -15,7 +15,7 @@ from helpers.small_runs import single_process
 from helpers.walkers import walkers
 
 from evaluation import matrix
-from evaluation.compute.sharing import guarded
+from evaluation.compute.guards import guarded
 from isac_track.command_line import check_interrupt, exit_code
 from isac_track.types import ESTIMATE_LIMIT_M, SHARED_LIMIT_M
 
@@ -318,7 +318,7 @@ def test_each_fails_alone_by_name_and_on_one_line(tmp_path, arguments, capsys, j
     assert set(ours["consumer"]) == {"moving_average", "bound"}
     (why,) = set(ours["why"])
     assert "KeyError: 'nobody expected this'" in why
-    assert "(in isac-track's own code, evaluation.compute.track_bounds, line " in why
+    assert "(in isac-track's own code, evaluation.compute.walk_bounds, line " in why
     assert why.endswith(": please report this)")
     shown = (tmp_path / "all" / "tables.txt").read_text(encoding="utf-8")
     assert "please report this" in " ".join(shown.split())

@@ -8,7 +8,8 @@ from helpers.walks import context, cv_walks, flat_release
 
 from attacks.reconstruction.kalman_rts import KalmanRTS, RadialRTS
 from attacks.reconstruction.ou_rts import OuRTS, fit_slow_error
-from isac_track.mechanisms.controls import Correlated, correlated_errors
+from isac_track.mechanisms.controls import Correlated
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.plugins import parse
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream

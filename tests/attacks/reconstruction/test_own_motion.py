@@ -12,7 +12,7 @@ from attacks.reconstruction.ou_rts import OuRTS
 from attacks.reconstruction.own_motion import MOTIONS, SHARES, probabilities
 from isac_track.kalman import Batch
 from isac_track.kalman.slow_errors import SlowError
-from isac_track.mechanisms.controls import correlated_errors
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.protocols import TrainingSet
 from isac_track.rng import stream
 from isac_track.types import Knowledge

@@ -316,14 +316,15 @@ def test_returning_people_are_searched_for_among_all():
     # By hand: everybody turns left about the middle, 20 are there, and walks last
     # alike.
     for side in both_sides(linked):
-        np.testing.assert_allclose(side.about[:, 2], 1.0, atol=0.02)
-        np.testing.assert_allclose(side.about[:, 3], 20)
+        np.testing.assert_allclose(side.circumstances[:, 2], 1.0, atol=0.02)
+        np.testing.assert_allclose(side.circumstances[:, 3], 20)
         start_s = spans(side)[0] % 500
         assert (
-            (side.about[:, 4] >= start_s) & (side.about[:, 4] <= start_s + 12)
+            (side.circumstances[:, 4] >= start_s)
+            & (side.circumstances[:, 4] <= start_s + 12)
         ).all()
-        np.testing.assert_allclose(side.about[:, 5], 39.6)
-        np.testing.assert_allclose(np.hypot(*side.about[:, :2].T), 1.0)
+        np.testing.assert_allclose(side.circumstances[:, 5], 39.6)
+        np.testing.assert_allclose(np.hypot(*side.circumstances[:, :2].T), 1.0)
     with pytest.raises(AssertionError, match="among the training people"):
         replace(linked, learns=np.ones_like(linked.learns))
 

@@ -21,8 +21,9 @@ from attacks.reconstruction.averaging import Identity
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.tasks.sessions import Windows
 from evaluation.compute.link_setup import sensed_sessions
-from evaluation.compute.linkage import WINDOW_COLUMNS, sees_times_alone
-from evaluation.compute.sharing import restricted, samples_shared, share
+from evaluation.compute.linkage import sees_times_only
+from evaluation.compute.sharing import samples_shared, share, take_samples
+from evaluation.compute.window_tables import WINDOW_COLUMNS
 from evaluation.compute.work import LinkWork, compute_cells
 from evaluation.plan.axes import Consumer, axes, windows_consumer
 from evaluation.plan.presets import DISSOCIATION, PROTECTIONS
@@ -111,7 +112,7 @@ class TestSamplesShared:
         )
         assert left.rows.tolist() == [0, 2, 4, 5, 6]
         assert left.offsets.tolist() == [0, 2, 3, 5]
-        known = restricted(self.SENSED, left)
+        known = take_samples(self.SENSED, left)
         for name in ("t", "xy", "sigma_raw", "information", "fid"):
             values = getattr(self.SENSED, name)[[0, 2, 4, 5, 6]]
             assert getattr(known, name).tolist() == values.tolist()
@@ -280,8 +281,8 @@ class TestLinkage:
         few, at_none = linked(sessions["rerelease"], "thin:4", "shape", controls=True)
         key = "rerelease/control-sample_count", ""
         control = Consumer("control", task="rerelease", control="sample_count")
-        assert sees_times_alone(control, at_all)
-        assert not sees_times_alone(control, at_none)
+        assert sees_times_only(control, at_all)
+        assert not sees_times_only(control, at_none)
         assert not np.array_equal(
             whole[key].searches[0].scores, few[key].searches[0].scores
         )

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from helpers.cells import STAGES, World, parsed
 
-from evaluation.compute.sharing import Frame, adversary_view, share
-from evaluation.compute.track_bounds import benchmark
+from evaluation.compute.frames import Frame, adversary_view
+from evaluation.compute.sharing import share
+from evaluation.compute.walk_bounds import benchmark
 from evaluation.plan.axes import Axes
 from isac_track import plugins
 from isac_track.measurement import share_within

@@ -31,8 +31,8 @@ from attacks.tasks.controls import CONTROLS
 from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
 from evaluation import matrix
-from evaluation.compute.link_scores import DERIVED, linkage_tables
 from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_tables import DERIVED, linkage_tables
 from evaluation.estimates import linkability
 from evaluation.plan.axes import Consumer, axes
 from evaluation.plan.presets import PRESETS
@@ -868,5 +868,7 @@ def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
     crowd = results["cross_session/control-run_density", ""].searches[0]
     assert (crowd.scores == 0).all()
     times = results["cross_session/control-run_time", ""].searches[0].scores
-    gap = np.subtract.outer(sessions.probe.about[:, 4], sessions.gallery.about[:, 4])
+    gap = np.subtract.outer(
+        sessions.probe.circumstances[:, 4], sessions.gallery.circumstances[:, 4]
+    )
     assert (np.argsort(-np.abs(gap), axis=1) == np.argsort(times, axis=1)).all()

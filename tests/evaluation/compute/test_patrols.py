@@ -12,7 +12,7 @@ import evaluation
 from attacks.following.followed import following_metrics
 from attacks.following.logs import follow_fleets
 from evaluation import matrix
-from evaluation.compute.patrols import (
+from evaluation.compute.patrol_rows import (
     followed_from_rows,
     followed_rows,
     known_from_rows,
@@ -29,7 +29,8 @@ from evaluation.reporting.patrol_words import patrol_sentence
 from isac_track import datasets
 from isac_track.patrols import horizon_scans, make_patrol
 from isac_track.patrols.answers import disclose, share_patrol
-from isac_track.patrols.knowledge import ESTIMATORS, guesses_from_map, known_places
+from isac_track.patrols.estimators import ESTIMATORS
+from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import (
     count_utility,
     foresee,

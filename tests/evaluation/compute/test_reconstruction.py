@@ -14,8 +14,8 @@ from helpers.small_runs import smoke
 import evaluation
 from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.compute import reconstruction
-from evaluation.compute.reconstruction import folds
-from evaluation.compute.track_bounds import benchmark
+from evaluation.compute.reconstruction import draw_halves
+from evaluation.compute.walk_bounds import benchmark
 from evaluation.plan.axes import Axes
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
@@ -66,7 +66,7 @@ def lengths(xy, offsets):
 
 def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
     groups = tuple(f"g{row // 3}" for row in range(33))
-    half = folds(groups, seed=0)
+    half = draw_halves(groups, seed=0)
     members = {group: set(half[np.array(groups) == group]) for group in groups}
     assert all(len(halves) == 1 for halves in members.values())
     n_groups = [sum(halves == {fold} for halves in members.values()) for fold in (0, 1)]
@@ -74,10 +74,10 @@ def test_walking_groups_stay_together_and_are_halved_by_the_seed_alone():
     order = stream(0, "test", "order").permutation(
         33
     )  # that of the tracks does not matter
-    turned = folds(tuple(groups[row] for row in order), seed=0)
+    turned = draw_halves(tuple(groups[row] for row in order), seed=0)
     assert turned.tolist() == half[order].tolist()
-    assert len({tuple(folds(groups, seed=seed)) for seed in range(5)}) > 1
-    assert len(set(folds(("g",) * 5, seed=0))) == 1
+    assert len({tuple(draw_halves(groups, seed=seed)) for seed in range(5)}) > 1
+    assert len(set(draw_halves(("g",) * 5, seed=0))) == 1
 
 
 class TestBlock:

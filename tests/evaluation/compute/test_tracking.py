@@ -14,13 +14,8 @@ from evaluation.compute.current_cell import current_cell
 from evaluation.compute.loops import list_loops
 from evaluation.compute.recipients import strongest
 from evaluation.compute.track_links import LINK_COLUMNS, link_rows
-from evaluation.compute.tracking import (
-    FOLLOWED_COLUMNS,
-    TRACK_COLUMNS,
-    share_tracked,
-    track_rows,
-    tracking_setup,
-)
+from evaluation.compute.track_rows import FOLLOWED_COLUMNS, TRACK_COLUMNS, track_rows
+from evaluation.compute.tracking_setup import make_tracking_setup, share_tracked
 from evaluation.compute.work import TrackingWork, compute_cells
 from evaluation.plan.axes import axes
 from evaluation.plan.plan import make_plan
@@ -227,7 +222,7 @@ def linked(recording, tracker, **stages):
         stages=LINKED | stages,
     )
     recorded = datasets.load(str(recording)).tracks
-    setup = tracking_setup(recorded, stages=settings.stages, seed=0)
+    setup = make_tracking_setup(recorded, stages=settings.stages, seed=0)
     crossed = axes(settings)
     links = [each for each in crossed.track_consumers() if each.task]
     links = [link for link in links if link.track_release.name == tracker]
@@ -472,7 +467,7 @@ def counted(recording):
     def count(changes):
         brief = FEW | {"patrol.segment_s": 6.0, "tracking.seeds": 1}
         stages = StageSettings().changed(brief | changes)
-        setup = tracking_setup(recorded, stages=stages, seed=0)
+        setup = make_tracking_setup(recorded, stages=stages, seed=0)
         raw, gnn = parse("mechanisms", "raw")[0], parse("trackers", "gnn")[0]
         return track_rows(share_tracked(raw, gnn, setup), setup)
 

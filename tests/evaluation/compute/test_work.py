@@ -9,7 +9,7 @@ from helpers.cells import STAGES, Spy, World, make_sessions, parsed, plugin
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.compute import work as work_module
-from evaluation.compute.sharing import copy_for_user_plugin, guarded
+from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.work import LinkWork, compute_cells
 from evaluation.plan.axes import axes
 from evaluation.plan.settings import Settings
@@ -30,7 +30,7 @@ def piece(tracks):
 def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypatch):
     work, tracks = piece
     once = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
-    monkeypatch.setattr(work_module.linkage, "sees_times_alone", lambda *_: False)
+    monkeypatch.setattr(work_module.linkage, "sees_times_only", lambda *_: False)
     each = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
     first = {
         consumer.label: tables

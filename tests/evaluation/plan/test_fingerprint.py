@@ -107,6 +107,8 @@ SOURCES = {
     SECTIONS: (
         "isac_track.sensing",
         "isac_track.datasets.read_table",
+        "evaluation.compute.frames",
+        "evaluation.compute.guards",
         "evaluation.compute.sharing",
         "isac_track.privacy",
         "isac_track.conflict",
@@ -120,6 +122,8 @@ SOURCES = {
         "isac_track.linkability._loops",
         "attacks.tasks.build",
         "evaluation.compute.link_scores",
+        "evaluation.compute.link_tables",
+        "evaluation.compute.window_tables",
     ),
     (): (
         "evaluation.plan.presets",

@@ -12,7 +12,7 @@ from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN
 from isac_track.errors import SettingsError
-from isac_track.patrols.knowledge import ESTIMATORS
+from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.plugins import parse
 
 FROZEN = {1: "a978d3e0787333d1fa4504e330dd11e3158874a66934bc828c05966f87c6fd35"}

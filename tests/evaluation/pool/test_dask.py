@@ -21,8 +21,8 @@ from helpers.small_runs import smoke, write_walks
 import evaluation
 from evaluation import matrix
 from evaluation.compute.current_cell import Failure
-from evaluation.compute.linkage import view_key
-from evaluation.compute.work import Block, LinkWork
+from evaluation.compute.link_views import view_key
+from evaluation.compute.work import LinkWork, SceneWork
 from evaluation.plan.axes import Consumer
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
@@ -431,7 +431,7 @@ class TestADeathAtAnUnknownPlace:
         (predictor,) = plugins.parse("predictors", "least_squares")
         consumers = (Consumer("shared"), Consumer("predictor", predictor))
         levels = tuple((mechanism, consumers) for mechanism in mechanisms)
-        return Block(
+        return SceneWork(
             number=3, first_scene=0, order=np.zeros((1, 1), int), levels=levels
         )
 

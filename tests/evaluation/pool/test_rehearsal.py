@@ -165,7 +165,7 @@ class TestHowLong:
     def test_every_built_in_consumer_has_a_rate(self):
         crossed = axes(Settings(preset="paper"))
         # Of plaza, where nobody comes back.
-        tasks = [task for task in crossed.tasks if not task.comes_back]
+        tasks = [task for task in crossed.tasks if not task.links_returning_people]
         readers = [crossed.task_consumers(task) for task in tasks]
         names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
         assert names <= measured_rates().keys()

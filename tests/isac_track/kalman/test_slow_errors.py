@@ -14,7 +14,7 @@ from isac_track.kalman.slow_errors import (
     filter_tracks,
     smooth_tracks,
 )
-from isac_track.mechanisms.controls import correlated_errors
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.noise import innovation_variance_m2
 from isac_track.plugins import parse
 from isac_track.rng import stream

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from isac_track.kalman import Batch, smooth_positions, steady
-from isac_track.mechanisms.controls import correlated_errors
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.rng import stream
 
 Q, DT_S, EPSILON_M = 0.057, 0.0836, 0.3

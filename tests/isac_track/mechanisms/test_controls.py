@@ -8,7 +8,8 @@ import pytest
 from helpers.sensed import ADDING, LAWS, rng, sensed, truth
 from scipy import stats
 
-from isac_track.mechanisms.controls import Correlated, Offset, Thin, correlated_errors
+from isac_track.mechanisms.controls import Correlated, Offset, Thin
+from isac_track.mechanisms.error_paths import correlated_errors
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Fixed
 

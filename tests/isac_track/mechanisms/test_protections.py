@@ -2,18 +2,14 @@
 
 import numpy as np
 import pytest
+from helpers.sensed import LAWS
 from helpers.sensed import rng as draws
 from helpers.sensed import sensed as sensed_walks
 from scipy import stats
 
 from isac_track.kalman import Batch, kalman_last
-from isac_track.mechanisms.protections import (
-    Forecast,
-    Laplace,
-    Ou,
-    OuFid,
-    session_errors,
-)
+from isac_track.mechanisms.error_paths import session_errors
+from isac_track.mechanisms.protections import Forecast, Laplace, Ou, OuFid
 from isac_track.sharing import fid_d_sigma
 
 N_WALKS, TAU_S = 1500, 2.0
@@ -105,6 +101,17 @@ def test_a_forecast_is_the_filtered_position_once_a_second():
             (100.0, 10.0),
         )
         assert shared.xy[-1] == pytest.approx(kalman_last(known, q=0.057).mean[0, :, 0])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_forecast_declares_the_error_of_its_filter(law):
+    # At the first sample of a track the filter knows what the sensor measured.
+    sensed = sensed_walks(sizes=(1, 1, 1), law=law)
+    assert Forecast(0.0).share(sensed, draws()).sigma == pytest.approx(
+        sensed.sigma_raw, rel=1e-3
+    )
+    noisy = Forecast(0.3).share(sensed, draws())
+    assert noisy.sigma == pytest.approx(np.hypot(sensed.sigma_raw, 0.3), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from isac_track.errors import SettingsError
 from isac_track.mechanisms.withholding import Window
 from isac_track.plugins import parse
 from isac_track.sharing import Fixed
+from isac_track.types import derived
 
 
 def samples_of_the_last_seconds(tracks, seconds):
@@ -40,6 +41,12 @@ class TestWindow:
         batch = sensed(sizes=(4, 1))
         release = Window(1e-6).share(batch, rng())
         np.testing.assert_array_equal(release.t, batch.t[[3, 4]])
+
+    def test_a_sample_at_the_edge_is_shared_whatever_the_rounding_of_times(self):
+        batch = derived(sensed(sizes=(2,)), t=np.array([3.1, 4.4]))
+        assert batch.t[1] - batch.t[0] > 1.3
+        release = Window(1.3).share(batch, rng())
+        assert release.t.tolist() == [3.1, 4.4]
 
     def test_claims_to_protect_and_adds_an_error_only_if_asked(self):
         assert Window.protects

@@ -16,18 +16,11 @@ from helpers.patrols import (
 from isac_track.measurement import scalar_covariance
 from isac_track.patrols import make_patrol, walked_map
 from isac_track.patrols.answers import disclose
-from isac_track.patrols.knowledge import (
-    ESTIMATORS,
-    Log,
-    Reports,
-    average_draws,
-    fleet_log,
-    guesses_from_map,
-    known_places,
-    nearest_samples,
-    state_positions,
-)
+from isac_track.patrols.estimators import ESTIMATORS, estimate_positions
+from isac_track.patrols.fleet_logs import Log, fleet_log
+from isac_track.patrols.knowledge import guesses_from_map, known_places, nearest_samples
 from isac_track.patrols.metrics import knowledge_metrics
+from isac_track.patrols.reports import Reports, average_draws
 from isac_track.patrols.walked_map import map_guesses
 from isac_track.policies.samples import Ahead, Everything, Near, RandomPeople
 from isac_track.policies.summaries import Flag, State
@@ -47,7 +40,9 @@ def know_places(network, policy, *, epsilon_m=EPSILON_M):
 
 def positions_on_grid(log, patrol, **options):
     """Estimated positions at all instants of the grid of a patrol."""
-    return state_positions(log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options)
+    return estimate_positions(
+        log, t=patrol.grid.t, offsets=patrol.grid.offsets, **options
+    )
 
 
 def shares(known):
@@ -159,7 +154,7 @@ class TestEstimators:
     def test_the_smoother_is_the_mean_of_the_dense_posterior(self, crowd, policy):
         log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
         estimate = positions_on_grid(
-            log, crowd.patrol, estimator="smooth", otherwise=np.zeros(grid.xy.shape)
+            log, crowd.patrol, estimator="smooth", fallback_xy=np.zeros(grid.xy.shape)
         )
         people = np.flatnonzero(np.diff(log.offsets) > 0)
         assert people.size > 3
@@ -188,7 +183,7 @@ class TestEstimators:
                 replace(log, xy=xy),
                 patrol,
                 estimator="extrapolate",
-                otherwise=np.zeros(patrol.grid.xy.shape),
+                fallback_xy=np.zeros(patrol.grid.xy.shape),
             )
             for xy in (log.xy, moved)
         )
@@ -204,9 +199,11 @@ class TestEstimators:
     @pytest.mark.parametrize("policy", [Near(3.0), Ahead(1.5), RandomPeople(0.2)])
     def test_lines_and_held_places_are_those_of_a_plain_loop(self, crowd, policy):
         log, grid = make_log(crowd, policy, robots=(0, 1, 2)), crowd.patrol.grid
-        otherwise = np.full(grid.xy.shape, 99.0)
+        fallback_xy = np.full(grid.xy.shape, 99.0)
         lines, held = (
-            positions_on_grid(log, crowd.patrol, estimator=name, otherwise=otherwise)
+            positions_on_grid(
+                log, crowd.patrol, estimator=name, fallback_xy=fallback_xy
+            )
             for name in ("interpolate", "hold")
         )
         for person in range(len(grid)):
@@ -249,7 +246,7 @@ class TestCounts:
         for fleet in range(3):
             sent = np.any(
                 [
-                    disclosure.sent(network.patrol, robots=np.array([robot]))
+                    disclosure.sent_mask(network.patrol, robots=np.array([robot]))
                     for robot in range(3 * fleet, 3 * fleet + 3)
                 ],
                 axis=0,
@@ -269,7 +266,7 @@ class TestCounts:
             if robot == 1:
                 sent[first:end] = True
         np.testing.assert_array_equal(
-            disclosure.sent(crowd.patrol, robots=np.array([1])), sent
+            disclosure.sent_mask(crowd.patrol, robots=np.array([1])), sent
         )
 
     def test_the_nearest_sample_is_nearest(self, crowd):
@@ -328,10 +325,15 @@ class TestMap:
         assert np.hypot(*(guesses[0] - (4.0, 0.0))) < EPSILON_M
         assert np.hypot(*(guesses[2] - (0.0, 0.0))) < EPSILON_M
 
-    def test_of_a_single_person_is_the_middle(self):
+    @pytest.mark.parametrize("most_cells", [walked_map._MOST_CELLS, 0.0])
+    def test_of_a_single_person_is_the_middle(self, monkeypatch, most_cells):
+        monkeypatch.setattr(walked_map, "_MOST_CELLS", most_cells)
         xy = np.array([[0.0, 0.0], [2.0, 4.0]])
+        half_cell_m = EPSILON_M / 8.0
         guesses = map_guesses(xy, np.array([0, 2]), group=("a",), epsilon_m=EPSILON_M)
-        np.testing.assert_allclose(guesses, [[1.0, 2.0]], atol=0.1)
+        np.testing.assert_allclose(guesses, [[1.0, 2.0]], atol=half_cell_m)
+        thin = map_guesses(0.0 * xy, [0, 2], group=("a",), epsilon_m=EPSILON_M)
+        np.testing.assert_allclose(thin, [[half_cell_m, half_cell_m]])
 
 
 def test_an_empty_log_is_no_error():
@@ -339,12 +341,12 @@ def test_an_empty_log_is_no_error():
     nothing = Log(
         np.zeros(0, int), np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(2, int)
     )
-    otherwise = np.ones(patrol.grid.xy.shape)
+    fallback_xy = np.ones(patrol.grid.xy.shape)
     for name in ESTIMATORS:
         estimate = positions_on_grid(
-            nothing, patrol, estimator=name, otherwise=otherwise
+            nothing, patrol, estimator=name, fallback_xy=fallback_xy
         )
-        np.testing.assert_array_equal(estimate, otherwise)
+        np.testing.assert_array_equal(estimate, fallback_xy)
 
 
 def test_a_map_of_walked_cells_alone_gives_the_same_guesses(monkeypatch):
@@ -383,10 +385,12 @@ def networks(request):
 class TestErrorsOfEveryQuery:
     def test_an_answer_repeats_a_sample_with_another_error(self, networks):
         network = networks["query"]
-        pairs, offsets = network.patrol.presences, network.sent.offsets
+        pairs, offsets = network.patrol.presences, network.sent_release.offsets
         both = np.flatnonzero(pairs.person == pairs.person[0])[:2]
         n_common = np.diff(offsets)[both[0]]
-        first, second = (network.sent.xy[offsets[row] :][:n_common] for row in both)
+        first, second = (
+            network.sent_release.xy[offsets[row] :][:n_common] for row in both
+        )
         assert n_common > 0
         assert (first != second).all()
 
@@ -433,11 +437,11 @@ class TestShapes:
             fleet_log(network, disclose(network, policy), robots=np.arange(3))
             for network in (crowd, with_shapes(crowd, ratio=1.0))
         ]
-        otherwise = np.zeros_like(crowd.patrol.grid.xy)
+        fallback_xy = np.zeros_like(crowd.patrol.grid.xy)
         for estimator in ESTIMATORS:
             expected, got = (
                 positions_on_grid(
-                    log, crowd.patrol, estimator=estimator, otherwise=otherwise
+                    log, crowd.patrol, estimator=estimator, fallback_xy=fallback_xy
                 )
                 for log in logs
             )
@@ -477,12 +481,12 @@ class TestShapes:
             cov=cov,
         )
         at_s = np.array([0.2, 1.5, 3.0])
-        got = state_positions(
+        got = estimate_positions(
             log,
             t=at_s,
             offsets=np.array([0, 3]),
             estimator=estimator,
-            otherwise=np.zeros((3, 2)),
+            fallback_xy=np.zeros((3, 2)),
         )
         for row, now_s in enumerate(at_s):
             used = t <= now_s if estimator == "extrapolate" else t >= 0.0

@@ -59,6 +59,20 @@ def test_certain_detection_gives_every_sample_as_sensed(patrol, sensed):
     np.testing.assert_array_equal(detected.person, owner)
 
 
+def test_clutter_of_a_scan_errs_in_directions_of_its_own(patrol):
+    fixed = ROUND.changed({"sensing.law": "fixed_direction"})
+    detected = detect(
+        patrol,
+        sense_people(patrol, settings=fixed, seed=0),
+        DetectionSettings(probability=0.0, clutter_per_scan=4.0),
+    )
+    error = detected.sensed.unit_error
+    direction = np.mod(np.arctan2(error[:, 1], error[:, 0]), np.pi).round(9)
+    scans = np.split(direction, detected.detections.offsets[1:-1])
+    assert max(map(len, scans)) > 3
+    assert all(len(set(scan.tolist())) == len(scan) for scan in scans)
+
+
 @pytest.mark.parametrize("probability", [0.0, 0.3, 0.9])
 def test_the_share_of_missed_detections(patrol, sensed, probability):
     settings = replace(CERTAIN, probability=probability)

@@ -1,4 +1,4 @@
-"""Disclosure policies on tracks that break and swap: answers, logs, forecasts.
+"""Answers of policies from tracks that break and swap: logs and forecasts.
 
 A policy sees the tracks that are alive at a query as it sees people on other patrols: a
 track that holds two people is one of them to it, and a track of nobody is a person. Its
@@ -9,17 +9,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from isac_track.measurement import axis_share
 from isac_track.noise import UNKNOWN_VARIANCE_M2
-from isac_track.patrols.answers import Disclosure, Network, forecast_runs
+from isac_track.patrols.answers import Disclosure, Network
 from isac_track.patrols.knowledge import nearest_samples
 from isac_track.patrols.patrol import Patrol, Presences
 from isac_track.patrols.utility import answer_forecasts
 from isac_track.protocols import Mechanism, Predictor
 from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
-from isac_track.tracking.utility import LiveTracks, TrackForecasts, live_tracks
-from isac_track.types import Bools, ErrorLaw, Floats, Ints, Prediction, Release, Sensed
-from isac_track.types import Tracks as Walks
+from isac_track.tracking.utility import (
+    LiveTracks,
+    TrackForecasts,
+    forecast_live_tracks,
+    live_tracks,
+)
+from isac_track.types import Bools, ErrorLaw, Floats, Ints, Release, Sensed, Tracks
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,19 +53,20 @@ def track_network(
     shares them. A policy may choose on either. `law` is that of the raw errors.
     """
     live, release = live_tracks(patrol, shared), raw.release
-    sigma_m = np.sqrt(raw.variance)
+    sigma_m = np.sqrt(raw.variance / axis_share(law))
     names = tuple(map(str, range(len(release))))
-    seen = replace(
+    tracked_patrol = replace(
         patrol,
-        people=Walks(release.t, release.xy, release.offsets, names, names),
+        people=Tracks(release.t, release.xy, release.offsets, names, names),
         scan=shared.scan,
         presences=Presences(live.query, live.track, live.sample),
     )
     raw_forecast, shared_forecast = (
-        _forecast(patrol, live, part.release, forecaster) for part in (raw, shared)
+        forecast_live_tracks(patrol, live, part.release, predictor=forecaster)
+        for part in (raw, shared)
     )
     network = Network(
-        patrol=seen,
+        patrol=tracked_patrol,
         mechanism=mechanism,
         forecaster=forecaster,
         sensed=Sensed(
@@ -79,21 +85,6 @@ def track_network(
         seed=seed,
     )
     return TrackNetwork(patrol, shared, live, network)
-
-
-def _forecast(
-    patrol: Patrol, live: LiveTracks, release: Release, predictor: Predictor
-) -> Prediction:
-    """Return forecasts of live tracks from their whole histories, (E, H)."""
-    now = patrol.query_scan[live.query][:, None] + np.arange(patrol.ahead_s.size)
-    return forecast_runs(
-        release,
-        first=release.offsets[live.track],
-        end=live.sample + 1,
-        track=np.arange(live.track.size),
-        t_future=patrol.scan_s[now],
-        predictor=predictor,
-    )
 
 
 def forecasts_by_robot(
@@ -121,18 +112,20 @@ def forecasts_by_robot(
 
 
 def logged_tracks(
-    tracks: TrackNetwork, disclosure: Disclosure, sent: Bools
+    tracks: TrackNetwork, disclosure: Disclosure, *, robots: Ints
 ) -> SharedTracks:
-    """Return what a log has of each track, of the samples `sent` to its fleet, (S,).
+    """Return what the log of a fleet of `robots` has of each track.
 
-    Samples are as they were sent (`Disclosure.sent`). A state gives an entry at every
-    scan until the next query, by its position and velocity; a later state replaces an
-    earlier one. Tracks without an entry are left out.
+    Samples are as they were sent (`Disclosure.sent_mask`). A state gives an entry at
+    every scan until the next query, by its position and velocity; a later state
+    replaces an earlier one. Tracks without an entry are left out.
     """
     if disclosure.form == "state":
-        return _logged_states(tracks, sent)
+        # By answer, not by sample: a track that coasts has one sample at many queries.
+        is_ours = np.isin(disclosure.robot, robots)
+        return _logged_states(tracks, np.unique(disclosure.presence[is_ours]))
     shared = tracks.shared
-    row = np.flatnonzero(sent)
+    row = np.flatnonzero(disclosure.sent_mask(tracks.network.patrol, robots=robots))
     track = np.searchsorted(shared.release.offsets, row, side="right") - 1
     return _logged(
         shared,
@@ -145,10 +138,12 @@ def logged_tracks(
     )
 
 
-def _logged_states(tracks: TrackNetwork, sent: Bools) -> SharedTracks:
-    """Return the entries of states that were sent, up to the last scan of a track."""
+def _logged_states(tracks: TrackNetwork, rows: Ints) -> SharedTracks:
+    """Return the entries of states that were sent, up to the last scan of a track.
+
+    `rows`, (A,), are the rows of `tracks.live` that the states are of.
+    """
     patrol, live, forecast = tracks.patrol, tracks.live, tracks.network.shared_forecast
-    rows = np.flatnonzero(sent[live.sample])
     n_steps = int(np.diff(patrol.query_scan).max(initial=1))
     steps = np.arange(n_steps)
     scan = patrol.query_scan[live.query[rows]][:, None] + steps
