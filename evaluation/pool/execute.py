@@ -1,5 +1,6 @@
 """A run from its manifest to its manifest: compute what its folder lacks."""
 
+import inspect
 import time
 import warnings
 from collections import deque
@@ -45,6 +46,7 @@ from isac_track.errors import PluginError
 
 # Words in the licence of a recording whose walks must not be passed on.
 NOT_PASSED_ON: Final = "never to be passed on"
+_PACKAGE: Final = __name__.partition(".")[0]
 
 
 class FailedCellsWarning(UserWarning):
@@ -190,8 +192,19 @@ def _note_computed(
         reasons = list(dict.fromkeys(entry.why for entry in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
-        warnings.warn(text, FailedCellsWarning, stacklevel=5)
+        warnings.warn(text, FailedCellsWarning, stacklevel=_user_stacklevel())
     return failed
+
+
+def _user_stacklevel() -> int:
+    """Return the `stacklevel` with which the caller's warning names the user's line.
+
+    It is the first line outside of this package: a run warns at several depths.
+    """
+    callers = inspect.stack(context=0)[1:]
+    modules = [str(caller.frame.f_globals.get("__name__")) for caller in callers]
+    is_users = [name.partition(".")[0] != _PACKAGE for name in modules]
+    return 1 + is_users.index(True) if any(is_users) else 1
 
 
 def _exhausted_redraws(out: Path, cells: Iterable[Entry], world: World) -> int | None:

@@ -280,9 +280,10 @@ def checked_files(
 
 
 def check_sound(out: Path, names: Iterable[str], *, sizes: Iterable[str] = ()) -> None:
-    """Raise DataError if a file of cells has changed, or there is none at all.
+    """Raise DataError if a file of cells has changed or is missing, or none is named.
 
-    Or if a file is missing that a finished run had: its manifest's `sizes` name these.
+    `sizes` are those of a finished run's manifest, by file name: each of these files
+    must be there. A changed size needs no check, since the checksum differs, too.
     """
     wanted = list(names)
     if not wanted:

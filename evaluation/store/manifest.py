@@ -3,10 +3,13 @@
 Within the program `cells` and `failed` are lists of records (`store.entries`), one for
 each consumer at each level. In the file an entry stands for all consumers of a level
 that share their files, and sets of consumers that many levels have are written once, in
-`consumers`. `sizes`
-has the bytes of each file of a finished run: it tells without reading them that a copy
-of the folder is whole. A seal over all of it shows damage, and files of other layouts:
-readers need not check every value. It does not show a forgery.
+`consumers`.
+
+`sizes` has the bytes of each file of cells of a finished run. A report needs every file
+that it names; whether a file is whole, its checksum says (`files.check_sound`).
+
+A seal over all of it shows damage, and files of other layouts: readers need not check
+every value. It does not show a forgery.
 """
 
 from __future__ import annotations
