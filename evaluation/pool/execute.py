@@ -178,9 +178,9 @@ def _note_computed(
             kind=cell.consumer.kind_in_files,
             spec=cell.mechanism.spec,
             block=cell.block,
-            why=why,
+            why=message,
         )
-        for cell, why in computed.failed
+        for cell, message in computed.failed
     ]
     if failed:
         manifest["failed"] += failed

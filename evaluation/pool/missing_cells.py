@@ -19,7 +19,7 @@ from evaluation.compute.work import Work
 from evaluation.plan.address import parse_label
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
-from evaluation.pool.failures import Failures
+from evaluation.pool.failures import FailedCell, Failures
 from evaluation.pool.packing import (
     FileCollector,
     HeldCell,
@@ -30,7 +30,6 @@ from evaluation.pool.packing import (
 )
 from evaluation.pool.pieces import (
     CellName,
-    PlannedCell,
     cell_name,
     cut_for_cluster,
     cut_work,
@@ -44,7 +43,7 @@ from isac_track.command_line import check_interrupt
 class ComputedCells(NamedTuple):
     """What came of the missing cells, beside their files."""
 
-    failed: list[tuple[PlannedCell, str]]  # With reasons.
+    failed: list[FailedCell]
     # Time that compiling the loops took, s; None on a cluster, which is not known.
     compiling_s: float | None
 
@@ -75,10 +74,10 @@ def compute_missing(
         for work, result in computed:
             if isinstance(result, Failure):
                 n_before = len(failures.cells)
-                works.extend(failures.rest(work, result, finished=finished))
-                for cell, _ in failures.cells[n_before:]:
-                    shown.add(cell_name(cell))
-                    _write_file(plan, collector.add(cell_name(cell), None))
+                works.extend(failures.work_after(work, result, finished=finished))
+                for failed in failures.cells[n_before:]:
+                    shown.add(cell_name(failed.cell))
+                    _write_file(plan, collector.add(cell_name(failed.cell), None))
                 continue
             if isinstance(result, HeldCell):
                 cells: Sequence[CellName] = (result.cell,)
@@ -153,10 +152,9 @@ def _prepare_loops(
 
 def _describe_cell(name: CellName) -> str:
     """Return a cell in words: of linkage if its consumer's label begins with a task."""
-    _, spec, label = name
-    address = parse_label(label)
+    address = parse_label(name.label)
     stage = "linkage" if address.task else "patrols" if address.policy else "scenes"
-    return f"{stage}: {spec} > {label}"
+    return f"{stage}: {name.spec} > {name.label}"
 
 
 def _write_file(plan: Plan, file: WholeFile | None) -> None:
