@@ -18,6 +18,7 @@ from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
 from evaluation.store.cell_files import read_rows, write_gallery
 from evaluation.store.cell_index import cell_places, sound_files
+from evaluation.store.describe import describe_run
 from evaluation.store.entries import (
     Entry,
     FailedEntry,
@@ -31,15 +32,13 @@ from evaluation.store.files import (
     write_checked,
 )
 from evaluation.store.folder import check_folder, check_preset, open_run
-from evaluation.store.manifest import (
-    candidate_losses,
+from evaluation.store.manifest import write_manifest
+from evaluation.store.merge_cells import (
     cell_entries,
-    describe,
     merged_cells,
     merged_plugins,
     with_ceiling,
-    without_other_patrols,
-    write_manifest,
+    without_other_settings,
 )
 from evaluation.store.people import prepare_names, share_key
 from isac_track.errors import PluginError
@@ -81,9 +80,8 @@ def execute(
         manifest["gallery_without"] = []
         write_gallery([], out=out)
     _note_scene_faults(out, manifest)
-    is_approximate = plan.settings.stages.linkage.candidates > 0
-    if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
-        manifest["linkage"]["candidates"] = losses
+    if plan.settings.stages.linkage.candidates > 0:
+        _note_candidate_losses(out, manifest)
     manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
@@ -109,8 +107,8 @@ def _begin(plan: Plan) -> _Begun:
     places = cell_places(index_by_file)
     missing = pieces.missing_units(plan, places)
     earlier_plugins = manifest.get("own_plugins", {})
-    manifest["cells"] = without_other_patrols(manifest, plan)
-    manifest |= describe(plan) | {
+    manifest["cells"] = without_other_settings(manifest, plan)
+    manifest |= describe_run(plan) | {
         "damaged_cells": opened.damaged,
         "untried_plugins": untried,
         "edited_modules": [],
@@ -120,7 +118,9 @@ def _begin(plan: Plan) -> _Begun:
     failures = manifest.get("failed", []) if manifest["cells"] else []
     entries = cell_entries(plan, places, missing)
     manifest["failed"] = other_entries(failures, than=entries)
-    manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
+    manifest["cells"] = merged_cells(
+        manifest["cells"], entries, index_by_file=index_by_file
+    )
     return _Begun(manifest, missing, names)
 
 
@@ -131,6 +131,16 @@ def _note_scene_faults(out: Path, manifest: dict[str, Any]) -> None:
     for horizon_s, horizon_entry in manifest["horizons"].items():
         world = World(horizon_s=float(horizon_s))
         horizon_entry["exhausted_redraws"] = _exhausted_redraws(out, cells, world)
+
+
+def _note_candidate_losses(out: Path, manifest: dict[str, Any]) -> None:
+    """Note in the manifest what linkers lose as they score only some candidates."""
+    from evaluation.store.candidate_losses import (  # noqa: PLC0415 - slow to import
+        candidate_losses,
+    )
+
+    if losses := candidate_losses(out, manifest["cells"]):
+        manifest["linkage"]["candidates"] = losses
 
 
 def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> None:

@@ -8,7 +8,7 @@ from evaluation.plan.plan import Plan
 from evaluation.pool.plugin_calls import Trial, time_plugins
 from evaluation.store.files import MANIFEST
 from evaluation.store.folder import check_folder, refuse_other_run, usable
-from evaluation.store.manifest import checked_manifest, parse_manifest
+from evaluation.store.manifest import load_manifest_json, parse_manifest
 from isac_track.errors import SettingsError
 
 
@@ -23,7 +23,7 @@ def rehearse(plan: Plan) -> Trial:
     with usable(plan.out):
         _check_writable(plan.out)
         if (plan.out / MANIFEST).exists() and not plan.settings.fresh:
-            manifest = checked_manifest(parse_manifest(plan.out), out=plan.out)
+            manifest = parse_manifest(load_manifest_json(plan.out), out=plan.out)
             refuse_other_run(manifest["identity"], plan.identity, out=plan.out)
     with tempfile.TemporaryDirectory() as folder:
         return time_plugins(replace(plan, out=Path(folder)))

@@ -13,8 +13,8 @@ from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
     CELL_NAME,
-    checked_manifest,
     file_names,
+    load_manifest_json,
     parse_manifest,
     read_manifest,
     write_manifest,
@@ -107,7 +107,7 @@ def open_run(out: Path, *, identity: dict[str, Any], fresh: bool) -> OpenedRun:
         if fresh and is_there:
             _remove_run(out)
         elif is_there:
-            manifest |= checked_manifest(parse_manifest(out), out=out)
+            manifest |= parse_manifest(load_manifest_json(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.CELLS_FOLDER).mkdir(parents=True, exist_ok=True)
         index_by_file, damaged = sound_files(out, file_names(manifest))
@@ -187,11 +187,14 @@ def _drop_other_code(
 
 def _remove_run(out: Path) -> None:
     """Delete the files of a run by name, the manifest last; other files stay."""
-    manifest, cells = parse_manifest(out), (out / files.CELLS_FOLDER).glob("*.parquet")
+    manifest, cells = (
+        load_manifest_json(out),
+        (out / files.CELLS_FOLDER).glob("*.parquet"),
+    )
     written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
     written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
-        written += _figures(out, checked_manifest(manifest, out=out))
+        written += _figures(out, parse_manifest(manifest, out=out))
     try:
         for path in written:
             path.unlink(missing_ok=True)
