@@ -13,10 +13,10 @@ from evaluation.compute.loops import GAIN, prepare_loop
 from evaluation.plan.plan import Plan, Unit
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
-from evaluation.pool.gallery import write_sample_tracks
 from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
-from evaluation.store.cell_files import read_rows, write_gallery
+from evaluation.pool.sample_tracks import compute_sample_tracks
+from evaluation.store.cell_files import read_rows
 from evaluation.store.cell_index import cell_places, sound_files
 from evaluation.store.describe import describe_run
 from evaluation.store.entries import (
@@ -41,6 +41,7 @@ from evaluation.store.merge_cells import (
     without_other_settings,
 )
 from evaluation.store.people import prepare_names, share_key
+from evaluation.store.sample_tracks import save_sample_tracks
 from isac_track.errors import PluginError
 
 # Words in the licence of a recording whose walks must not be passed on.
@@ -75,10 +76,10 @@ def execute(
     if may_be_shown and not plan.axes.no_scenes:
         plugins = {entry.spec for entry in failed}
         plugins |= {entry.address.consumer for entry in failed}
-        manifest["gallery_without"] = write_sample_tracks(plan, plugins, begun.names)
+        manifest["gallery_without"] = compute_sample_tracks(plan, plugins, begun.names)
     else:
         manifest["gallery_without"] = []
-        write_gallery([], out=out)
+        save_sample_tracks([], out=out)
     _note_scene_faults(out, manifest)
     if plan.settings.stages.linkage.candidates > 0:
         _note_candidate_losses(out, manifest)

@@ -25,7 +25,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from evaluation.compute.link_scores import ABOUT
-from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column
 from evaluation.store.cell_index import (
@@ -36,13 +35,11 @@ from evaluation.store.cell_index import (
     decode_index,
     encode_index,
 )
-from evaluation.store.files import CELLS_FOLDER, GALLERY_FILE, open_regular, write_whole
+from evaluation.store.files import CELLS_FOLDER, open_regular
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from evaluation.store.entries import Entry
 
 _SCORES: Final = "scores"
@@ -353,35 +350,3 @@ def readable(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
-
-
-def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
-    """Write sample tracks into a run folder; without parts remove earlier tracks."""
-    if not parts:
-        (out / GALLERY_FILE).unlink(missing_ok=True)
-        return
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        pa.concat_tables(parts), sink, compression="zstd", write_page_checksum=True
-    )
-    write_whole(out / GALLERY_FILE, sink.getvalue().to_pybytes())
-
-
-def read_gallery(out: Path) -> pd.DataFrame | None:
-    """Return the sample tracks of a run folder, None without any.
-
-    Raises DataError if they are broken.
-    """
-    path = out / GALLERY_FILE
-    if not path.exists():
-        return None
-    with readable(path):
-        # Not pq.read_table: where no further thread can start it ends the process.
-        with (
-            open_regular(path) as opened,
-            pq.ParquetFile(opened, page_checksum_verification=True) as file,
-        ):
-            # A column that is missing is not an error of `read`.
-            table = file.read(use_threads=False).select(SAMPLE_COLUMNS)
-        tracks: pd.DataFrame = table.to_pandas(use_threads=False)
-        return tracks

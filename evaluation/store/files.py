@@ -40,7 +40,7 @@ CELLS_FOLDER: Final = "cells"
 SUBFOLDERS: Final = (CELLS_FOLDER, "tables", "figures")
 MANIFEST: Final = "manifest.json"
 CHECKSUMS: Final = "SHA256SUMS"
-GALLERY_FILE: Final = "gallery.parquet"
+SAMPLE_TRACKS: Final = "gallery.parquet"
 PAGE: Final = "report.html"
 LOCK: Final = ".lock"
 # Names in cells, and the labels by which readers know them.
@@ -72,7 +72,7 @@ WRITTEN: Final = (
     "verdict.json",
     "tables.txt",
     PAGE,
-    GALLERY_FILE,
+    SAMPLE_TRACKS,
     CHECKSUMS,
     PEOPLE,
     PRIVATE,
