@@ -42,8 +42,11 @@ from evaluation.reporting.first_screen import first_table
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.store import folder
+from evaluation.store.checksums import check_sound
+from evaluation.store.csv_files import to_csv
 from evaluation.store.entries import FAILED_COLUMNS
-from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
+from evaluation.store.files import FRAMES, write_whole
+from evaluation.store.lock import locked
 from evaluation.store.manifest import file_names, read_manifest
 from evaluation.store.sample_tracks import read_sample_tracks
 from evaluation.verdict import sections as verdict

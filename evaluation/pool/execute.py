@@ -17,7 +17,8 @@ from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
 from evaluation.pool.sample_tracks import compute_sample_tracks
 from evaluation.store.cell_files import read_rows
-from evaluation.store.cell_index import cell_places, sound_files
+from evaluation.store.cell_index import CellKey, file_by_cell, sound_files
+from evaluation.store.checksums import write_checked
 from evaluation.store.describe import describe_run
 from evaluation.store.entries import (
     Entry,
@@ -25,13 +26,9 @@ from evaluation.store.entries import (
     entries_in,
     other_entries,
 )
-from evaluation.store.files import (
-    CELLS_FOLDER,
-    locked,
-    read_regular_file,
-    write_checked,
-)
+from evaluation.store.files import CELLS_FOLDER, read_regular_file
 from evaluation.store.folder import check_folder, check_preset, open_run
+from evaluation.store.lock import locked
 from evaluation.store.manifest import write_manifest
 from evaluation.store.merge_cells import (
     cell_entries,
@@ -105,8 +102,8 @@ def _begin(plan: Plan) -> _Begun:
     manifest, index_by_file = opened.manifest, opened.index_by_file
     deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
     names = prepare_names(plan, is_continued=bool(index_by_file))
-    places = cell_places(index_by_file)
-    missing = pieces.missing_units(plan, places)
+    finished = file_by_cell(index_by_file)
+    missing = pieces.missing_units(plan, finished)
     earlier_plugins = manifest.get("own_plugins", {})
     manifest["cells"] = without_other_settings(manifest, plan)
     manifest |= describe_run(plan) | {
@@ -117,7 +114,7 @@ def _begin(plan: Plan) -> _Begun:
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    entries = cell_entries(plan, places, missing)
+    entries = cell_entries(plan, finished, missing)
     manifest["failed"] = other_entries(failures, than=entries)
     manifest["cells"] = merged_cells(
         manifest["cells"], entries, index_by_file=index_by_file
@@ -156,9 +153,9 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     opened = open_run(out, identity=plan.identity, fresh=False)
     manifest = opened.manifest
     names = prepare_names(plan, is_continued=True)
-    places = cell_places(opened.index_by_file)
-    missing = pieces.missing_units(plan, places)
-    entries = cell_entries(plan, places, missing)
+    finished = file_by_cell(opened.index_by_file)
+    missing = pieces.missing_units(plan, finished)
+    entries = cell_entries(plan, finished, missing)
     manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
     # Earlier cells keep their order: results do not depend on the order of requests.
     by_cell = {entry.cell: entry for entry in entries}
@@ -243,15 +240,15 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
         share_key(plan.out, sources)
         begun = opened.manifest | {"code": plan.code, "state": "running"}
         write_manifest(plan.out, begun)
-        units = pieces.missing_units(plan, cell_places(opened.index_by_file))
+        units = pieces.missing_units(plan, file_by_cell(opened.index_by_file))
         wanted = {
-            (unit.key, consumer_key)
+            CellKey(unit.key, consumer_key)
             for unit in units
             for consumer_key in unit.consumers
         }
         for source in sources:
-            for name, index in sound_files(source)[0].items():
-                present = cell_places({name: index}).keys()
+            for name, index in sound_files(source).index_by_file.items():
+                present = file_by_cell({name: index}).keys()
                 if wanted & present:
                     content = read_regular_file(source / CELLS_FOLDER / name)
                     write_checked(plan.out, name, content)

@@ -36,7 +36,7 @@ from evaluation.pool.pieces import (
     planned_cells,
 )
 from evaluation.pool.workers import dismiss, spread
-from evaluation.store.files import write_checked
+from evaluation.store.checksums import write_checked
 from isac_track.command_line import check_interrupt
 
 

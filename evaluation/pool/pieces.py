@@ -22,8 +22,9 @@ from evaluation.compute.work import (
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.fingerprint import PATROL, RETURNS, TRACKING
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
-from evaluation.store.cell_index import cell_places, read_index
-from evaluation.store.files import CELLS_FOLDER, checksummed_files
+from evaluation.store.cell_index import CellKey, file_by_cell, read_index
+from evaluation.store.checksums import checksummed_files
+from evaluation.store.files import CELLS_FOLDER
 from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
@@ -57,17 +58,17 @@ class PlannedCell(NamedTuple):
     consumer: Consumer
 
 
-def missing_units(plan: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
+def missing_units(plan: Plan, finished: Mapping[CellKey, str]) -> list[Unit]:
     """Return the units of a run that lack consumers, each with the consumers it lacks.
 
-    `places` has the files of finished cells, as `cell_places` returns them.
+    `finished` has the files of finished cells, as `file_by_cell` returns them.
     """
     units = []
     for unit in plan.units:
         consumers = {
             key: consumer
             for key, consumer in unit.consumers.items()
-            if (unit.key, key) not in places
+            if CellKey(unit.key, key) not in finished
         }
         if consumers:
             units.append(replace(unit, consumers=consumers))
@@ -89,7 +90,7 @@ def unfinished(plan: Plan) -> list[Unit]:
         index = read_index(plan.out / CELLS_FOLDER / name)
         if index is not None:
             indices[name] = index
-    return missing_units(plan, cell_places(indices))
+    return missing_units(plan, file_by_cell(indices))
 
 
 def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:

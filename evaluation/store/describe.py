@@ -20,12 +20,8 @@ from attacks.tasks.task_list import RETURNS
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import list_user_plugins
 from evaluation.plan.settings import AXES
-from evaluation.store.people import (
-    id_labels,
-    public_path,
-    public_words,
-    without_folders,
-)
+from evaluation.store.people import id_labels
+from evaluation.store.public_text import public_path, public_words, without_folders
 
 if TYPE_CHECKING:
     from attacks.tasks.returns import Passages

@@ -10,6 +10,7 @@ from evaluation.plan.fingerprint import ModuleFiles, has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
+from evaluation.store.checksums import check_sound, drop_stale_checksums, write_checked
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
     CELL_NAME,
@@ -110,10 +111,10 @@ def open_run(out: Path, *, identity: dict[str, Any], fresh: bool) -> OpenedRun:
             manifest |= parse_manifest(load_manifest_json(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.CELLS_FOLDER).mkdir(parents=True, exist_ok=True)
-        index_by_file, damaged = sound_files(out, file_names(manifest))
-        _drop_other_code(out, manifest, index_by_file)
-        files.forget_missing(out)
-    return OpenedRun(manifest, index_by_file, damaged)
+        sound = sound_files(out, file_names(manifest))
+        _drop_other_code(out, manifest, sound.index_by_file)
+        drop_stale_checksums(out)
+    return OpenedRun(manifest, sound.index_by_file, sound.damaged)
 
 
 def refuse_other_run(
@@ -248,7 +249,7 @@ def copy_without_private(out: Path, to: Path) -> None:
             " anew"
         )
     names = file_names(manifest)
-    files.check_sound(out, names, sizes=manifest.get("sizes", ()))
+    check_sound(out, names, sizes=manifest.get("sizes", ()))
     try:
         to.mkdir(parents=True)
         (to / files.CELLS_FOLDER).mkdir()
@@ -256,7 +257,7 @@ def copy_without_private(out: Path, to: Path) -> None:
         files.write_whole(to / files.PEOPLE, people)
         for name in names:
             content = files.read_regular_file(out / files.CELLS_FOLDER / name)
-            files.write_checked(to, name, content)
+            write_checked(to, name, content)
         write_manifest(to, manifest)  # last: its sizes are those of the copies
     except FileExistsError:
         raise SettingsError(f"{to} exists; choose another --to") from None

@@ -6,7 +6,7 @@ that share their files, and sets of consumers that many levels have are written 
 `consumers`.
 
 `sizes` has the bytes of each file of cells of a finished run. A report needs every file
-that it names; whether a file is whole, its checksum says (`files.check_sound`).
+that it names; whether a file is whole, its checksum says (`checksums.check_sound`).
 
 A seal over all of it shows damage, and files of other layouts: readers need not check
 every value. It does not show a forgery.

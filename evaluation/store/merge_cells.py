@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from evaluation.compute.return_columns import CLEAN
 from evaluation.plan.axes import TRACK_KINDS
 from evaluation.plan.settings import patrol_values, tracking_values
+from evaluation.store.cell_index import CellKey
 from evaluation.store.entries import Entry, make_entry, other_entries
 from evaluation.store.new_files import group_units
 
@@ -18,20 +19,20 @@ if TYPE_CHECKING:
 
 
 def cell_entries(
-    plan: Plan, places: Mapping[tuple[str, str], str], missing: Iterable[Unit]
+    plan: Plan, finished: Mapping[CellKey, str], missing: Iterable[Unit]
 ) -> list[Entry]:
-    """Return the entries of a run's cells, whose files are in `places` or to come."""
+    """Return the entries of a run's cells, whose files are `finished` or to come."""
     files_by_cell = {
-        (unit.key, key): file.name
+        CellKey(unit.key, key): file.name
         for file in group_units(missing)
         for unit in file.units
         for key in unit.consumers
-    } | {**places}
+    } | {**finished}
     files: dict[tuple[str, str], list[str]] = defaultdict(list)
     for unit in plan.units:  # block by block
         for key, consumer in unit.consumers.items():
             files[unit.mechanism.spec, consumer.label].append(
-                files_by_cell[unit.key, key]
+                files_by_cell[CellKey(unit.key, key)]
             )
     return [
         make_entry(mechanism, consumer, files=files[mechanism.spec, consumer.label])
