@@ -3,7 +3,6 @@
 import inspect
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -61,46 +60,49 @@ def execute(
     `progress` is called with cells finished, cells to do, and the cell under way.
     Raises IsacTrackError for anything that a user can mend; finished cells stay.
     """
-    started, out = time.monotonic(), plan.out
-    begun = _begin(plan)
-    manifest = begun.manifest
+    started_s, out = time.monotonic(), plan.out
+    started = _start_run(plan)
+    manifest = started.manifest
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     write_manifest(out, manifest | {"state": "running"})
-    computed = compute_missing(begun.missing, plan, progress, begun.names)
+    computed = compute_missing(started.missing, plan, progress, started.names)
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
     if may_be_shown and not plan.axes.no_scenes:
-        plugins = {entry.spec for entry in failed}
-        plugins |= {entry.address.consumer for entry in failed}
-        manifest["gallery_without"] = compute_sample_tracks(plan, plugins, begun.names)
+        failed_names = {entry.spec for entry in failed}
+        failed_names |= {entry.address.consumer for entry in failed}
+        manifest["gallery_without"] = compute_sample_tracks(
+            plan, failed_names, started.names
+        )
     else:
         manifest["gallery_without"] = []
         save_sample_tracks([], out=out)
     _note_scene_faults(out, manifest)
     if plan.settings.stages.linkage.candidates > 0:
         _note_candidate_losses(out, manifest)
-    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
+    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started_s, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Begun:
-    """A run whose folder is open."""
+class _StartedRun:
+    """A run whose folder is open, and whose plug-ins were tried."""
 
     manifest: dict[str, Any]  # With an entry for each cell, finished or missing.
     missing: list[Unit]
     names: Mapping[str, str]  # Of every id, as cells hold it.
 
 
-def _begin(plan: Plan) -> _Begun:
+def _start_run(plan: Plan) -> _StartedRun:
     """Try the plug-ins, open the folder of a run, and find the cells that it lacks."""
     untried = try_plugins(plan)
     if not plan.settings.fresh:
         check_preset(plan.out, preset=plan.settings.preset)
     opened = open_run(plan.out, identity=plan.identity, fresh=plan.settings.fresh)
     manifest, index_by_file = opened.manifest, opened.index_by_file
-    deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
+    for _ in prepare_loop(GAIN):  # a generator: its steps compile or load the loop
+        pass
     names = prepare_names(plan, is_continued=bool(index_by_file))
     finished = file_by_cell(index_by_file)
     missing = pieces.missing_units(plan, finished)
@@ -119,16 +121,18 @@ def _begin(plan: Plan) -> _Begun:
     manifest["cells"] = merged_cells(
         manifest["cells"], entries, index_by_file=index_by_file
     )
-    return _Begun(manifest, missing, names)
+    return _StartedRun(manifest, missing, names)
 
 
 def _note_scene_faults(out: Path, manifest: dict[str, Any]) -> None:
     """Note in the manifest how many agents stand without clearance, by horizon."""
     cells = manifest["cells"]
-    manifest["exhausted_redraws"] = _exhausted_redraws(out, cells, OWN_WORLD)
+    manifest["exhausted_redraws"] = _agents_without_clearance(out, cells, OWN_WORLD)
     for horizon_s, horizon_entry in manifest["horizons"].items():
         world = World(horizon_s=float(horizon_s))
-        horizon_entry["exhausted_redraws"] = _exhausted_redraws(out, cells, world)
+        horizon_entry["exhausted_redraws"] = _agents_without_clearance(
+            out, cells, world
+        )
 
 
 def _note_candidate_losses(out: Path, manifest: dict[str, Any]) -> None:
@@ -149,7 +153,7 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     """
     if not plan.units:
         return
-    started, out = time.monotonic(), plan.out
+    started_s, out = time.monotonic(), plan.out
     opened = open_run(out, identity=plan.identity, fresh=False)
     manifest = opened.manifest
     names = prepare_names(plan, is_continued=True)
@@ -164,7 +168,7 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     write_manifest(out, manifest | {"state": "running"})
     computed = compute_missing(missing, plan, progress, names)
     _note_computed(computed, plan, manifest)
-    spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
+    spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started_s
     write_manifest(
         out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
     )
@@ -215,7 +219,9 @@ def _user_stacklevel() -> int:
     return 1 + is_users.index(True) if any(is_users) else 1
 
 
-def _exhausted_redraws(out: Path, cells: Iterable[Entry], world: World) -> int | None:
+def _agents_without_clearance(
+    out: Path, cells: Iterable[Entry], world: World
+) -> int | None:
     """Return the number of a world's agents whose place has no clearance.
 
     None if no cell of a predictor tells.

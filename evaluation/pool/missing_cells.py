@@ -15,7 +15,7 @@ from evaluation.compute.loops import (
     list_loops,
     prepare_loop,
 )
-from evaluation.compute.work import Work
+from evaluation.compute.work import FinishedCell, Work
 from evaluation.plan.address import parse_label
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
@@ -81,18 +81,25 @@ def compute_missing(
                 continue
             if isinstance(result, HeldCell):
                 cells: Sequence[CellName] = (result.cell,)
-            elif isinstance(result, WholeFile):
-                cells = result.cells
-                _write_file(plan, result)
-                finished.update(cells)
             else:
-                cells = (cell_name(result),)
-                _write_file(plan, collector.add(cells[0], result))
+                cells = _take_cells(result, collector, plan)
                 finished.update(cells)
             check_interrupt()
             shown.update(cells)
             progress(len(shown), total, _describe_cell(cells[-1]))
     return ComputedCells(failures.cells, compiling_s)
+
+
+def _take_cells(
+    result: WholeFile | FinishedCell, collector: FileCollector, plan: Plan
+) -> Sequence[CellName]:
+    """Write the file that a result completes, if any; return the cells of the result."""
+    if isinstance(result, WholeFile):
+        _write_file(plan, result)
+        return result.cells
+    name = cell_name(result)
+    _write_file(plan, collector.add(name, result))
+    return (name,)
 
 
 def _spread_works(

@@ -19,19 +19,17 @@ from isac_track.plugins import Plugin
 
 
 def compute_sample_tracks(
-    plan: Plan, failed_plugins: set[str], names: Mapping[str, str]
+    plan: Plan, failed_names: set[str], names: Mapping[str, str]
 ) -> list[str]:
     """Compute and save sample tracks without the failed plug-ins; return new failures."""
     axes = plan.axes
     mechanisms = [
-        plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
+        plugin for plugin in axes.mechanisms if plugin.spec not in failed_names
     ]
     compute = partial(
         _sample_part,
         tracks=plan.tracks,
-        attacks=[
-            plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
-        ],
+        attacks=[plugin for plugin in axes.attacks if plugin.spec not in failed_names],
         stages=plan.settings.stages,
         seed=plan.settings.seed,
     )
