@@ -8,7 +8,7 @@ from pathlib import Path
 
 from evaluation.estimates.differences import compare
 from evaluation.reporting.difference_tables import show, to_json
-from evaluation.store.files import to_csv
+from evaluation.store.csv_files import to_csv
 from isac_track.command_line import Parser, exit_code
 from isac_track.errors import DataError
 

@@ -101,7 +101,8 @@ def _run(
     options: Namespace, variants: Sequence[Variant], manifest: Mapping[str, Any]
 ) -> int:
     from evaluation.reporting import difference_tables  # noqa: PLC0415 - for --help
-    from evaluation.store.files import to_csv, write_whole  # noqa: PLC0415 - for --help
+    from evaluation.store.csv_files import to_csv  # noqa: PLC0415 - for --help
+    from evaluation.store.files import write_whole  # noqa: PLC0415 - for --help
     from evaluation.verdict import sensitivity as verdicts  # noqa: PLC0415 - for --help
 
     attacks = verdicts.attack_tasks(verdicts.read_verdict(options.out)["items"])

@@ -42,10 +42,13 @@ from evaluation.reporting.first_screen import first_table
 from evaluation.reporting.rows import Results
 from evaluation.reporting.tables import write_tex, write_text
 from evaluation.store import folder
-from evaluation.store.cell_files import read_gallery
+from evaluation.store.checksums import check_sound
+from evaluation.store.csv_files import to_csv
 from evaluation.store.entries import FAILED_COLUMNS
-from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
+from evaluation.store.files import FRAMES, write_whole
+from evaluation.store.lock import locked
 from evaluation.store.manifest import file_names, read_manifest
+from evaluation.store.sample_tracks import read_sample_tracks
 from evaluation.verdict import sections as verdict
 from evaluation.verdict.patrols import (
     USUAL_LIMITS,
@@ -153,7 +156,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
         conflict_times=horizons.conflict_times(out, manifest),
-        gallery=read_gallery(out),
+        gallery=read_sample_tracks(out),
     )
     sentences = [answer.sentence for answer in answers(results)]
     with_answer = {"answer": sentences, **answered_verdict}

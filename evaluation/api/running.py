@@ -24,7 +24,7 @@ from evaluation.reporting.finished import load
 from evaluation.reporting.progress import progress_bar
 from evaluation.reporting.rows import Results
 from evaluation.store import folder
-from evaluation.store.files import locked
+from evaluation.store.lock import locked
 from evaluation.store.manifest import read_manifest
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError

@@ -9,7 +9,8 @@ from evaluation.estimates.pooled import Answered, answered, run_answers, to_fram
 from evaluation.plan.plan import Plan, make_plan
 from evaluation.plan.settings import Settings
 from evaluation.reporting import study_page
-from evaluation.store.files import to_csv, write_whole
+from evaluation.store.csv_files import to_csv
+from evaluation.store.files import write_whole
 from isac_track.datasets import Dataset
 from isac_track.errors import SettingsError
 

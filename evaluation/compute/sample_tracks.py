@@ -1,4 +1,4 @@
-"""A gallery of four people's tracks: as walked, as shared, and as reconstructed.
+"""Sample tracks of four people: as walked, as shared, and as reconstructed.
 
 Cells hold no positions: the run computes these few once, and a redraw reads them from
 its folder.
@@ -49,8 +49,8 @@ _FIXED_M = 0.7
 _DIGITS = 3
 
 
-def gallery_mechanisms(mechanisms: Sequence[Plugin]) -> list[Plugin]:
-    """Return the mechanisms of the gallery.
+def sample_mechanisms(mechanisms: Sequence[Plugin]) -> list[Plugin]:
+    """Return the mechanisms of the sample tracks.
 
     These are raw, the strictest FID and fixed noise near 0.7 m; or the first three.
     """
@@ -70,7 +70,7 @@ def gallery_mechanisms(mechanisms: Sequence[Plugin]) -> list[Plugin]:
     return list(mechanisms[:_MOST_MECHANISMS])
 
 
-def gallery_rows(
+def sample_rows(
     mechanism: Plugin,
     *,
     tracks: Cut,

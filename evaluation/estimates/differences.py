@@ -34,8 +34,8 @@ from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address, Where, parse_consumer, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
+from evaluation.store.csv_files import read_report_file
 from evaluation.store.entries import Entry, horizons_in
-from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval

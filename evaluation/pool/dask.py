@@ -32,23 +32,23 @@ R = TypeVar("R")
 Client: TypeAlias = Any
 Future: TypeAlias = Any
 
-_CONNECT_S: Final = 5.0
-_FIRST_WORKER_S: Final = 10.0
+_CONNECT_S: Final = 5.0  # Longest time until a scheduler answers.
+_FIRST_WORKER_S: Final = 10.0  # Longest time until it has a worker.
 # Longest time without any worker: those that died may be started again.
 _NO_WORKER_S: Final = 60.0
 # Longest time that a scheduler may take to say how many threads there are.
 _ANSWER_S: Final = 8.0
-_ASK_S: Final = 2.0
-_LOOK_S: Final = 0.02
-_FETCH_S: Final = 10.0
+_ASK_S: Final = 2.0  # Between two such questions.
+_LOOK_S: Final = 0.02  # Between two looks for ended works.
+_FETCH_S: Final = 10.0  # Longest time that fetching the results of a work may take.
 # Works handed out per thread: no worker waits, and nobody holds many.
 _AHEAD: Final = 2
 # Graphs with tracks are larger than the usual limit: no warning.
 _LARGE: Final = {"distributed.admin.large-graph-warning-threshold": "1GiB"}
 _LIBRARIES: Final = ("numpy", "scipy", "numba")
 _LOADING: Final = threading.Lock()
-_FIRST_SEEN: Final[dict[str, str]] = {}
-"""Digests of the source as this process loaded it, for good: files may change later."""
+_LOADED: Final[dict[str, str]] = {}
+"""Digests of the source that this process has loaded: see `_describe_worker`."""
 
 
 def spread_on_cluster(
@@ -110,7 +110,7 @@ class _Cluster(Generic[W, R]):
         # Some versions of distributed have no types here, others do.
         untyped: Any = as_completed
         self._completed = untyped(loop=client.loop)
-        self._expected = _describe_process(modules, seen={})
+        self._expected = _describe_process(modules, digests={})
         self.n_threads = 1
         self.under_way: dict[Future, W] = {}
         self._asked_s = self._worked_s = time.monotonic()
@@ -130,7 +130,7 @@ class _Cluster(Generic[W, R]):
             time.sleep(_LOOK_S)
         try:
             answers = self._client.run(
-                _describe_process, self._modules, on_error="return"
+                _describe_worker, self._modules, on_error="return"
             )
         except (OSError, TimeoutError):
             raise self._lost_error() from None
@@ -289,7 +289,7 @@ def _compute(
     from distributed import get_worker  # noqa: PLC0415 - an extra
 
     _check_same_versions(
-        _describe_process(modules), expected, worker=get_worker().address
+        _describe_worker(modules), expected, worker=get_worker().address
     )
     work: W = _load(packed)
     # Never lifted: the limit is the process's, and other threads may be computing.
@@ -299,21 +299,30 @@ def _compute(
         return list(function(work))
 
 
+def _describe_worker(modules: tuple[str, ...]) -> dict[str, str]:
+    """Return all that the bits of a result depend on in a worker.
+
+    A worker computes with the source that it loaded first, whatever the files hold
+    later. Its digests stay in `_LOADED` for the life of the process: nothing empties it.
+    """
+    return _describe_process(modules, digests=_LOADED)
+
+
 def _describe_process(
-    modules: tuple[str, ...], *, seen: dict[str, str] = _FIRST_SEEN
+    modules: tuple[str, ...], *, digests: dict[str, str]
 ) -> dict[str, str]:
     """Return all that the bits of a result depend on in a process.
 
-    `seen` keeps digests of the source from the first call on.
+    Digests of the source that are not in `digests` yet are added to it.
     """
     with _LOADING:
-        if "code" not in seen:
-            seen["code"] = code_hash()
+        if "code" not in digests:
+            digests["code"] = code_hash()
         for name in modules:
-            if f"module {name}" not in seen:
+            if f"module {name}" not in digests:
                 try:
                     import_module(name)
-                    seen[f"module {name}"] = source_digest(name)[:16]
+                    digests[f"module {name}"] = source_digest(name)[:16]
                 # A user's module may raise anything.
                 except (Exception, SystemExit) as error:  # noqa: BLE001 - as said
                     raise SettingsError(
@@ -322,11 +331,11 @@ def _describe_process(
                         " by PYTHONPATH"
                     ) from None
     return {
-        "code": seen["code"],
+        "code": digests["code"],
         "python": platform.python_version(),
         "machine": platform.machine(),
         **{name: version(name) for name in _LIBRARIES},
-        **{f"module {name}": seen[f"module {name}"] for name in modules},
+        **{f"module {name}": digests[f"module {name}"] for name in modules},
     }
 
 

@@ -24,7 +24,7 @@ from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 from isac_track.types import Tracks
 
 RATES: Final = "rates.json"
-"""CPU seconds by part on an idle machine: per million samples, or pairs of a task."""
+"""Name of the file of rates: see `measured_rates`."""
 PluginTimes: TypeAlias = Mapping[tuple[str, str], PluginTime]
 """Times of a user's plug-ins by kind and SPEC; a linker's kind is `linkage`."""
 NO_TIMES: Final[PluginTimes] = MappingProxyType({})
@@ -162,7 +162,13 @@ def rate_name(consumer: Consumer) -> str:
 
 
 def measured_rates() -> Mapping[str, float]:
-    """Return the CPU seconds by part, as `python -m benchmarks.rates` measured them."""
+    """Return the CPU time of each part on an idle machine, by its name.
+
+    In s per million samples, or per million pairs of a linkage task: per unit of
+    `work_size`. A name is that of `setup_name` or `rate_name`. A consumer without a
+    rate counts as the median of its kind, so that each kind has one.
+    `python -m benchmarks.rates` measures them.
+    """
     path = files("evaluation.pool") / RATES
     rates: dict[str, float] = json.loads(path.read_text(encoding="utf-8"))
     return rates

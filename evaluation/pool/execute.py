@@ -1,8 +1,8 @@
 """A run from its manifest to its manifest: compute what its folder lacks."""
 
+import inspect
 import time
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,39 +12,37 @@ from evaluation.compute.loops import GAIN, prepare_loop
 from evaluation.plan.plan import Plan, Unit
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
-from evaluation.pool.gallery import write_sample_tracks
 from evaluation.pool.missing_cells import ComputedCells, compute_missing
 from evaluation.pool.plugin_calls import try_plugins
-from evaluation.store.cell_files import read_rows, write_gallery
-from evaluation.store.cell_index import cell_places, sound_files
+from evaluation.pool.sample_tracks import compute_sample_tracks
+from evaluation.store.cell_files import read_rows
+from evaluation.store.cell_index import CellKey, file_by_cell, sound_files
+from evaluation.store.checksums import write_checked
+from evaluation.store.describe import describe_run
 from evaluation.store.entries import (
     Entry,
     FailedEntry,
     entries_in,
     other_entries,
 )
-from evaluation.store.files import (
-    CELLS_FOLDER,
-    locked,
-    read_regular_file,
-    write_checked,
-)
+from evaluation.store.files import CELLS_FOLDER, read_regular_file
 from evaluation.store.folder import check_folder, check_preset, open_run
-from evaluation.store.manifest import (
-    candidate_losses,
+from evaluation.store.lock import locked
+from evaluation.store.manifest import write_manifest
+from evaluation.store.merge_cells import (
     cell_entries,
-    describe,
     merged_cells,
     merged_plugins,
     with_ceiling,
-    without_other_patrols,
-    write_manifest,
+    without_other_settings,
 )
 from evaluation.store.people import prepare_names, share_key
+from evaluation.store.sample_tracks import save_sample_tracks
 from isac_track.errors import PluginError
 
 # Words in the licence of a recording whose walks must not be passed on.
 NOT_PASSED_ON: Final = "never to be passed on"
+_PACKAGE: Final = __name__.partition(".")[0]
 
 
 class FailedCellsWarning(UserWarning):
@@ -62,53 +60,55 @@ def execute(
     `progress` is called with cells finished, cells to do, and the cell under way.
     Raises IsacTrackError for anything that a user can mend; finished cells stay.
     """
-    started, out = time.monotonic(), plan.out
-    begun = _begin(plan)
-    manifest = begun.manifest
+    started_s, out = time.monotonic(), plan.out
+    started = _start_run(plan)
+    manifest = started.manifest
     earlier_s = float(manifest.get("wall_time_s", 0.0))
     write_manifest(out, manifest | {"state": "running"})
-    computed = compute_missing(begun.missing, plan, progress, begun.names)
+    computed = compute_missing(started.missing, plan, progress, started.names)
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
     if may_be_shown and not plan.axes.no_scenes:
-        plugins = {entry.spec for entry in failed}
-        plugins |= {entry.address.consumer for entry in failed}
-        manifest["gallery_without"] = write_sample_tracks(plan, plugins, begun.names)
+        failed_names = {entry.spec for entry in failed}
+        failed_names |= {entry.address.consumer for entry in failed}
+        manifest["gallery_without"] = compute_sample_tracks(
+            plan, failed_names, started.names
+        )
     else:
         manifest["gallery_without"] = []
-        write_gallery([], out=out)
+        save_sample_tracks([], out=out)
     _note_scene_faults(out, manifest)
-    is_approximate = plan.settings.stages.linkage.candidates > 0
-    if is_approximate and (losses := candidate_losses(out, manifest["cells"])):
-        manifest["linkage"]["candidates"] = losses
-    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started, 3)
+    if plan.settings.stages.linkage.candidates > 0:
+        _note_candidate_losses(out, manifest)
+    manifest["wall_time_s"] = round(earlier_s + time.monotonic() - started_s, 3)
     write_manifest(out, manifest | {"state": "finished"})
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Begun:
-    """A run whose folder is open."""
+class _StartedRun:
+    """A run whose folder is open, and whose plug-ins were tried."""
 
     manifest: dict[str, Any]  # With an entry for each cell, finished or missing.
     missing: list[Unit]
     names: Mapping[str, str]  # Of every id, as cells hold it.
 
 
-def _begin(plan: Plan) -> _Begun:
+def _start_run(plan: Plan) -> _StartedRun:
     """Try the plug-ins, open the folder of a run, and find the cells that it lacks."""
     untried = try_plugins(plan)
     if not plan.settings.fresh:
         check_preset(plan.out, preset=plan.settings.preset)
     opened = open_run(plan.out, identity=plan.identity, fresh=plan.settings.fresh)
     manifest, index_by_file = opened.manifest, opened.index_by_file
-    deque(prepare_loop(GAIN), maxlen=0)  # runs the steps of the generator
+    for _ in prepare_loop(GAIN):  # a generator: its steps compile or load the loop
+        pass
     names = prepare_names(plan, is_continued=bool(index_by_file))
-    places = cell_places(index_by_file)
-    missing = pieces.missing_units(plan, places)
+    finished = file_by_cell(index_by_file)
+    missing = pieces.missing_units(plan, finished)
     earlier_plugins = manifest.get("own_plugins", {})
-    manifest["cells"] = without_other_patrols(manifest, plan)
-    manifest |= describe(plan) | {
+    manifest["cells"] = without_other_settings(manifest, plan)
+    manifest |= describe_run(plan) | {
         "damaged_cells": opened.damaged,
         "untried_plugins": untried,
         "edited_modules": [],
@@ -116,19 +116,33 @@ def _begin(plan: Plan) -> _Begun:
     manifest["own_plugins"] = merged_plugins(earlier_plugins, manifest["own_plugins"])
     # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
-    entries = cell_entries(plan, places, missing)
+    entries = cell_entries(plan, finished, missing)
     manifest["failed"] = other_entries(failures, than=entries)
-    manifest["cells"] = merged_cells(manifest["cells"], entries, held=index_by_file)
-    return _Begun(manifest, missing, names)
+    manifest["cells"] = merged_cells(
+        manifest["cells"], entries, index_by_file=index_by_file
+    )
+    return _StartedRun(manifest, missing, names)
 
 
 def _note_scene_faults(out: Path, manifest: dict[str, Any]) -> None:
     """Note in the manifest how many agents stand without clearance, by horizon."""
     cells = manifest["cells"]
-    manifest["exhausted_redraws"] = _exhausted_redraws(out, cells, OWN_WORLD)
+    manifest["exhausted_redraws"] = _agents_without_clearance(out, cells, OWN_WORLD)
     for horizon_s, horizon_entry in manifest["horizons"].items():
         world = World(horizon_s=float(horizon_s))
-        horizon_entry["exhausted_redraws"] = _exhausted_redraws(out, cells, world)
+        horizon_entry["exhausted_redraws"] = _agents_without_clearance(
+            out, cells, world
+        )
+
+
+def _note_candidate_losses(out: Path, manifest: dict[str, Any]) -> None:
+    """Note in the manifest what linkers lose as they score only some candidates."""
+    from evaluation.store.candidate_losses import (  # noqa: PLC0415 - slow to import
+        candidate_losses,
+    )
+
+    if losses := candidate_losses(out, manifest["cells"]):
+        manifest["linkage"]["candidates"] = losses
 
 
 def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> None:
@@ -139,13 +153,13 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     """
     if not plan.units:
         return
-    started, out = time.monotonic(), plan.out
+    started_s, out = time.monotonic(), plan.out
     opened = open_run(out, identity=plan.identity, fresh=False)
     manifest = opened.manifest
     names = prepare_names(plan, is_continued=True)
-    places = cell_places(opened.index_by_file)
-    missing = pieces.missing_units(plan, places)
-    entries = cell_entries(plan, places, missing)
+    finished = file_by_cell(opened.index_by_file)
+    missing = pieces.missing_units(plan, finished)
+    entries = cell_entries(plan, finished, missing)
     manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
     # Earlier cells keep their order: results do not depend on the order of requests.
     by_cell = {entry.cell: entry for entry in entries}
@@ -154,7 +168,7 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     write_manifest(out, manifest | {"state": "running"})
     computed = compute_missing(missing, plan, progress, names)
     _note_computed(computed, plan, manifest)
-    spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started
+    spent_s = float(manifest.get("wall_time_s", 0.0)) + time.monotonic() - started_s
     write_manifest(
         out, manifest | {"state": "finished", "wall_time_s": round(spent_s, 3)}
     )
@@ -176,9 +190,9 @@ def _note_computed(
             kind=cell.consumer.kind_in_files,
             spec=cell.mechanism.spec,
             block=cell.block,
-            why=why,
+            why=message,
         )
-        for cell, why in computed.failed
+        for cell, message in computed.failed
     ]
     if failed:
         manifest["failed"] += failed
@@ -190,11 +204,24 @@ def _note_computed(
         reasons = list(dict.fromkeys(entry.why for entry in failed))
         more = f" (and {len(reasons) - 1} other reasons)" if len(reasons) > 1 else ""
         text = f"{len(failed)} cells failed and are left out: {reasons[0]}{more}"
-        warnings.warn(text, FailedCellsWarning, stacklevel=5)
+        warnings.warn(text, FailedCellsWarning, stacklevel=_user_stacklevel())
     return failed
 
 
-def _exhausted_redraws(out: Path, cells: Iterable[Entry], world: World) -> int | None:
+def _user_stacklevel() -> int:
+    """Return the `stacklevel` with which the caller's warning names the user's line.
+
+    It is the first line outside of this package: a run warns at several depths.
+    """
+    callers = inspect.stack(context=0)[1:]
+    modules = [str(caller.frame.f_globals.get("__name__")) for caller in callers]
+    is_users = [name.partition(".")[0] != _PACKAGE for name in modules]
+    return 1 + is_users.index(True) if any(is_users) else 1
+
+
+def _agents_without_clearance(
+    out: Path, cells: Iterable[Entry], world: World
+) -> int | None:
     """Return the number of a world's agents whose place has no clearance.
 
     None if no cell of a predictor tells.
@@ -219,15 +246,15 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
         share_key(plan.out, sources)
         begun = opened.manifest | {"code": plan.code, "state": "running"}
         write_manifest(plan.out, begun)
-        units = pieces.missing_units(plan, cell_places(opened.index_by_file))
+        units = pieces.missing_units(plan, file_by_cell(opened.index_by_file))
         wanted = {
-            (unit.key, consumer_key)
+            CellKey(unit.key, consumer_key)
             for unit in units
             for consumer_key in unit.consumers
         }
         for source in sources:
-            for name, index in sound_files(source)[0].items():
-                present = cell_places({name: index}).keys()
+            for name, index in sound_files(source).index_by_file.items():
+                present = file_by_cell({name: index}).keys()
                 if wanted & present:
                     content = read_regular_file(source / CELLS_FOLDER / name)
                     write_checked(plan.out, name, content)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from evaluation.pool.pieces import (
     cell_name,
@@ -22,14 +22,21 @@ if TYPE_CHECKING:
 _MOST_NAMED = 3
 
 
+class FailedCell(NamedTuple):
+    """A cell that failed, and why."""
+
+    cell: PlannedCell
+    message: str
+
+
 class Failures:
     """The failed cells of a run with reasons, and those where a worker died before."""
 
     def __init__(self) -> None:
-        self.cells: list[tuple[PlannedCell, str]] = []
+        self.cells: list[FailedCell] = []
         self._died_at: set[CellName] = set()
 
-    def rest(
+    def work_after(
         self, work: Work, failure: Failure, *, finished: Container[CellName]
     ) -> list[Work]:
         """Return the work that is left after a failure; a death is tried once more."""
@@ -46,7 +53,7 @@ class Failures:
             # Where the cell is unknown, each is tried by itself.
             again = [culprits] if failure.cell else list(split_by_cell(culprits))
         else:
-            self.cells += [(cell, failure.message) for cell in blamed]
+            self.cells += [FailedCell(cell, failure.message) for cell in blamed]
         return [*again, innocent] if innocent.levels else again
 
 

@@ -15,11 +15,11 @@ from evaluation.compute.loops import (
     list_loops,
     prepare_loop,
 )
-from evaluation.compute.work import Work
+from evaluation.compute.work import FinishedCell, Work
 from evaluation.plan.address import parse_label
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan, Unit
-from evaluation.pool.failures import Failures
+from evaluation.pool.failures import FailedCell, Failures
 from evaluation.pool.packing import (
     FileCollector,
     HeldCell,
@@ -30,21 +30,20 @@ from evaluation.pool.packing import (
 )
 from evaluation.pool.pieces import (
     CellName,
-    PlannedCell,
     cell_name,
     cut_for_cluster,
     cut_work,
     planned_cells,
 )
 from evaluation.pool.workers import dismiss, spread
-from evaluation.store.files import write_checked
+from evaluation.store.checksums import write_checked
 from isac_track.command_line import check_interrupt
 
 
 class ComputedCells(NamedTuple):
     """What came of the missing cells, beside their files."""
 
-    failed: list[tuple[PlannedCell, str]]  # With reasons.
+    failed: list[FailedCell]
     # Time that compiling the loops took, s; None on a cluster, which is not known.
     compiling_s: float | None
 
@@ -75,25 +74,32 @@ def compute_missing(
         for work, result in computed:
             if isinstance(result, Failure):
                 n_before = len(failures.cells)
-                works.extend(failures.rest(work, result, finished=finished))
-                for cell, _ in failures.cells[n_before:]:
-                    shown.add(cell_name(cell))
-                    _write_file(plan, collector.add(cell_name(cell), None))
+                works.extend(failures.work_after(work, result, finished=finished))
+                for failed in failures.cells[n_before:]:
+                    shown.add(cell_name(failed.cell))
+                    _write_file(plan, collector.add(cell_name(failed.cell), None))
                 continue
             if isinstance(result, HeldCell):
                 cells: Sequence[CellName] = (result.cell,)
-            elif isinstance(result, WholeFile):
-                cells = result.cells
-                _write_file(plan, result)
-                finished.update(cells)
             else:
-                cells = (cell_name(result),)
-                _write_file(plan, collector.add(cells[0], result))
+                cells = _take_cells(result, collector, plan)
                 finished.update(cells)
             check_interrupt()
             shown.update(cells)
             progress(len(shown), total, _describe_cell(cells[-1]))
     return ComputedCells(failures.cells, compiling_s)
+
+
+def _take_cells(
+    result: WholeFile | FinishedCell, collector: FileCollector, plan: Plan
+) -> Sequence[CellName]:
+    """Write the file that a result completes, if any; return the cells of the result."""
+    if isinstance(result, WholeFile):
+        _write_file(plan, result)
+        return result.cells
+    name = cell_name(result)
+    _write_file(plan, collector.add(name, result))
+    return (name,)
 
 
 def _spread_works(
@@ -153,10 +159,9 @@ def _prepare_loops(
 
 def _describe_cell(name: CellName) -> str:
     """Return a cell in words: of linkage if its consumer's label begins with a task."""
-    _, spec, label = name
-    address = parse_label(label)
+    address = parse_label(name.label)
     stage = "linkage" if address.task else "patrols" if address.policy else "scenes"
-    return f"{stage}: {spec} > {label}"
+    return f"{stage}: {name.spec} > {name.label}"
 
 
 def _write_file(plan: Plan, file: WholeFile | None) -> None:

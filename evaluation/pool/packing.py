@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 from evaluation.compute.current_cell import Failure
 from evaluation.compute.work import FinishedCell, attempt_cells
 from evaluation.plan.fingerprint import sources
-from evaluation.pool.pieces import cell_name
+from evaluation.pool.pieces import CellName, cell_name
 from evaluation.store.cell_files import ComputedCell, ComputedUnit, pack_units
 from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
     from evaluation.compute.work import Work
     from evaluation.plan.plan import Unit
-    from evaluation.pool.pieces import CellName
 
 WorkResult: TypeAlias = "WholeFile | HeldCell | FinishedCell | Failure"
 
@@ -70,7 +69,7 @@ def expected_files(
     for name, file_units in group_units(units):
         expected = tuple(_expected_unit(unit, digests) for unit in file_units)
         cells = tuple(
-            (unit.block, unit.spec, label)
+            CellName(unit.block, unit.spec, label)
             for unit in expected
             for label in unit.consumers
         )
@@ -113,7 +112,7 @@ class FileCollector:
             return None
         return WholeFile(file.name, pack_units(units, names=self.names), file.cells)
 
-    def rest(self) -> Iterator[FinishedCell]:
+    def unfinished_cells(self) -> Iterator[FinishedCell]:
         """Yield the cells of files that are not whole."""
         for cells in self._cells.values():
             yield from filter(None, cells.values())
@@ -125,7 +124,7 @@ def _computed_unit(
     """Return a unit with those of its cells that did not fail."""
     computed = []
     for label, consumer in unit.consumers.items():
-        cell = cells[unit.block, unit.spec, label]
+        cell = cells[CellName(unit.block, unit.spec, label)]
         if cell is not None:
             computed.append(
                 ComputedCell(label, consumer.key, consumer.code, cell.tables)
@@ -152,5 +151,5 @@ def compute_files(
             yield whole
         else:
             yield HeldCell(cell_name(result))
-    yield from collector.rest()
+    yield from collector.unfinished_cells()
     yield from failures

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,9 @@ from evaluation.compute.work import (
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.fingerprint import PATROL, RETURNS, TRACKING
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
-from evaluation.store.cell_index import cell_places, read_index
-from evaluation.store.files import CELLS_FOLDER, checksummed_files
+from evaluation.store.cell_index import CellKey, file_by_cell, read_index
+from evaluation.store.checksums import checksummed_files
+from evaluation.store.files import CELLS_FOLDER
 from isac_track.scenes import track_order
 
 if TYPE_CHECKING:
@@ -34,13 +35,19 @@ if TYPE_CHECKING:
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
 
-CellName: TypeAlias = "tuple[int, str, str]"
-"""Block (0 for linkage), SPEC of the mechanism, label of the consumer."""
-_TASKS_PER_WORKER = 2
-_LEVELS_PER_TASK = 12  # Of a linkage task.
-# The share of the work with which the last block begins, for it takes long.
+_PIECES_PER_WORKER = 2
+_LEVELS_PER_PIECE = 12  # Of a linkage task.
+# All blocks of scenes begin within this share of the run: the last takes long.
 _BLOCKS_WITHIN = 0.75
-_CLUSTER_TASKS = 64  # At least so many, where there are as many levels and blocks.
+_LEAST_CLUSTER_PIECES = 64  # Where there are as many levels and blocks.
+
+
+class CellName(NamedTuple):
+    """The name of a cell: it tells the cells of a run apart, and is small to send."""
+
+    block: int  # 0 for a linkage task.
+    spec: str  # SPEC of the mechanism.
+    label: str  # Of the consumer.
 
 
 class PlannedCell(NamedTuple):
@@ -51,17 +58,17 @@ class PlannedCell(NamedTuple):
     consumer: Consumer
 
 
-def missing_units(plan: Plan, places: Mapping[tuple[str, str], str]) -> list[Unit]:
+def missing_units(plan: Plan, finished: Mapping[CellKey, str]) -> list[Unit]:
     """Return the units of a run that lack consumers, each with the consumers it lacks.
 
-    `places` has the files of finished cells, as `cell_places` returns them.
+    `finished` has the files of finished cells, as `file_by_cell` returns them.
     """
     units = []
     for unit in plan.units:
         consumers = {
             key: consumer
             for key, consumer in unit.consumers.items()
-            if (unit.key, key) not in places
+            if CellKey(unit.key, key) not in finished
         }
         if consumers:
             units.append(replace(unit, consumers=consumers))
@@ -83,7 +90,7 @@ def unfinished(plan: Plan) -> list[Unit]:
         index = read_index(plan.out / CELLS_FOLDER / name)
         if index is not None:
             indices[name] = index
-    return missing_units(plan, cell_places(indices))
+    return missing_units(plan, file_by_cell(indices))
 
 
 def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
@@ -96,6 +103,7 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     # workers, most of the time only one block is under way.
     share = _BLOCKS_WITHIN if plan.jobs > 1 else 0.0
     n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
+    # When a piece is handed out, as a share of the run, 0..1.
     due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
     due += [(n + 1) / len(links) for n in range(len(links))]
     patrols: list[Work] = [*_cut_patrols(missing, plan), *_cut_tracking(missing, plan)]
@@ -116,12 +124,12 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
     n_attacked = -(-plan.settings.n_scenes // BLOCK_SCENES)
     n_pieces = 1
     if plan.jobs > 1:
-        n_pieces = -(-_TASKS_PER_WORKER * plan.jobs // n_attacked)
+        n_pieces = -(-_PIECES_PER_WORKER * plan.jobs // n_attacked)
     orders = _scene_orders(plan)
     blocks = []
     for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
         for world, order in orders.items():
-            levels = _levels(
+            levels = _merge_levels(
                 unit
                 for unit in missing
                 if unit.block == number
@@ -169,14 +177,14 @@ def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     ]
     links = []
     for sessions, world in walked:
-        levels = _levels(
+        levels = _merge_levels(
             unit
             for unit in missing
             if unit.section == sessions.task.name and unit.world == world
         )
         # Each piece senses the sessions again, which takes less than one level.
-        for first in range(0, len(levels), _LEVELS_PER_TASK):
-            piece = levels[first : first + _LEVELS_PER_TASK]
+        for first in range(0, len(levels), _LEVELS_PER_PIECE):
+            piece = levels[first : first + _LEVELS_PER_PIECE]
             keep_scores = plan.settings.keep_scores
             links.append(LinkWork(sessions, groups, piece, keep_scores, world))
     return links
@@ -187,7 +195,7 @@ def _cut_patrols(missing: Sequence[Unit], plan: Plan) -> list[PatrolWork]:
 
     Each piece makes the patrol and senses everybody again.
     """
-    levels = _levels(unit for unit in missing if unit.section == PATROL)
+    levels = _merge_levels(unit for unit in missing if unit.section == PATROL)
     return [PatrolWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)]
 
 
@@ -196,7 +204,7 @@ def _cut_returns(missing: Sequence[Unit], plan: Plan) -> list[ReturnWork]:
 
     Each piece senses all passages again, which takes less than one level.
     """
-    levels = _levels(unit for unit in missing if unit.section == RETURNS)
+    levels = _merge_levels(unit for unit in missing if unit.section == RETURNS)
     if plan.passages is None:
         return []
     confirming = plan.settings.confirming
@@ -211,13 +219,13 @@ def _cut_tracking(missing: Sequence[Unit], plan: Plan) -> list[TrackingWork]:
 
     Each piece detects everybody and tracks the detections without noise again.
     """
-    levels = _levels(unit for unit in missing if unit.section == TRACKING)
+    levels = _merge_levels(unit for unit in missing if unit.section == TRACKING)
     return [
         TrackingWork(plan.recorded, piece) for piece in _share_out(levels, plan.jobs)
     ]
 
 
-def _levels(units: Iterable[Unit]) -> Levels:
+def _merge_levels(units: Iterable[Unit]) -> Levels:
     """Return the levels of units of one block, or of one task: all stages together."""
     levels: dict[str, tuple[Plugin, list[Consumer]]] = {}
     for unit in units:
@@ -249,7 +257,7 @@ def cut_for_cluster(works: deque[Work]) -> None:
     The linkers behind one reconstruction are in one piece: its memory does not hold the
     releases of another.
     """
-    n_pieces = -(-_CLUSTER_TASKS // len(works))
+    n_pieces = -(-_LEAST_CLUSTER_PIECES // len(works))
     for _ in range(len(works)):
         work = works.popleft()
         for levels in _share_out(work.levels, n_pieces):
@@ -277,7 +285,7 @@ def planned_cells(work: Work) -> Iterator[PlannedCell]:
 
 def cell_name(cell: PlannedCell | FinishedCell) -> CellName:
     """Return the name of a cell, with the names that `note_cell` gets."""
-    return cell.block, cell.mechanism.spec, cell.consumer.label
+    return CellName(cell.block, cell.mechanism.spec, cell.consumer.label)
 
 
 def select_cells(work: Work, is_wanted: Callable[[PlannedCell], bool]) -> Work:

@@ -17,6 +17,7 @@ from evaluation.compute.plugin_call import (
     plugin_code,
 )
 from evaluation.compute.sharing import declared_knowledge
+from evaluation.plan.axes import Consumer
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.plan import Plan, Unit
@@ -25,6 +26,7 @@ from evaluation.pool.workers import spread
 from evaluation.store.files import PLUGIN_ERROR, write_whole
 from evaluation.store.folder import usable
 from isac_track.errors import UNNAMED, PluginError
+from isac_track.plugins import Plugin
 
 # A call that takes longer is given up, and shows nothing about the plug-in.
 MOST_S: Final = 60.0
@@ -33,7 +35,7 @@ _TRAVELLED: Final = "<dynamic-code>"
 
 
 @dataclass(frozen=True, slots=True)
-class Trial:
+class PluginTrial:
     """What calls of a user's plug-ins on a few made-up people showed."""
 
     given_up: list[str] = field(default_factory=list)
@@ -58,33 +60,33 @@ def try_plugins(plan: Plan) -> list[str]:
             (plan.out / PLUGIN_ERROR).unlink()
     call = partial(check_plugin, stages=plan.settings.stages)
     make_error = partial(_error_with_traceback, plan.out)
-    return _called(plan, call, make_error=make_error).given_up
+    return _call_plugins(plan, call, make_error=make_error).given_up
 
 
-def time_plugins(plan: Plan) -> Trial:
+def time_plugins(plan: Plan) -> PluginTrial:
     """Call every user's plug-in whose cells are missing, and time it; write nothing.
 
     Raises as `try_plugins` does.
     """
     call = partial(check_and_time, stages=plan.settings.stages)
-    return _called(plan, call, make_error=_error_without_traceback)
+    return _call_plugins(plan, call, make_error=_error_without_traceback)
 
 
-def _called(
+def _call_plugins(
     plan: Plan,
     call: Callable[[PluginCall], Iterable[tuple[str, str] | PluginTime]],
     *,
     make_error: Callable[[str, str], PluginError],
-) -> Trial:
+) -> PluginTrial:
     """Call the plug-ins, each in a worker; raise the error of the first that fails."""
     if not has_user_plugins(plan.axes):
-        return Trial()
+        return PluginTrial()
     with usable(plan.out):
         missing = plan.units if plan.settings.fresh else unfinished(plan)
-    trial = Trial()
+    trial = PluginTrial()
     allowed_s = plan.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)
-    works = deque(_plugin_calls(missing))
+    works = deque(_list_calls(missing))
     called = [*works]
     for plugin_call, result in spread(
         call, works, jobs=1, limit_s=limit_s, in_workers=True, is_separate=True
@@ -139,7 +141,17 @@ def _error_without_traceback(why: str, _trace: str) -> PluginError:
     return PluginError(f"{why}; found by a call on a few made-up people")
 
 
-def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
+def _is_called_elsewhere(plugin: Plugin, consumer: Consumer) -> bool:
+    """Whether another consumer's call shows what a plug-in of this one does.
+
+    A robot is called in scenes, too. A policy that answers from tracks is called where
+    it answers from positions.
+    """
+    discloses = consumer.track_release or consumer.policy
+    return discloses is not None and plugin is not discloses
+
+
+def _list_calls(missing: Iterable[Unit]) -> list[PluginCall]:
     """Return a call per plug-in; an attack has the most knowledge that it gets."""
     calls: dict[tuple[str, str], PluginCall] = {}
     for unit in missing:
@@ -147,10 +159,9 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
             calls["mechanism", unit.mechanism.spec] = PluginCall(unit.mechanism)
         for consumer in unit.consumers.values():
             for plugin in filter(is_user_plugin, consumer.plugins):
+                if _is_called_elsewhere(plugin, consumer):
+                    continue
                 caller = consumer
-                discloses = consumer.track_release or consumer.policy
-                if discloses and plugin is not discloses:
-                    continue  # a robot is called in scenes, a policy on patrols, too
                 if plugin is consumer.reconstruction:
                     caller = replace(
                         consumer,
@@ -159,6 +170,6 @@ def _plugin_calls(missing: Iterable[Unit]) -> list[PluginCall]:
                         reconstruction=None,
                         granted=consumer.granted & declared_knowledge(plugin),
                     )
-                # Blind comes before informed, and that before oracle.
+                # Adversaries come in the order of `grants`: the last stays.
                 calls[caller.kind, plugin.spec] = PluginCall(plugin, caller)
     return list(calls.values())

@@ -5,14 +5,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from evaluation.plan.plan import Plan
-from evaluation.pool.plugin_calls import Trial, time_plugins
+from evaluation.pool.plugin_calls import PluginTrial, time_plugins
 from evaluation.store.files import MANIFEST
 from evaluation.store.folder import check_folder, refuse_other_run, usable
-from evaluation.store.manifest import checked_manifest, parse_manifest
+from evaluation.store.manifest import load_manifest_json, parse_manifest
 from isac_track.errors import SettingsError
 
 
-def rehearse(plan: Plan) -> Trial:
+def rehearse(plan: Plan) -> PluginTrial:
     """Try all that a run does before it computes; return what plug-ins showed.
 
     The folder must be writable, and hold no other run. Every plug-in of a user's own is
@@ -23,7 +23,7 @@ def rehearse(plan: Plan) -> Trial:
     with usable(plan.out):
         _check_writable(plan.out)
         if (plan.out / MANIFEST).exists() and not plan.settings.fresh:
-            manifest = checked_manifest(parse_manifest(plan.out), out=plan.out)
+            manifest = parse_manifest(load_manifest_json(plan.out), out=plan.out)
             refuse_other_run(manifest["identity"], plan.identity, out=plan.out)
     with tempfile.TemporaryDirectory() as folder:
         return time_plugins(replace(plan, out=Path(folder)))

@@ -40,7 +40,7 @@ from evaluation.reporting.patrol_advice import (
 )
 from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
-from evaluation.store.files import read_report_file
+from evaluation.store.csv_files import read_report_file
 from evaluation.store.manifest import read_manifest
 from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
 from evaluation.verdict.what_to_share import (

@@ -11,7 +11,8 @@ from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
 from evaluation.estimates.strongest import strongest
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table
-from evaluation.store.files import FRAMES, read_report_file
+from evaluation.store.csv_files import read_report_file
+from evaluation.store.files import FRAMES
 from evaluation.store.manifest import read_manifest
 
 

@@ -116,7 +116,7 @@ class SlowAttack(NamedTuple):
 
 def plan_notices(plan: Plan, *, slow: Sequence[SlowAttack]) -> list[str]:
     """Return notices on the parts that a plan leaves out and on `slow` attacks."""
-    from evaluation.store.manifest import (  # noqa: PLC0415 - names alone need none
+    from evaluation.store.describe import (  # noqa: PLC0415 - names alone need none
         describe_data,
     )
     from isac_track.datasets.registry import (  # noqa: PLC0415 - names alone need none

@@ -67,7 +67,8 @@ from evaluation.reporting.table import (
 )
 from evaluation.reporting.terminal import Part
 from evaluation.reporting.tracking_table import tracking_sentence, tracking_table
-from evaluation.store.files import to_csv, write_whole
+from evaluation.store.csv_files import to_csv
+from evaluation.store.files import write_whole
 from isac_track.errors import DataError
 
 _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -5,6 +5,16 @@ other; a column that a table does not have is null there. The metadata of the fi
 where each consumer's tables begin, and which code computed them (`cell_index`). A
 consumer that is added later has a further file: no file is rewritten.
 
+A unit of work has a record for each stage of its life:
+
+| record | a unit that | holds |
+|---|---|---|
+| `plan.plan.Unit` | a run plans | mechanism and consumers |
+| `pool.packing.ExpectedUnit` | is still to be computed | keys and digests |
+| `ComputedUnit` | is to be written | tables by consumer |
+| `cell_index.UnitIndex` | a file has | where its tables lie |
+| `ReadUnit` | was read from a file | one table, and the above |
+
 Every page has a checksum, which is verified when it is read: a bit that flips later, in
 memory or on the disk, is an error and no other number. Files of earlier versions, whose
 pages have none, are read as they are.
@@ -25,7 +35,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from evaluation.compute.link_tables import ABOUT
-from evaluation.compute.sample_tracks import COLUMNS as SAMPLE_COLUMNS
 from evaluation.compute.tables import DESCRIPTORS, ON_TRIAL, ROWS, Tables
 from evaluation.compute.tables import column as make_column
 from evaluation.store.cell_index import (
@@ -36,20 +45,26 @@ from evaluation.store.cell_index import (
     decode_index,
     encode_index,
 )
-from evaluation.store.files import CELLS_FOLDER, GALLERY_FILE, open_regular, write_whole
+from evaluation.store.files import CELLS_FOLDER, open_regular
 from evaluation.store.people import read_labels
 from isac_track.errors import DataError, check_limits
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from evaluation.store.entries import Entry
 
 _SCORES: Final = "scores"
-_NAMES: Final = ("source", "group", "search", "side", "assigned", "metric", "about")
-_PEOPLE: Final = ("source", "group")
-_AS_THEY_ARE: Final[Mapping[str, str]] = MappingProxyType({})
-_REPEATED: Final = {
+_TEXT_COLUMNS: Final = (
+    "source",
+    "group",
+    "search",
+    "side",
+    "assigned",
+    "metric",
+    "about",
+)
+_PERSON_COLUMNS: Final = ("source", "group")
+_NO_NAMES: Final[Mapping[str, str]] = MappingProxyType({})
+_RECURRING_COLUMNS: Final = {
     "plr",
     "plr_wide",
     "plr_gap",
@@ -60,7 +75,7 @@ _REPEATED: Final = {
     "chance",
 }
 """Numbers that recur in other rows or for other consumers: unsplit they compress."""
-_SINGLE: Final = {
+_FLOAT32_COLUMNS: Final = {
     *DESCRIPTORS,
     *ON_TRIAL,
     "mse_m2",
@@ -106,7 +121,7 @@ class ReadUnit:
 
 
 def pack_units(
-    units: Sequence[ComputedUnit], *, names: Mapping[str, str] = _AS_THEY_ARE
+    units: Sequence[ComputedUnit], *, names: Mapping[str, str] = _NO_NAMES
 ) -> bytes:
     """Return the file of some units of work; `names` are people's, by their ids."""
     index, tables, sizes = [], [], []
@@ -131,7 +146,7 @@ def _write_groups(table: pa.Table, sizes: Sequence[int], *, index: bytes) -> byt
     # The leading bytes of similar numbers are equal: split off, they compress.
     floats = {field.name for field in table.schema if pa.types.is_floating(field.type)}
     elements = ["scores.list.element"] if _SCORES in table.column_names else []
-    split = list(floats - _REPEATED) + elements
+    split = list(floats - _RECURRING_COLUMNS) + elements
     sink = pa.BufferOutputStream()
     with pq.ParquetWriter(
         sink,
@@ -156,11 +171,11 @@ def _write_groups(table: pa.Table, sizes: Sequence[int], *, index: bytes) -> byt
 
 
 def rename_people(table: pa.Table, names: Mapping[str, str]) -> pa.Table:
-    """Return a table with other names of people, by their ids; without names, as is."""
+    """Return a table to be written: ids of people become `names`, if there are any."""
     if not names:
         return table
     for place, column in enumerate(table.column_names):
-        if column in _PEOPLE:
+        if column in _PERSON_COLUMNS:
             coded = table[column].combine_chunks().dictionary_encode()
             new_names = make_column(
                 [names[person] for person in coded.dictionary.to_pylist()]
@@ -183,9 +198,9 @@ def _rename_about(text: str, names: Mapping[str, str]) -> str:
 
 
 def _with_labels(table: pa.Table, labels: Mapping[str, str]) -> pa.Table:
-    """Return a table that was read, with people called by the labels of their names."""
+    """Return a table that was read: names of people become `labels`, if there are any."""
     for place, column in enumerate(table.column_names):
-        if labels and column in _PEOPLE:
+        if labels and column in _PERSON_COLUMNS:
             coded = table[column].combine_chunks()
             # None stands for tables of the file that are not about people.
             names = coded.dictionary.to_pylist()
@@ -196,9 +211,9 @@ def _with_labels(table: pa.Table, labels: Mapping[str, str]) -> pa.Table:
 
 
 def _with_precision(table: pa.Table, kind: pa.DataType) -> pa.Table:
-    """Return a table with the columns of `_SINGLE` as numbers of another kind."""
+    """Return a table with the columns of `_FLOAT32_COLUMNS` as numbers of another kind."""
     fields = (
-        field.with_type(kind) if field.name in _SINGLE else field
+        field.with_type(kind) if field.name in _FLOAT32_COLUMNS else field
         for field in table.schema
     )
     return table.cast(pa.schema(fields))
@@ -219,7 +234,7 @@ def read_rows(
     broken, or has no such table or column; the message names it.
     """
     parts = []
-    for file in open_files(out, entry, {*columns, *beside}):
+    for file in read_units(out, entry, {*columns, *beside}):
         places = consumer_tables(file, entry).tables
         if table not in places:
             raise DataError(
@@ -253,10 +268,13 @@ def consumer_tables(file: ReadUnit, entry: Entry) -> ConsumerTables:
     return file.index.consumers[label]
 
 
-def open_files(
+def read_units(
     out: Path, entry: Entry, columns: Collection[str] | None
 ) -> list[ReadUnit]:
-    """Return the files of a cell at its level: some columns, or all but raw scores."""
+    """Return the units that hold a cell, block by block.
+
+    Of their tables some columns, or without `columns` all but the raw scores of linkers.
+    """
     stamped = []
     for name in entry.files:
         path = out / CELLS_FOLDER / name
@@ -264,7 +282,7 @@ def open_files(
             stat = path.stat()
         stamped.append(_Stamped(path, stat.st_mtime_ns, stat.st_size))
     names = None if columns is None else frozenset(columns)
-    return _read_files(tuple(stamped), entry.spec, names)
+    return _read_level(tuple(stamped), entry.spec, names)
 
 
 class _Stamped(NamedTuple):
@@ -275,14 +293,14 @@ class _Stamped(NamedTuple):
     n_bytes: int
 
 
-# Some columns of the newest cell's files, whose consumers are read one after another;
+# Some columns of the newest cell's units, whose consumers are read one after another;
 # until another is read, or a file changes.
 @lru_cache(maxsize=1)
-def _read_files(
+def _read_level(
     stamped: tuple[_Stamped, ...], spec: str, columns: frozenset[str] | None
 ) -> list[ReadUnit]:
-    """Return a level of some files."""
-    files = []
+    """Return the units of a level in some files."""
+    units = []
     for file in stamped:
         with readable(file.path):
             metadata = _read_metadata(file)
@@ -295,8 +313,8 @@ def _read_files(
             table = _read_columns(file.path, metadata.parquet, unit, columns)
             table = _with_precision(table, pa.float64())
             labels = read_labels(file.path.parent.parent)
-            files.append(ReadUnit(file.path, _with_labels(table, labels), unit))
-    return files
+            units.append(ReadUnit(file.path, _with_labels(table, labels), unit))
+    return units
 
 
 class _Metadata(NamedTuple):
@@ -330,7 +348,7 @@ def _read_columns(
         pq.ParquetFile(
             opened,
             metadata=metadata,
-            read_dictionary=[name for name in names if name in _NAMES],
+            read_dictionary=[name for name in names if name in _TEXT_COLUMNS],
             page_checksum_verification=True,
         ) as file,
     ):
@@ -353,35 +371,3 @@ def readable(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"
         ) from None
-
-
-def write_gallery(parts: Sequence[pa.Table], *, out: Path) -> None:
-    """Write sample tracks into a run folder; without parts remove earlier tracks."""
-    if not parts:
-        (out / GALLERY_FILE).unlink(missing_ok=True)
-        return
-    sink = pa.BufferOutputStream()
-    pq.write_table(
-        pa.concat_tables(parts), sink, compression="zstd", write_page_checksum=True
-    )
-    write_whole(out / GALLERY_FILE, sink.getvalue().to_pybytes())
-
-
-def read_gallery(out: Path) -> pd.DataFrame | None:
-    """Return the sample tracks of a run folder, None without any.
-
-    Raises DataError if they are broken.
-    """
-    path = out / GALLERY_FILE
-    if not path.exists():
-        return None
-    with readable(path):
-        # Not pq.read_table: where no further thread can start it ends the process.
-        with (
-            open_regular(path) as opened,
-            pq.ParquetFile(opened, page_checksum_verification=True) as file,
-        ):
-            # A column that is missing is not an error of `read`.
-            table = file.read(use_threads=False).select(SAMPLE_COLUMNS)
-        tracks: pd.DataFrame = table.to_pandas(use_threads=False)
-        return tracks

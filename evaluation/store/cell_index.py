@@ -15,7 +15,8 @@ from typing import Any, Final, NamedTuple
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from evaluation.store.files import checked_files, checksummed_files, open_regular
+from evaluation.store.checksums import checked_files, checksummed_files
+from evaluation.store.files import open_regular
 
 INDEX_KEY: Final = b"isac_track.cells"
 _ANY_LEVEL: Final = ""
@@ -104,28 +105,37 @@ def read_index(content: bytes | Path) -> FileIndex | None:
         return None
 
 
-def sound_files(
-    out: Path, names: Sequence[str] = ()
-) -> tuple[dict[str, FileIndex], list[str]]:
-    """Return the indices of sound files by name, and the names of damaged files.
+class SoundFiles(NamedTuple):
+    """The files of cells in a run folder that are as they were written."""
 
-    They are looked for among `names` and the checksums.
-    """
-    sound, damaged = {}, []
+    index_by_file: dict[str, FileIndex]  # By name.
+    damaged: list[str]  # Names of the others.
+
+
+def sound_files(out: Path, names: Sequence[str] = ()) -> SoundFiles:
+    """Return the sound files of a run folder, among `names` and those with a checksum."""
+    index_by_file, damaged = dict[str, FileIndex](), list[str]()
     candidates = sorted({*names, *checksummed_files(out)})
     for name, content in checked_files(out, candidates):
         if content is None:
             damaged.append(name)
         elif (index := read_index(content)) is not None:
-            sound[name] = index
-    return sound, damaged
+            index_by_file[name] = index
+    return SoundFiles(index_by_file, damaged)
 
 
-def cell_places(files: Mapping[str, FileIndex]) -> dict[tuple[str, str], str]:
-    """Return the file of every cell, by the keys of its unit and of its consumer."""
+class CellKey(NamedTuple):
+    """The keys of a cell: equal keys mean equal cells, in any run folder."""
+
+    unit: str
+    consumer: str
+
+
+def file_by_cell(index_by_file: Mapping[str, FileIndex]) -> dict[CellKey, str]:
+    """Return the name of the file of every cell, by its keys."""
     return {
-        (unit.key, consumer.key): name
-        for name, index in files.items()
+        CellKey(unit.key, consumer.key): name
+        for name, index in index_by_file.items()
         for unit in index.units.values()
         for consumer in unit.consumers.values()
     }

@@ -1,7 +1,7 @@
 """Open a run folder, refuse a folder of another run, replace and copy runs."""
 
 import contextlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,12 @@ from evaluation.plan.fingerprint import ModuleFiles, has_source, source_digest
 from evaluation.plan.presets import DEFAULT
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
+from evaluation.store.checksums import check_sound, drop_stale_checksums, write_checked
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
     CELL_NAME,
-    checked_manifest,
     file_names,
+    load_manifest_json,
     parse_manifest,
     read_manifest,
     write_manifest,
@@ -107,13 +108,13 @@ def open_run(out: Path, *, identity: dict[str, Any], fresh: bool) -> OpenedRun:
         if fresh and is_there:
             _remove_run(out)
         elif is_there:
-            manifest |= checked_manifest(parse_manifest(out), out=out)
+            manifest |= parse_manifest(load_manifest_json(out), out=out)
             refuse_other_run(manifest["identity"], identity, out=out)
         (out / files.CELLS_FOLDER).mkdir(parents=True, exist_ok=True)
-        index_by_file, damaged = sound_files(out, file_names(manifest))
-        _drop_other_code(out, manifest, index_by_file)
-        files.forget_missing(out)
-    return OpenedRun(manifest, index_by_file, damaged)
+        sound = sound_files(out, file_names(manifest))
+        _drop_other_code(out, manifest, sound.index_by_file)
+        drop_stale_checksums(out)
+    return OpenedRun(manifest, sound.index_by_file, sound.damaged)
 
 
 def refuse_other_run(
@@ -137,61 +138,99 @@ def refuse_other_run(
 def _drop_other_code(
     out: Path, manifest: dict[str, Any], index_by_file: dict[str, FileIndex]
 ) -> None:
-    """Drop cells whose code has changed here, and files that hold no other cells."""
+    """Drop cells whose code has changed here, and delete files that hold no others.
+
+    They are dropped from the manifest and from the index, in place.
+    """
+    digests = _digests_here(index_by_file)
+    earlier = manifest["cells"]
+    cells = _current_cells(earlier, index_by_file, digests)
+    n_dropped = sum(len(entry.files) for entry in earlier)
+    n_dropped -= sum(len(entry.files) for entry in cells)
+    manifest["cells"] = cells
+    # If nothing is dropped now, the count of an earlier start stays.
+    manifest["dropped_cells"] = n_dropped or manifest["dropped_cells"]
+    for name in _outdated_files(index_by_file, digests):
+        (out / files.CELLS_FOLDER / name).unlink(missing_ok=True)
+        del index_by_file[name]
+
+
+def _digests_here(index_by_file: Mapping[str, FileIndex]) -> dict[str, str]:
+    """Return the digest of the source here of each module that computed some cells.
+
+    By name; a module that has no source here is left out.
+    """
     units = [unit for index in index_by_file.values() for unit in index.units.values()]
     modules = {module for unit in units for module in unit.code}
     for unit in units:
         for consumer in unit.consumers.values():
             modules.update(consumer.code)
     known: ModuleFiles = {}
-    digests = {
+    return {
         name: source_digest(name, known=known)[:16]
         for name in modules
         if has_source(name)
     }
 
-    def is_unchanged(unit: UnitIndex, label: str) -> bool:
-        code = {**unit.code, **unit.consumers[label].code}
-        return all(digests.get(module, was) == was for module, was in code.items())
 
-    def is_current(entry: Entry) -> bool:
-        for name in entry.files:
-            # A damaged file has no index: its cells are computed again in any case.
-            index = index_by_file.get(name)
-            unit = None if index is None else index.unit_at(entry.spec)
-            if index is not None and (
-                unit is None
-                or entry.label not in unit.consumers
-                or not is_unchanged(unit, entry.label)
-            ):
-                return False
-        return True
+def _is_unchanged(unit: UnitIndex, label: str, digests: Mapping[str, str]) -> bool:
+    """Whether the code that computed a consumer's tables is the code here."""
+    code = {**unit.code, **unit.consumers[label].code}
+    return all(
+        digests.get(module, earlier) == earlier for module, earlier in code.items()
+    )
 
-    cells = [entry for entry in manifest["cells"] if is_current(entry)]
-    before = sum(len(entry.files) for entry in manifest["cells"])
-    after = sum(len(entry.files) for entry in cells)
-    manifest["cells"] = cells
-    # If nothing is dropped now, the count of an earlier start stays.
-    manifest["dropped_cells"] = before - after or manifest["dropped_cells"]
-    # A file goes when none of its tables is of this code.
-    for name, index in [*index_by_file.items()]:
-        if any(
-            is_unchanged(unit, label)
+
+def _current_cells(
+    entries: Iterable[Entry],
+    index_by_file: Mapping[str, FileIndex],
+    digests: Mapping[str, str],
+) -> list[Entry]:
+    """Return the entries whose tables in all files are of the code here."""
+
+    def is_current(entry: Entry, name: str) -> bool:
+        # A damaged file has no index: its cells are computed again in any case.
+        if name not in index_by_file:
+            return True
+        unit = index_by_file[name].unit_at(entry.spec)
+        return (
+            unit is not None
+            and entry.label in unit.consumers
+            and _is_unchanged(unit, entry.label, digests)
+        )
+
+    return [
+        entry
+        for entry in entries
+        if all(is_current(entry, name) for name in entry.files)
+    ]
+
+
+def _outdated_files(
+    index_by_file: Mapping[str, FileIndex], digests: Mapping[str, str]
+) -> list[str]:
+    """Return the names of files none of whose tables is of the code here."""
+    return [
+        name
+        for name, index in index_by_file.items()
+        if not any(
+            _is_unchanged(unit, label, digests)
             for unit in index.units.values()
             for label in unit.consumers
-        ):
-            continue
-        (out / files.CELLS_FOLDER / name).unlink(missing_ok=True)
-        del index_by_file[name]
+        )
+    ]
 
 
 def _remove_run(out: Path) -> None:
     """Delete the files of a run by name, the manifest last; other files stay."""
-    manifest, cells = parse_manifest(out), (out / files.CELLS_FOLDER).glob("*.parquet")
+    manifest, cells = (
+        load_manifest_json(out),
+        (out / files.CELLS_FOLDER).glob("*.parquet"),
+    )
     written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
     written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
-        written += _figures(out, checked_manifest(manifest, out=out))
+        written += _figures(out, parse_manifest(manifest, out=out))
     try:
         for path in written:
             path.unlink(missing_ok=True)
@@ -245,7 +284,7 @@ def copy_without_private(out: Path, to: Path) -> None:
             " anew"
         )
     names = file_names(manifest)
-    files.check_sound(out, names, sizes=manifest.get("sizes", ()))
+    check_sound(out, names, sizes=manifest.get("sizes", ()))
     try:
         to.mkdir(parents=True)
         (to / files.CELLS_FOLDER).mkdir()
@@ -253,7 +292,7 @@ def copy_without_private(out: Path, to: Path) -> None:
         files.write_whole(to / files.PEOPLE, people)
         for name in names:
             content = files.read_regular_file(out / files.CELLS_FOLDER / name)
-            files.write_checked(to, name, content)
+            write_checked(to, name, content)
         write_manifest(to, manifest)  # last: its sizes are those of the copies
     except FileExistsError:
         raise SettingsError(f"{to} exists; choose another --to") from None

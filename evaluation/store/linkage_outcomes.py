@@ -31,7 +31,7 @@ from evaluation.compute.tables import ROWS
 from evaluation.store.cell_files import (
     check_columns,
     consumer_tables,
-    open_files,
+    read_units,
     readable,
 )
 from evaluation.store.people import read_labels
@@ -103,33 +103,43 @@ def read_outcomes(
 ) -> list[LinkageOutcome]:
     """Return the outcomes of linkage attacks, or controls, each at one level.
 
-    Entries of one level in one file are read at once if they come one after the other. Replicates
-    are in single precision: those of a run would take half a gigabyte in double. Only
-    metrics in `drawn` have them, and of attacks alone; without it all have that can.
-    DataError names a cell that is broken.
+    Entries of one level in one file are read at once if they come one after the other.
+    Replicates are in single precision: those of a run would take half a gigabyte in
+    double. Only metrics in `drawn` have them, and of attacks alone; without it all have
+    that can. DataError names a cell that is broken.
     """
     columns = None if drawn is None else (*_OUTCOME, *drawn)
     # The weights of a task, shared by its hundreds of cells; they end with this call.
-    weights = lru_cache(maxsize=16)(_linkage_weights)
+    cached_weights = lru_cache(maxsize=16)(_cluster_weights)
     outcomes: list[LinkageOutcome] = []
     for _, group in groupby(entries, key=attrgetter("spec", "files")):
         file_entries = list(group)
-        (file,) = open_files(out, file_entries[0], columns)
+        (file,) = read_units(out, file_entries[0], columns)
         with readable(file.path):
             check_columns(file.table, _OUTCOME, path=file.path)
             tables = [consumer_tables(file, entry).tables for entry in file_entries]
             labels = read_labels(out)
             outcomes += _outcomes(
-                file.table, file_entries, tables, drawn, labels, weights=weights
+                file.table, file_entries, tables, drawn, labels, cached_weights
             )
     return outcomes
 
 
-def _linkage_weights(
-    drawn_as: tuple[int, ...], n_groups: int, task: str, seed: int
-) -> Floats:
-    places: Ints = np.array(drawn_as)
-    return linkage_weights(places, n_groups=n_groups, task=task, seed=seed)
+class _Draws(NamedTuple):
+    """All that the bootstrap weights of a task's clusters depend on."""
+
+    drawn_as: tuple[int, ...]  # (C,) row of each cluster among the groups, or -1.
+    n_groups: int
+    task: str
+    seed: int
+
+
+def _cluster_weights(draws: _Draws) -> Floats:
+    """Return how often each cluster is drawn, (B, C)."""
+    drawn_as: Ints = np.array(draws.drawn_as)
+    return linkage_weights(
+        drawn_as, n_groups=draws.n_groups, task=draws.task, seed=draws.seed
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -137,8 +147,8 @@ class _StoredOutcome:
     """The part of a file that belongs to one linkage consumer."""
 
     about: dict[str, Any]
-    estimates: slice  # Rows of its estimates.
-    probes: Ints  # Rows of its probes.
+    estimate_rows: slice
+    probe_rows: Ints  # (P,)
     replicates: dict[str, Floats]  # By metric.
     sums: dict[str, ClusterSums] = field(default_factory=dict)
 
@@ -156,8 +166,7 @@ def _outcomes(
     tables: Sequence[Mapping[str, tuple[int, int]]],
     drawn: Collection[str] | None,
     labels: Mapping[str, str],
-    *,
-    weights: Callable[[tuple[int, ...], int, str, int], Floats],
+    cached_weights: Callable[[_Draws], Floats],
 ) -> Iterator[LinkageOutcome]:
     """Yield the outcomes of consumers of a file; `tables` has the places of each."""
     stored = [
@@ -166,23 +175,22 @@ def _outcomes(
         if name not in _OUTCOME and (drawn is None or name in drawn)
     ]
     outcomes: list[_StoredOutcome] = []
-    by_draws: defaultdict[tuple[Any, ...], list[_StoredOutcome]] = defaultdict(list)
+    by_draws: defaultdict[tuple[tuple[str, ...], _Draws], list[_StoredOutcome]]
+    by_draws = defaultdict(list)
     for entry, places in zip(entries, tables, strict=True):
         outcome = _stored_outcome(table, places, stored)
         about, address = outcome.about, entry.address
         if drawn is None or (drawn and (address.adversary or address.world)):
-            drawn_as = (
-                tuple(about["drawn_as"]),
-                about["n_groups"],
-                address.task,
-                about["seed"],
+            draws = _Draws(
+                tuple(about["drawn_as"]), about["n_groups"], address.task, about["seed"]
             )
             clusters = tuple(labels.get(name, name) for name in about["clusters"])
-            by_draws[clusters, drawn_as].append(outcome)
+            by_draws[clusters, draws].append(outcome)
         outcomes.append(outcome)
     wanted = {*(RANK_METRICS if drawn is None else drawn)} - {*DERIVED}
-    for (clusters, drawn_as), same_draws in by_draws.items():
-        _add_rank_sums(table, same_draws, clusters, weights(*drawn_as), wanted)
+    for (clusters, draws), same_draws in by_draws.items():
+        weights = cached_weights(draws)
+        _add_rank_sums(table, same_draws, clusters, weights, wanted)
     metrics = _coded(table.column("metric"))
     fields = [table[name].to_numpy() for name in ("value", "ci_low", "ci_high", "n")]
     for outcome in outcomes:
@@ -201,8 +209,8 @@ def _stored_outcome(
             replicates[name] = column.to_numpy()
     return _StoredOutcome(
         about=json.loads(table["about"][rows[ABOUT].start].as_py()),
-        estimates=rows[ESTIMATES],
-        probes=np.arange(rows[ROWS].start, rows[ROWS].stop),
+        estimate_rows=rows[ESTIMATES],
+        probe_rows=np.arange(rows[ROWS].start, rows[ROWS].stop),
         replicates=replicates,
     )
 
@@ -217,36 +225,15 @@ def _add_rank_sums(
     """Add sums and replicates of rank metrics to outcomes that share their draws.
 
     All are summed at once: the clusters of one outcome come after those of another.
+    `weights` are (B, C), of the C `clusters`.
     """
-    groups, assigned = _coded(table.column("group")), _coded(table.column("assigned"))
-    above, tied, chance, *companions = (table[name].to_numpy() for name in _COUNTED)
-    mate_code = np.array(
-        [ASSIGNED.index(name) - 1 for name in assigned.names], dtype=np.int64
-    )
-    n_outcomes, n_clusters = len(outcomes), weights.shape[1]
-    rows = np.concatenate([outcome.probes for outcome in outcomes])
-    place_by_name = {name: place for place, name in enumerate(clusters)}
-    place = np.array(
-        [place_by_name.get(name, -n_clusters * n_outcomes) for name in groups.names]
-    )
-    n_probes = [outcome.probes.size for outcome in outcomes]
-    first = np.repeat(np.arange(n_outcomes), n_probes) * n_clusters
-    probes = ProbeRanks(
-        above=above[rows].astype(np.int64),
-        tied=tied[rows].astype(np.int64),
-        chance=chance[rows],
-        companions=np.stack(
-            [counts[rows].astype(np.int64) for counts in companions], axis=1
-        ),
-        assigned=mate_code[assigned.codes[rows]],
-        cluster=place[groups.codes[rows]] + first,
-        n_gallery=max(
-            outcome.about["numbers"]["gallery_sizes"][1] for outcome in outcomes
-        ),
-    )
-    first_codes = (assigned.codes[outcome.probes[0]] for outcome in outcomes)
+    n_outcomes, n_clusters = len(outcomes), len(clusters)
+    assigned = _coded(table.column("assigned"))
+    probes = _probe_ranks(table, assigned, outcomes, clusters)
+    first_codes = (assigned.codes[outcome.probe_rows[0]] for outcome in outcomes)
     is_unknown = [assigned.names[code] == "unknown" for code in first_codes]
     for metric, sums in probes.sums(n_outcomes * n_clusters, wanted).items():
+        # Numerators and denominators, (O, C) each.
         over, under = (part.reshape(n_outcomes, n_clusters) for part in sums)
         if metric in {"rank1_assigned", "false_link_rate"}:
             over[is_unknown] = np.nan
@@ -258,11 +245,50 @@ def _add_rank_sums(
             outcome.sums[metric] = ClusterSums(own_sums, weights, names=clusters)
 
 
+def _probe_ranks(
+    table: pa.Table,
+    assigned: _Coded,
+    outcomes: Sequence[_StoredOutcome],
+    clusters: tuple[str, ...],
+) -> ProbeRanks:
+    """Return the ranks of the probes of all outcomes, one outcome after the other.
+
+    Cluster c of outcome o has the number o C + c.
+    """
+    groups = _coded(table.column("group"))
+    above, tied, chance, *companions = (table[name].to_numpy() for name in _COUNTED)
+    mate_code = np.array(
+        [ASSIGNED.index(name) - 1 for name in assigned.names], dtype=np.int64
+    )
+    n_outcomes, n_clusters = len(outcomes), len(clusters)
+    rows = np.concatenate([outcome.probe_rows for outcome in outcomes])
+    number_by_name = {name: number for number, name in enumerate(clusters)}
+    # A group of other outcomes of the file is no cluster here: its number stays
+    # negative whatever is added to it.
+    no_cluster = -n_clusters * n_outcomes
+    numbers = np.array([number_by_name.get(name, no_cluster) for name in groups.names])
+    n_probes = [outcome.probe_rows.size for outcome in outcomes]
+    first = np.repeat(np.arange(n_outcomes), n_probes) * n_clusters
+    return ProbeRanks(
+        above=above[rows].astype(np.int64),
+        tied=tied[rows].astype(np.int64),
+        chance=chance[rows],
+        companions=np.stack(
+            [counts[rows].astype(np.int64) for counts in companions], axis=1
+        ),
+        assigned=mate_code[assigned.codes[rows]],
+        cluster=numbers[groups.codes[rows]] + first,
+        n_gallery=max(
+            outcome.about["numbers"]["gallery_sizes"][1] for outcome in outcomes
+        ),
+    )
+
+
 def _linkage_outcome(
     outcome: _StoredOutcome, metrics: _Coded, fields: Sequence[Floats]
 ) -> LinkageOutcome:
     """Return an outcome; `fields` are value, ci_low, ci_high and n of every row."""
-    rows = outcome.estimates
+    rows = outcome.estimate_rows
     names = [metrics.names[code] for code in metrics.codes[rows]]
     numbers = zip(*(values[rows].tolist() for values in fields), strict=True)
     estimates = {}

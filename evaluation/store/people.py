@@ -1,5 +1,8 @@
 """Names of people in a run folder: keyed pseudonyms, whose key never leaves the folder.
 
+A person has an *id* in the recording, a *name* in cells, which is a pseudonym of the id,
+and a *label* in results, such as `#000123a`.
+
 `private.json` (mode 0600) holds the key and the path of the recording. `people.json`
 lists the names in cells, each with the label that readers use instead. Labels sort as
 the ids of the recording do and end in the person's half, so that no draw, order or fold
@@ -8,11 +11,9 @@ depends on the key.
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import hmac
 import json
-import os
 import secrets
 from bisect import bisect_left
 from collections.abc import Iterable, Mapping
@@ -25,7 +26,6 @@ from isac_track.errors import DataError
 
 if TYPE_CHECKING:
     from evaluation.plan.plan import Plan
-    from isac_track.datasets import Dataset
 
 # Of a pseudonym: two of 100,000 people share one once in 10^9 runs.
 _DIGITS: Final = 16
@@ -34,7 +34,10 @@ _HALVES: Final = "ab"
 
 
 def in_first_half(name: str) -> bool:
-    """Whether a person is in the first half, by a hash of the id that labels carry."""
+    """Whether a person is in the first half, by a hash of the id that labels carry.
+
+    For cross-fitting: attacks are chosen on one half and scored on the other.
+    """
     if name.startswith("#") and name.endswith(tuple(_HALVES)):
         return name.endswith(_HALVES[0])
     return hashlib.sha256(name.encode()).digest()[0] % 2 == 0
@@ -75,7 +78,7 @@ def prepare_names(plan: Plan, *, is_continued: bool) -> dict[str, str]:
     be written.
     """
     out, labels = plan.out, id_labels(plan)
-    private = _private(out)
+    private = _read_private(out)
     if is_continued and "key" not in private:
         raise DataError(
             f"{out / PRIVATE} with the key of this run's pseudonyms is missing (a"
@@ -88,7 +91,7 @@ def prepare_names(plan: Plan, *, is_continued: bool) -> dict[str, str]:
     _write_private(out, {"key": key, **recording})
     keeps = plan.settings.keep_ids
     name_by_id = {name: name if keeps else pseudonym(name, key) for name in labels}
-    earlier = _people(out) if is_continued else {}
+    earlier = _read_people(out) if is_continued else {}
     rows = earlier | {name_by_id[name]: label for name, label in labels.items()}
     content = json.dumps(rows, ensure_ascii=False, indent=0) + "\n"
     if rows != earlier:
@@ -107,14 +110,16 @@ def share_key(out: Path, sources: Iterable[Path]) -> None:
     A folder that has a key keeps it.
     """
     for source in sources:
-        if not _private(out) and (private := _private(source)):
+        if not _read_private(out) and (private := _read_private(source)):
             _write_private(out, private)
 
 
 def with_paths(out: Path, manifest: dict[str, Any]) -> dict[str, Any]:
     """Return a manifest with the paths of its recording, if they are still known."""
     paths = {
-        name: path for name, path in _private(out).items() if name != "key" and path
+        name: path
+        for name, path in _read_private(out).items()
+        if name != "key" and path
     }
     return manifest | {"dataset": manifest["dataset"] | paths}
 
@@ -129,16 +134,16 @@ def read_labels(out: Path) -> Mapping[str, str]:
         stat = path.stat()
     except FileNotFoundError:
         return {}  # cells that no run has written are read as they are
-    return _labels(path, stat.st_mtime_ns, stat.st_size)
+    return _read_labels(path, stat.st_mtime_ns, stat.st_size)
 
 
 # The lists of the newest four runs of a comparison; a changed file is read again.
 @lru_cache(maxsize=4)
-def _labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
-    return _people(path.parent)
+def _read_labels(path: Path, _changed_ns: int, _size: int) -> Mapping[str, str]:
+    return _read_people(path.parent)
 
 
-def _people(out: Path) -> dict[str, str]:
+def _read_people(out: Path) -> dict[str, str]:
     people = _read_json(out / PEOPLE)
     if not all(isinstance(label, str) for label in people.values()):
         raise DataError(
@@ -147,7 +152,7 @@ def _people(out: Path) -> dict[str, str]:
     return people
 
 
-def _private(out: Path) -> dict[str, Any]:
+def _read_private(out: Path) -> dict[str, Any]:
     private = _read_json(out / PRIVATE)
     try:
         bytes.fromhex(private.get("key", ""))
@@ -177,44 +182,3 @@ def _write_private(out: Path, content: Mapping[str, Any]) -> None:
     """Write the private file, which only its owner can read from the first byte on."""
     text = json.dumps(dict(content), indent=1) + "\n"
     write_whole(out / PRIVATE, text.encode(), mode=0o600)
-
-
-def public_path(path: str | Path) -> str:
-    """Return a path fit to be passed on: below the working folder, else its name."""
-    with contextlib.suppress(ValueError, OSError):
-        below = Path(path).absolute().resolve().relative_to(Path.cwd().resolve())
-        return str(below)
-    return Path(path).name
-
-
-def without_folders(text: str, dataset: Dataset) -> str:
-    """Return a text about a recording with all its folders as `public_path` has them.
-
-    So are the folders in which data sets are searched.
-    """
-    from isac_track.datasets.registry import (  # noqa: PLC0415 - of a run alone
-        searched_folders,
-        shown,
-    )
-
-    paths = [dataset.path, *map(shown, dataset.sessions), *searched_folders()]
-    for path in sorted(paths, key=len, reverse=True):  # files before their folders
-        if os.sep in path and Path(path).name:
-            text = text.replace(path, public_path(path))
-    return text
-
-
-def public_words(words: Iterable[str]) -> list[str]:
-    """Return the words of a command without the user's folders."""
-    first, *others = [*words] or [""]
-    return [Path(first).name, *map(_shown_word, others)]
-
-
-def _shown_word(word: str) -> str:
-    option, equals, value = word.partition("=")
-    if not equals or not option.startswith("-"):
-        option, equals, value = "", "", word
-    is_elsewhere = value.startswith(("/", "~", "\\")) or value[1:3] == ":\\"
-    if is_elsewhere or ".." in Path(value).parts:
-        value = public_path(value.replace("\\", "/"))
-    return f"{option}{equals}{value}"

@@ -13,7 +13,7 @@ from evaluation.plan.axes import axes
 from evaluation.plan.plan import changed_reading
 from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
-from evaluation.store.files import to_csv
+from evaluation.store.csv_files import to_csv
 from isac_track import plugins
 
 pytestmark = pytest.mark.usefixtures("undrawn")

@@ -25,7 +25,7 @@ def cell_entry(out, spec, consumer, knowledge=""):
 def stored_rows(out, spec, consumer, knowledge=""):
     """All rows of a consumer at a level, with all of its columns."""
     entry = cell_entry(out, spec, consumer, knowledge)
-    file, *_ = cell_files.open_files(out, entry, None)
+    file, *_ = cell_files.read_units(out, entry, None)
     first = file.table.slice(*cell_files.consumer_tables(file, entry).tables[ROWS])
     columns = [name for name in first.column_names if first[name].null_count == 0]
     return cell_files.read_rows(out, entry, columns=columns).to_pandas()

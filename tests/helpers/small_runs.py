@@ -39,7 +39,7 @@ def single_process():
         return spread(function, works, jobs=1, limit_s=None)
 
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("missing_cells", "gallery", "plugin_calls"):
+        for name in ("missing_cells", "sample_tracks", "plugin_calls"):
             patch.setattr(f"evaluation.pool.{name}.spread", here)
         patch.setattr("evaluation.matrix._n_workers", lambda _: 0)
         yield

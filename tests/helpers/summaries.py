@@ -13,7 +13,7 @@ from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.plan.fingerprint import code_hash
 from evaluation.plan.presets import PRESETS
-from evaluation.store.files import from_csv, to_csv
+from evaluation.store.csv_files import from_csv, to_csv
 from evaluation.store.manifest import read_manifest, write_manifest
 from evaluation.verdict.what_to_share import Question, recommend
 from isac_track.config import StageSettings

@@ -26,7 +26,7 @@ from helpers.small_runs import without_pictures, write_walks
 
 from evaluation import matrix, report
 from evaluation.api import rebuild
-from evaluation.store.files import locked
+from evaluation.store.lock import locked
 
 END_S = 2.0
 """Within this, everything must be over."""

@@ -12,7 +12,8 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation.api import rebuild
-from evaluation.store.files import locked, write_whole
+from evaluation.store.files import write_whole
+from evaluation.store.lock import locked
 from isac_track.errors import DataError, SettingsError
 
 REPLACED = ("summary.csv", "verdict.json", "tables/sweep.tex")

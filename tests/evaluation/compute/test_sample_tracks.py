@@ -8,7 +8,8 @@ import pytest
 from evaluation.compute import sample_tracks
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
-from evaluation.store import cell_files as gallery_file
+from evaluation.store.files import SAMPLE_TRACKS
+from evaluation.store.sample_tracks import read_sample_tracks, save_sample_tracks
 from isac_track import plugins
 from isac_track.errors import DataError
 
@@ -22,8 +23,8 @@ def gallery_table(plan, *specs):
         "seed": 0,
     }
     rows = [
-        sample_tracks.gallery_rows(mechanism, **options)
-        for mechanism in sample_tracks.gallery_mechanisms(mechanisms)
+        sample_tracks.sample_rows(mechanism, **options)
+        for mechanism in sample_tracks.sample_mechanisms(mechanisms)
     ]
     return pa.concat_tables(rows)
 
@@ -79,16 +80,16 @@ class TestTheGallery:
         assert np.hypot(thin["x_shared"] - thin["x_true"], 0).median() < 1.0
 
     def test_it_is_kept_and_read_again(self, gallery, tmp_path):
-        gallery_file.write_gallery([pa.Table.from_pandas(gallery)], out=tmp_path)
-        pd.testing.assert_frame_equal(gallery_file.read_gallery(tmp_path), gallery)
-        assert gallery_file.read_gallery(tmp_path / "other") is None
+        save_sample_tracks([pa.Table.from_pandas(gallery)], out=tmp_path)
+        pd.testing.assert_frame_equal(read_sample_tracks(tmp_path), gallery)
+        assert read_sample_tracks(tmp_path / "other") is None
 
     @pytest.mark.parametrize("content", [b"no parquet", None])
     def test_a_broken_one_is_an_error_that_says_what_to_do(self, tmp_path, content):
-        path = tmp_path / gallery_file.GALLERY_FILE
+        path = tmp_path / SAMPLE_TRACKS
         if content is None:
             pd.DataFrame({"other": [1]}).to_parquet(path)
         else:
             path.write_bytes(content)
         with pytest.raises(DataError, match="delete it"):
-            gallery_file.read_gallery(tmp_path)
+            read_sample_tracks(tmp_path)

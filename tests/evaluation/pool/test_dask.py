@@ -444,7 +444,7 @@ class TestADeathAtAnUnknownPlace:
             if (3, "fixed:0.5", "least_squares") in names:
                 tries += 1
                 works.extend(
-                    failures.rest(
+                    failures.work_after(
                         work, Failure((), "died", worker_died=True), finished=set()
                     )
                 )

@@ -423,8 +423,9 @@ def test_a_failed_plugin_leaves_the_folder_usable(settings):
     spec = "helpers.bad_plugins:RaisesThen:0.5"
     with pytest.warns(
         FailedCellsWarning, match="2 cells failed and are left out: .*no luck"
-    ):
+    ) as caught:
         result = run(settings, mechanisms=("raw", spec))
+    assert [warning.filename for warning in caught] == [__file__]
     assert set(result.summary["mechanism"]) == {"raw"}
     assert set(result.failed["spec"]) == {spec}
     results = run(settings, mechanisms=("fixed:0.7",))

@@ -6,8 +6,8 @@ import os
 import pyarrow as pa
 import pytest
 
-from evaluation.store import cell_files
-from evaluation.store.cell_files import read_gallery, write_gallery
+from evaluation.store import sample_tracks
+from evaluation.store.sample_tracks import read_sample_tracks, save_sample_tracks
 from isac_track.command_line import exit_code
 from isac_track.errors import DataError
 
@@ -31,9 +31,9 @@ LIMITS = {
 
 @pytest.fixture
 def out(tmp_path):
-    columns = {name: [0.0] for name in cell_files.SAMPLE_COLUMNS}
-    write_gallery([pa.table(columns)], out=tmp_path)
-    assert list(read_gallery(tmp_path).columns) == list(cell_files.SAMPLE_COLUMNS)
+    columns = {name: [0.0] for name in sample_tracks.COLUMNS}
+    save_sample_tracks([pa.table(columns)], out=tmp_path)
+    assert list(read_sample_tracks(tmp_path).columns) == list(sample_tracks.COLUMNS)
     return tmp_path
 
 
@@ -46,8 +46,8 @@ def test_a_limit_of_the_machine_is_not_blamed_on_a_file(
     def fails(*_, **__):
         raise fault
 
-    monkeypatch.setattr(cell_files.pq, "ParquetFile", fails)
-    assert exit_code(lambda: read_gallery(out)) == 2
+    monkeypatch.setattr(sample_tracks.pq, "ParquetFile", fails)
+    assert exit_code(lambda: read_sample_tracks(out)) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert says in line
     assert "delete" not in line
@@ -55,8 +55,8 @@ def test_a_limit_of_the_machine_is_not_blamed_on_a_file(
 
 @pytest.mark.parametrize("content", [b"", b"PAR1", b"PAR1" * 99])
 def test_a_file_that_is_damaged_is_named(content, out):
-    (out / cell_files.GALLERY_FILE).write_bytes(content)
+    (out / sample_tracks.SAMPLE_TRACKS).write_bytes(content)
     with pytest.raises(
         DataError, match=r"gallery.parquet cannot be read .*; delete it"
     ):
-        read_gallery(out)
+        read_sample_tracks(out)

@@ -7,10 +7,13 @@ import pytest
 from helpers.small_runs import single_process, smoke, write_walks
 
 import evaluation
+from attacks.reconstruction.ou_rts import OuRTS
 from evaluation.plan.presets import PRESETS, STRONGER_ADVERSARIES
+from evaluation.pool.execute import FailedCellsWarning
 from evaluation.reporting.notices import notices
 from evaluation.store.files import CELLS_FOLDER
 from evaluation.store.manifest import read_manifest
+from isac_track.types import Knowledge
 
 LEVELS = ("raw", "ou:0.4", "ou:0.8", "offset:0.3")
 HORIZON = {"conflict.horizons_s": (3.0,)}
@@ -152,6 +155,26 @@ def test_an_edit_during_the_run_loses_no_cell(tmp_path, monkeypatch):
     assert not set(results.summary["knowledge"]) & set(STRONGER_ADVERSARIES)
     (notice,) = [text for text in notices(manifest) if "edited while" in text]
     assert "1 module was edited" in notice
+
+
+def test_the_warning_of_a_failure_names_the_line_that_started_the_run(
+    tmp_path, monkeypatch
+):
+    fit = OuRTS.fit
+
+    def fit_without_repeats(attack, context):
+        if Knowledge.REPEATS in context.granted:
+            raise RuntimeError("no luck")
+        return fit(attack, context)
+
+    monkeypatch.setattr(OuRTS, "fit", fit_without_repeats)
+    few = {"attacks": ("radial_rts", "kinematic"), "tasks": ("handover-1s",)}
+    preset = replace(PRESETS["smoke"], stronger_adversaries=("repeats",), **few)
+    monkeypatch.setitem(PRESETS, "smoke", preset)
+    walks = write_walks(tmp_path / "walks.csv", n_people=40)
+    with single_process(), pytest.warns(FailedCellsWarning, match="no luck") as caught:
+        evaluation.run(asked(walks, tmp_path / "run"), pictures=False)
+    assert [warning.filename for warning in caught] == [__file__]
 
 
 def test_each_says_who_breaks_it(made):

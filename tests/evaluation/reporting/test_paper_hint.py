@@ -6,7 +6,7 @@ from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool.duration import expected_s
 from evaluation.reporting.paper_hint import paper_hint
-from evaluation.store.manifest import describe
+from evaluation.store.describe import describe_run
 
 
 def manifest(*words, preset="quick", **changes):
@@ -41,7 +41,7 @@ def test_the_command_is_that_of_the_run_with_the_other_preset(words, rest):
 
 def test_the_time_is_the_estimate_of_a_dry_run():
     plan = make_plan(Settings(preset="paper", dataset="plaza", jobs=2, fresh=True))
-    described = describe(plan) | {"identity": plan.identity}
+    described = describe_run(plan) | {"identity": plan.identity}
     described["environment"]["command"] = ["matrix.py", "--jobs", "2"]
     described["settings"]["preset"] = "quick"
     assert paper_hint(described).seconds == pytest.approx(expected_s(plan), rel=0.05)

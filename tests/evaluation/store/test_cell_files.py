@@ -13,9 +13,9 @@ from evaluation.store import cell_files
 from evaluation.store.cell_files import (
     ComputedCell,
     ComputedUnit,
-    open_files,
     pack_units,
     read_rows,
+    read_units,
 )
 from evaluation.store.cell_index import read_index
 from isac_track.errors import DataError
@@ -53,8 +53,8 @@ def column_span(path):
 
 
 def test_no_columns_are_none_and_not_all(cell):
-    assert open_files(cell.parent.parent, ENTRY, None)[0].table.num_columns == 1
-    assert open_files(cell.parent.parent, ENTRY, [])[0].table.num_columns == 0
+    assert read_units(cell.parent.parent, ENTRY, None)[0].table.num_columns == 1
+    assert read_units(cell.parent.parent, ENTRY, [])[0].table.num_columns == 0
 
 
 def test_no_flipped_bit_of_a_page_is_read_as_another_number(cell):

@@ -26,7 +26,8 @@ from evaluation.plan.fingerprint import digest
 from evaluation.plan.plan import make_plan
 from evaluation.reporting.announcements import plan_lines
 from evaluation.store import folder as store
-from evaluation.store.files import locked, write_checked
+from evaluation.store.checksums import write_checked
+from evaluation.store.lock import locked
 from evaluation.store.manifest import LAYOUT, read_manifest, write_manifest
 from isac_track.errors import DataError, IsacTrackError, SettingsError
 

@@ -15,14 +15,8 @@ from helpers.small_runs import smoke, write_walks
 import evaluation
 from evaluation import matrix, publish, report
 from evaluation.store.manifest import read_manifest
-from evaluation.store.people import (
-    in_first_half,
-    pseudonym,
-    public_path,
-    public_words,
-    read_labels,
-    without_folders,
-)
+from evaluation.store.people import in_first_half, pseudonym, read_labels
+from evaluation.store.public_text import public_path, public_words, without_folders
 from isac_track.errors import DataError, SettingsError
 
 NUMBERS = (

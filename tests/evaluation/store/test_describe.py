@@ -6,7 +6,7 @@ from typing import ClassVar
 import pytest
 
 from evaluation.plan.settings import Settings
-from evaluation.store.manifest import named_values
+from evaluation.store.describe import named_values
 from isac_track.types import Knowledge, Reconstruction
 
 

@@ -8,29 +8,28 @@ from typing import Any
 import pyarrow as pa
 
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
-from evaluation.compute.sample_tracks import gallery_mechanisms, gallery_rows
+from evaluation.compute.sample_tracks import sample_mechanisms, sample_rows
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan
 from evaluation.pool.workers import spread
-from evaluation.store.cell_files import rename_people, write_gallery
+from evaluation.store.cell_files import rename_people
+from evaluation.store.sample_tracks import save_sample_tracks
 from isac_track.errors import PluginError, error_text
 from isac_track.plugins import Plugin
 
 
-def write_sample_tracks(
-    plan: Plan, failed_plugins: set[str], names: Mapping[str, str]
+def compute_sample_tracks(
+    plan: Plan, failed_names: set[str], names: Mapping[str, str]
 ) -> list[str]:
-    """Write sample tracks without the failed plug-ins; return the failures here."""
+    """Compute and save sample tracks without the failed plug-ins; return new failures."""
     axes = plan.axes
     mechanisms = [
-        plugin for plugin in axes.mechanisms if plugin.spec not in failed_plugins
+        plugin for plugin in axes.mechanisms if plugin.spec not in failed_names
     ]
     compute = partial(
-        _gallery_part,
+        _sample_part,
         tracks=plan.tracks,
-        attacks=[
-            plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
-        ],
+        attacks=[plugin for plugin in axes.attacks if plugin.spec not in failed_names],
         stages=plan.settings.stages,
         seed=plan.settings.seed,
     )
@@ -39,7 +38,7 @@ def write_sample_tracks(
     # Workers have loaded all modules that this takes.
     in_workers = plan.jobs > 1 or has_user_plugins(axes)
     limit_s = plan.settings.cell_timeout_s
-    works = deque(gallery_mechanisms(mechanisms))
+    works = deque(sample_mechanisms(mechanisms))
     for mechanism, result in spread(
         compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
     ):
@@ -47,14 +46,14 @@ def write_sample_tracks(
             failed.append(f"{mechanism.spec}: {result.message}")
         else:
             parts.append(rename_people(result, names))
-    write_gallery(parts, out=plan.out)
+    save_sample_tracks(parts, out=plan.out)
     return failed
 
 
-def _gallery_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failure]:  # noqa: ANN401 - handed on
+def _sample_part(mechanism: Plugin, **options: Any) -> Iterator[pa.Table | Failure]:  # noqa: ANN401 - handed on
     note_cell(mechanism.spec, "gallery")
     try:
-        yield gallery_rows(mechanism, **options)
+        yield sample_rows(mechanism, **options)
     except PluginError as error:
         yield Failure(current_cell.names, str(error))
     except Exception as error:  # noqa: BLE001 - no picture may cost finished cells
