@@ -133,7 +133,7 @@ def run(
     progress : bool or callable
         Whether to show the data and the progress of the run, or a function of cells
         finished, cells to do, and the cell under way.
-    ready : Plan, optional
+    plan : Plan, optional
         A plan of `evaluation.plan.plan.make_plan`, instead of all settings.
     pictures : bool
         Whether to draw figures and `report.html`; `evaluation.report` draws them later.

@@ -91,7 +91,7 @@ class Consumer:
         "track_link",
     ]
     plugin: Plugin | None = None
-    # The adversary in the name of the row: blind, informed or oracle.
+    # Name of its adversary, as in the column `knowledge`; "" for a robot.
     adversary: str = ""
     granted: frozenset[Knowledge] = frozenset()
     # Of a linkage attack, a control, or the descriptors of windows.
@@ -386,6 +386,7 @@ class Axes:
             predictors=(),
             attacks=(),
             ceiling=self.ceiling,
+            skipped=self.skipped,
             links_returns=self.links_returns,
             no_scenes=why,
         )
@@ -726,7 +727,8 @@ def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
 
 def most_workers(run_axes: Axes, settings: Settings) -> int:
     """Return the number of workers that a run has work for, finished or not."""
-    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
+    n_scenes = 0 if run_axes.no_scenes else settings.n_utility_scenes
+    n_blocks = -(-n_scenes // BLOCK_SCENES)
     worlds = [run_axes.mechanisms, *run_axes.worlds.values()]
     n_levels = sum(len(levels) for levels in worlds)
     n_linked = len(run_axes.linked_mechanisms) + sum(

@@ -11,7 +11,7 @@ WINDOWS = "windows"
 # Error law under which the preset's `other_law` is computed as well.
 OTHER_LAW: Final = "isotropic"
 BOUND = "bound"  # Consumer of the bounds that no attack can exceed.
-# Of a unit of work. Part of the keys of sharing: a change changes the draws.
+# Scenes of a block. Part of every cell's key, for a change changes the draws.
 BLOCK_SCENES = 250
 MOST_SCENES = 10_000_000
 # Worker processes: more than a machine has cores; each takes 130 MB.

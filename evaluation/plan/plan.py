@@ -18,6 +18,7 @@ from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.presets import PRESETS, STRONGEST_ON_SLOW_NOISE
 from evaluation.plan.settings import (
+    READING_OPTIONS,
     TRACK_RELEASE,
     Settings,
     check_threads,
@@ -39,8 +40,6 @@ from isac_track.plugins import Plugin
 from isac_track.scenes import FEW_PEOPLE, Cut, cut, no_tracks, with_horizons
 from isac_track.types import Tracks
 
-# Options that change how a file is read: part of the identity where they are given.
-_READING_OPTIONS = ("columns", "on_duplicate", "crs", "drop_frozen")
 _SCENE_AXES = ("predictors", "attacks", "tasks", "policies")
 """Axes whose values need scenes or windows of long tracks, but for the task returns."""
 _HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
@@ -107,7 +106,7 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     check_threads()
     settings = _with_patrols(settings)
     run_axes = axes(settings)
-    options = (*_HOW_TO_READ, *_READING_OPTIONS)
+    options = (*_HOW_TO_READ, *READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
@@ -357,7 +356,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
 def changed_reading(settings: Settings) -> dict[str, Any]:
     """Return the options of reading a file that differ from their defaults."""
     usual = Settings()
-    values = {name: getattr(settings, name) for name in _READING_OPTIONS}
+    values = {name: getattr(settings, name) for name in READING_OPTIONS}
     return {
         name: value for name, value in values.items() if value != getattr(usual, name)
     }

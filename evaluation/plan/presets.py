@@ -241,7 +241,7 @@ PRESETS = {
         tasks=("rerelease",),
         stronger_adversaries=STRONGER_ADVERSARIES,
         summary=(
-            "5,000 scenes (500 attacked), 98 levels of all families, plain and aware"
+            "5,000 scenes (500 attacked), 99 levels of all families, plain and aware"
             " robots"
         ),
     ),

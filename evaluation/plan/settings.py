@@ -10,6 +10,8 @@ from numbers import Integral, Real
 from pathlib import Path
 from typing import Any, Final, Self
 
+import numpy as np
+
 from evaluation.plan.choices import Choice, parse_choice
 from evaluation.plan.constants import MOST_JOBS, MOST_SCENES
 from evaluation.plan.presets import DEFAULT, PRESETS
@@ -32,8 +34,12 @@ _KINDS: dict[str, tuple[Any, type, str]] = {
         (Integral, int, "a whole number, as {}=40"),
     ),
     **dict.fromkeys(
-        ("fps", "cell_timeout_s", "precision", "drop_frozen"),
+        ("fps", "cell_timeout_s", "precision", "pilot_half_width", "drop_frozen"),
         (Real, float, "a number, as {}=2.5"),
+    ),
+    **dict.fromkeys(
+        ("persistent_ids", "keep_scores", "keep_ids", "fresh"),
+        ((bool, np.bool_), bool, "True or False"),
     ),
     **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
     **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
@@ -55,6 +61,8 @@ USUAL_STAGES: Final = StageSettings().changed(
 """A run has the fleets and the patrolled segment of its preset (`plan`)."""
 TRACK_RELEASE: Final = ("tracking.method", "tracking.noise", "tracking.release")
 """Settings that the name of a release of tracks has: numbers of several stay apart."""
+READING_OPTIONS: Final = ("columns", "on_duplicate", "crs", "drop_frozen")
+"""Options of reading a file that are part of a run's identity only where given."""
 NO_TRACKS: Final = {"tracking.method": "oracle"}  # Settings of a run without tracks.
 _PORTS = range(1, 1 << 16)
 _LIMITS: dict[str, tuple[float, float, str]] = {
@@ -251,7 +259,9 @@ class Settings:
         for name, (kind, convert, words) in _KINDS.items():
             value = given[name]
             if value is not None:
-                if not isinstance(value, kind) or isinstance(value, bool):
+                # A truth value is a whole number in Python, but none that is meant.
+                is_wrong_bool = isinstance(value, bool) and convert is not bool
+                if not isinstance(value, kind) or is_wrong_bool:
                     raise SettingsError(
                         f"{name} must be {words.format(name)}; got {quoted(value)}"
                     )

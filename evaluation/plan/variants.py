@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.plan.presets import PRESETS
-from evaluation.plan.settings import NO_TRACKS, Settings
+from evaluation.plan.settings import NO_TRACKS, READING_OPTIONS, Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
@@ -222,11 +222,17 @@ def variant_settings(
 def _recording(
     variant: Variant, manifest: Mapping[str, Any]
 ) -> tuple[str | None, dict[str, Any]]:
-    """Return the data set of a variant, and the options of its files."""
+    """Return the data set of a variant, and the options of reading its files.
+
+    Another recording than the run's is read as it is by default.
+    """
     recording, identity = manifest["dataset"], manifest["identity"]
-    if variant.recording or recording["name"] in KNOWN:
-        return variant.recording or recording["name"], {}
-    reading = {name: identity.get(name) for name in ("format", "fps", "unit")}
+    if variant.recording:
+        return variant.recording, {}
+    reading = {name: identity[name] for name in READING_OPTIONS if name in identity}
+    if recording["name"] in KNOWN:
+        return recording["name"], reading
+    reading |= {name: identity.get(name) for name in ("format", "fps", "unit")}
     reading["sessions"] = tuple(recording.get("sessions", ()))
     reading["persistent_ids"] = bool(identity.get("persistent_ids"))
     return None if reading["sessions"] else recording["path"], reading

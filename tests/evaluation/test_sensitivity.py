@@ -14,6 +14,7 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import sensitivity
+from evaluation.plan.plan import make_plan
 from evaluation.plan.variants import BASE, parse, variant_settings, variants
 from evaluation.reporting.difference_tables import sign_changes
 from evaluation.sensitivity import main
@@ -26,6 +27,7 @@ from evaluation.verdict.sensitivity import (
     read_verdict,
     variant_folder,
 )
+from isac_track.datasets import load
 from isac_track.errors import DataError, SettingsError
 
 NAMES = (
@@ -290,6 +292,37 @@ class TestSettings:
         manifest["dataset"]["sha256"] = "0" * 64
         with pytest.raises(DataError, match="no longer the recording"):
             settings(finished, BASE, manifest=manifest)
+
+    def test_a_file_is_read_as_the_run_has_read_it(self, finished, tmp_path):
+        lines = write_walks(tmp_path / "walks.csv").read_text().splitlines()
+        # The first sample twice, at two places; and names of the recording's own.
+        t, person, x, y = lines[1].split(",")
+        twice = f"{t},{person},{float(x) + 0.5},{y}"
+        walks = tmp_path / "odd.csv"
+        walks.write_text("\n".join(["time,ped,px,py", twice, *lines[1:], ""]))
+        reading = {
+            "columns": "t=time,id=ped,x=px,y=py",
+            "on_duplicate": "mean",
+            "drop_frozen": 3.0,
+        }
+        ran = make_plan(smoke(walks, scenes=60, **reading))
+        assert {name: ran.identity[name] for name in reading} == reading
+        manifest = with_paths(finished, read_manifest(finished))
+        manifest["identity"] = ran.identity
+        manifest["dataset"] |= {"path": str(walks), "sha256": ran.dataset.sha256}
+        changed, _ = variant_settings(
+            parse(BASE), manifest=manifest, attacks={}, out=tmp_path / "base"
+        )
+        assert make_plan(changed).identity == ran.identity
+
+    def test_a_known_recording_is_repaired_as_in_the_run(self, finished):
+        manifest = read_manifest(finished)
+        manifest["dataset"] |= {"name": "plaza", "sha256": load("plaza").sha256}
+        manifest["identity"]["on_duplicate"] = "mean"
+        changed, _ = settings(finished, BASE, manifest=manifest)
+        assert (changed.dataset, changed.on_duplicate) == ("plaza", "mean")
+        changed, _ = settings(finished, "recording=plaza", manifest=manifest)
+        assert changed.on_duplicate == "error"
 
 
 class TestRun:

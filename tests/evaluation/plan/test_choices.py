@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import pytest
 from helpers.commands import MATRIX, assert_refused, run
 
@@ -155,6 +156,25 @@ def test_the_command_says_it_in_one_line(tmp_path, words):
 def test_none_beside_a_plus_is_refused():
     with pytest.raises(SettingsError, match="none empties the axis"):
         typed("--attack", "none", "--attack", "+savgol")
+
+
+@pytest.mark.parametrize(
+    "option", ["fresh", "keep_ids", "keep_scores", "persistent_ids"]
+)
+def test_a_flag_is_true_or_false(option):
+    for value in ("no", 0, 1.0, []):
+        with pytest.raises(SettingsError) as caught:
+            Settings(**{option: value})
+        message = str(caught.value)
+        assert message.startswith(f"{option} must be True or False; got ")
+        assert "\n" not in message
+    for value in (True, False, np.True_, np.False_):
+        assert getattr(Settings(**{option: value}), option) is bool(value)
+
+
+def test_the_width_of_a_pilot_is_a_number():
+    with pytest.raises(SettingsError, match="pilot_half_width must be a number"):
+        Settings(pilot_half_width="wide")
 
 
 def test_what_is_added_must_be_able_to_run():
