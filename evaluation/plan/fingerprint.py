@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 import isac_track
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Axes, Consumer
+    from evaluation.plan.axes import Axes
+    from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
 # Sections of scenes. A section without a name here is a linkage task, by its name.

@@ -14,8 +14,9 @@ from attacks.tasks.returns import MOST_SCORES, Passages, passages
 from attacks.tasks.sessions import Sessions
 from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
-from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
+from evaluation.plan.axes import Axes, expand_axes
 from evaluation.plan.constants import BLOCK_SCENES
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.presets import PRESETS, STRONGEST_ON_SLOW_NOISE
 from evaluation.plan.settings import (
     READING_OPTIONS,
@@ -25,6 +26,7 @@ from evaluation.plan.settings import (
     patrol_values,
     tracking_values,
 )
+from evaluation.plan.workers import choose_jobs
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
@@ -105,7 +107,7 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     """
     check_threads()
     settings = _with_patrols(settings)
-    run_axes = axes(settings)
+    run_axes = expand_axes(settings)
     options = (*_HOW_TO_READ, *READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
@@ -272,7 +274,7 @@ def _model_sessions(
     recorded: Tracks,
 ) -> tuple[Sessions, ...]:
     """Return the sessions of tasks that are linked in model worlds: fewer people."""
-    if not any(run_axes.linked_in.values()):
+    if not any(run_axes.linked_mechanisms_by_world.values()):
         return ()
     most = min(
         PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
@@ -334,7 +336,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     """
     settings, wanted = plan.settings, set(specs)
     stronger_adversaries: tuple[str, ...] = ()
-    if not plan.axes.no_scenes and not settings.choice("attacks").replaces:
+    if not plan.axes.why_no_scenes and not settings.choice("attacks").replaces:
         stronger_adversaries = PRESETS[settings.preset].stronger_adversaries
     if not stronger_adversaries:
         wanted = set()
@@ -345,7 +347,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
         predictors=(),
         attacks=(plugins.parse("attacks", STRONGEST_ON_SLOW_NOISE)[0],),
         adversaries=stronger_adversaries,
-        only_stronger=True,
+        has_only_stronger=True,
     )
     units, code_digests = _units(run_axes, settings, identity=plan.identity)
     return replace(
@@ -386,7 +388,9 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
     attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
     utility = tuple(
-        consumer for consumer in run_axes.consumers if consumer.spec in run_axes.utility
+        consumer
+        for consumer in run_axes.consumers
+        if consumer.spec in run_axes.utility_predictors
     )
     crossings = [
         _Crossing(run_axes.mechanisms, run_axes.consumers, attacked_blocks),
@@ -395,7 +399,7 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     for task in run_axes.tasks:
         consumers = run_axes.task_consumers(task)
         crossings.append(_Crossing(run_axes.linked_mechanisms, consumers, (0,)))
-    for world, mechanisms in run_axes.worlds.items():
+    for world, mechanisms in run_axes.mechanisms_by_world.items():
         consumers = run_axes.consumers_in(world)
         crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
     for horizon_s in run_axes.horizons_s:
@@ -411,11 +415,11 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         if run_axes.patrol_mechanisms
     ]
     crossings += [
-        _Crossing(run_axes.tracked, run_axes.track_consumers(world), (0,))
+        _Crossing(run_axes.track_mechanisms, run_axes.track_consumers(world), (0,))
         for world in worlds
-        if run_axes.tracked
+        if run_axes.track_mechanisms
     ]
-    for world, mechanisms in run_axes.linked_in.items():
+    for world, mechanisms in run_axes.linked_mechanisms_by_world.items():
         for task in filter(_is_linked_in_models, run_axes.tasks):
             consumers = run_axes.task_consumers_in(world, task)
             crossings.append(_Crossing(mechanisms, consumers, (0,)))

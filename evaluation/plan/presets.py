@@ -34,7 +34,7 @@ class Preset:
     # Further mechanisms, beside the panel of the verdict.
     protections: tuple[str, ...] = ()
     # Further attacks, where the error changes slowly: elsewhere they equal others.
-    against_slow: tuple[str, ...] = ()
+    slow_error_attacks: tuple[str, ...] = ()
     # Mechanisms shared, predicted and reconstructed under `OTHER_LAW`, too.
     other_law: tuple[str, ...] = ()
     # Mechanisms reconstructed on walks of the fitted motion, too, under both laws.
@@ -173,7 +173,7 @@ _PAPER = replace(
     tasks=(*ALL_TASKS,),
     skips_oracle=False,
     protections=PROTECTIONS,
-    against_slow=("ou_rts",),
+    slow_error_attacks=("ou_rts",),
     other_law=PUBLISHED_LEVELS,
     model=(*PUBLISHED_LEVELS, "ou:0.4"),
     model_linked=("fid:1",),
@@ -202,7 +202,7 @@ _QUICK = Preset(
     predictors=("least_squares", "kalman_cv", BASELINE),
     # The strongest of each kind, by re-releases and handovers of Students03 and plaza.
     attacks=("radial_rts", "kinematic@radial_rts", "likelihood_ratio:one_to_one=true"),
-    against_slow=("ou_rts",),
+    slow_error_attacks=("ou_rts",),
     adversaries=STRONGER_ADVERSARIES,
     skips_oracle=True,
     tasks=("rerelease", "handover-1s", "handover-5s", RETURNS.name),

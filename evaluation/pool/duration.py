@@ -12,7 +12,7 @@ import numpy as np
 
 from evaluation.compute.plugin_call import PluginTime
 from evaluation.compute.work import Block, PatrolWork, ReturnWork, TrackingWork, Work
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import Plan
 from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 from isac_track.types import Tracks

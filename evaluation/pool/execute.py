@@ -71,7 +71,7 @@ def execute(
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
-    if may_be_shown and not plan.axes.no_scenes:
+    if may_be_shown and not plan.axes.why_no_scenes:
         plugins = {entry.spec for entry in failed}
         plugins |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = write_sample_tracks(plan, plugins, begun.names)

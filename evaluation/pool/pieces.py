@@ -29,7 +29,7 @@ from isac_track.scenes import track_order
 if TYPE_CHECKING:
     from collections import deque
 
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from evaluation.plan.plan import Plan, Unit
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
@@ -139,7 +139,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
 def _scene_orders(plan: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
     settings = plan.settings
-    if plan.axes.no_scenes:
+    if plan.axes.why_no_scenes:
         return {}
 
     def order(n_tracks: int) -> Ints:
@@ -162,7 +162,7 @@ def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     walked = [(sessions, OWN_WORLD) for sessions in plan.sessions]
     walked += [
         (sessions, world)
-        for world in plan.axes.linked_in
+        for world in plan.axes.linked_mechanisms_by_world
         for sessions in plan.model_sessions
     ]
     links = []

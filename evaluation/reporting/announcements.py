@@ -95,7 +95,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         f"{len(plan.tracks)} of {len(plan.dataset.tracks)} tracks used,"
         f" {scenes_text(plan.identity)}"
     )
-    if plan.axes.no_scenes and plan.passages is not None:
+    if plan.axes.why_no_scenes and plan.passages is not None:
         size = f"{len(plan.passages)} of {len(plan.dataset.tracks)} passages used"
     yield (
         f"{plan.dataset.name}: {size}; {plan.n_cells} cells{so_far},"

@@ -31,8 +31,8 @@ import isac_track
 from attacks.tasks.returns import LEAST_S, LONGEST_S
 from attacks.tasks.task_list import RETURNS
 from evaluation.compute.return_columns import CLEAN
-from evaluation.plan.axes import TRACK_KINDS
 from evaluation.plan.choices import PLUS
+from evaluation.plan.consumer import TRACK_KINDS
 from evaluation.plan.fingerprint import digest, list_user_plugins
 from evaluation.plan.settings import AXES, patrol_values, tracking_values
 from evaluation.store.entries import (
@@ -289,7 +289,9 @@ def describe(plan: Plan) -> dict[str, Any]:
         if not plugin.adding and getattr(plugin.instance, "adds_error", True)
     }
     horizons = {}
-    for horizon_s in settings.stages.conflict.horizons_s if axes.utility else ():
+    for horizon_s in (
+        settings.stages.conflict.horizons_s if axes.utility_predictors else ()
+    ):
         n_used = len(tracks.further.get(horizon_s, ()))
         horizons[f"{horizon_s:g}"] = {
             "tracks_used": n_used,
@@ -326,7 +328,7 @@ def describe(plan: Plan) -> dict[str, Any]:
         "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": horizons,
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
-        "no_scenes": axes.no_scenes,
+        "no_scenes": axes.why_no_scenes,
     }
 
 

@@ -9,7 +9,7 @@ from helpers.commands import assert_refused
 from helpers.small_runs import write_walks
 
 from evaluation import matrix
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.plan import changed_reading
 from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
@@ -186,10 +186,10 @@ def test_a_wrong_file_names_itself_and_the_key(tmp_path, ran, text, message):
 
 
 def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
-    crossed = axes(Settings())
+    crossed = expand_axes(Settings())
     assert Settings().preset == DEFAULT == "quick"
     assert (Settings().n_scenes, Settings().n_utility_scenes) == (250, 2000)
-    assert crossed.worlds == dict.fromkeys(crossed.worlds, ())
+    assert crossed.mechanisms_by_world == dict.fromkeys(crossed.mechanisms_by_world, ())
     families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
     assert families == {"raw", "fid", "fixed", "ou"}
     assert {plugin.adding for plugin in crossed.mechanisms} == {
@@ -197,7 +197,7 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
         "linear",
         "independent",
     }
-    assert crossed.utility == {plugin.spec for plugin in crossed.predictors}
+    assert crossed.utility_predictors == {plugin.spec for plugin in crossed.predictors}
     assert [task.name for task in crossed.tasks] == [
         "rerelease",
         "handover-1s",
@@ -225,9 +225,9 @@ def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
 
 def test_the_presets_are_those_of_the_design():
     assert PRESETS["smoke"].scenes == 40
-    assert len(axes(Settings(preset="smoke")).mechanisms) == 5
+    assert len(expand_axes(Settings(preset="smoke")).mechanisms) == 5
     assert PRESETS["paper"].scenes == 500
-    paper = axes(Settings(preset="paper")).mechanisms
+    paper = expand_axes(Settings(preset="paper")).mechanisms
     assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION) + len(PROTECTIONS)
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0
@@ -237,8 +237,8 @@ def test_the_presets_are_those_of_the_design():
     ]
     assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
     assert PRESETS["full"].scenes == 5000
-    frontier = axes(Settings(preset="frontier"))
-    assert frontier.utility == {
+    frontier = expand_axes(Settings(preset="frontier"))
+    assert frontier.utility_predictors == {
         predictor.spec for predictor in frontier.predictors
     }  # all scenes, each robot
 

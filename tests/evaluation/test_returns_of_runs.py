@@ -15,9 +15,9 @@ from attacks.tasks.returns import hide, passages
 from attacks.tasks.task_list import FUSED
 from evaluation import matrix
 from evaluation.estimates.differences import compare
-from evaluation.plan.axes import most_workers
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
+from evaluation.plan.workers import most_workers
 from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.first_screen import first_screen
 from evaluation.reporting.notices import plan_notices
@@ -126,7 +126,7 @@ def test_a_run_without_scenes_says_how_many_people_it_leaves_out(
     monkeypatch.setattr("evaluation.plan.plan.MOST_SCORES", 2000)
     settings = Settings(preset="smoke", sessions=sessions, out=tmp_path / "run")
     plan = make_plan(settings)
-    assert plan.axes.no_scenes
+    assert plan.axes.why_no_scenes
     assert plan.passages.not_drawn > 0
     (notice,) = [
         text for text in plan_notices(plan, slow=()) if "people of task returns" in text

@@ -15,7 +15,8 @@ from evaluation.compute.linkage import link, linked_level
 from evaluation.compute.reconstruction import attacked_block, folds
 from evaluation.compute.sharing import share
 from evaluation.compute.work import Block, compute_cells
-from evaluation.plan.axes import Axes, Consumer
+from evaluation.plan.axes import Axes
+from evaluation.plan.consumer import Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin

@@ -24,7 +24,8 @@ from evaluation.compute.link_setup import sensed_sessions
 from evaluation.compute.linkage import WINDOW_COLUMNS, sees_times_alone
 from evaluation.compute.sharing import restricted, samples_shared, share
 from evaluation.compute.work import LinkWork, compute_cells
-from evaluation.plan.axes import Consumer, axes, windows_consumer
+from evaluation.plan.axes import expand_axes
+from evaluation.plan.consumer import Consumer, windows_consumer
 from evaluation.plan.presets import DISSOCIATION, PROTECTIONS
 from evaluation.plan.settings import Settings
 from isac_track import plugins, privacy
@@ -390,6 +391,6 @@ def test_the_presets_but_smoke_hold_the_controls():
     ]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
-        assert [mechanism.spec for mechanism in axes(bare).mechanisms][
+        assert [mechanism.spec for mechanism in expand_axes(bare).mechanisms][
             -len(controls) :
         ] == controls

@@ -22,7 +22,7 @@ from evaluation.compute.tracking import (
     tracking_setup,
 )
 from evaluation.compute.work import TrackingWork, compute_cells
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.plan import make_plan
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.pool.pieces import cut_work, planned_cells
@@ -228,7 +228,7 @@ def linked(recording, tracker, **stages):
     )
     recorded = datasets.load(str(recording)).tracks
     setup = tracking_setup(recorded, stages=settings.stages, seed=0)
-    crossed = axes(settings)
+    crossed = expand_axes(settings)
     links = [each for each in crossed.track_consumers() if each.task]
     links = [link for link in links if link.track_release.name == tracker]
     raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
@@ -501,6 +501,6 @@ def test_every_setting_changes_the_rows(counted, changes, least):
 
 def test_a_mechanism_that_leaves_samples_out_has_no_tracks():
     settings = smoke("plaza", mechanisms=("raw", "window:2"), stages=FEW)
-    assert [plugin.spec for plugin in axes(settings).tracked] == ["raw"]
+    assert [plugin.spec for plugin in expand_axes(settings).track_mechanisms] == ["raw"]
     with pytest.raises(SettingsError, match="unknown tracker"):
-        axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))
+        expand_axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))

@@ -5,7 +5,7 @@ import sys
 import pytest
 from helpers.runs import change_code
 
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.fingerprint import (
     RECONSTRUCTION,
     SHARING,
@@ -124,6 +124,9 @@ SOURCES = {
     (): (
         "evaluation.plan.presets",
         "evaluation.plan.axes",
+        "evaluation.plan.consumer",
+        "evaluation.plan.linkers",
+        "evaluation.plan.workers",
         "isac_track.plugins",
         "isac_track.testing.engine",
         "attacks.testing",
@@ -153,7 +156,9 @@ def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections)
 
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
-    crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
+    crossed = expand_axes(
+        Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape"))
+    )
     consumers = (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0]))
 
     def keys():
@@ -177,7 +182,7 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 
 def test_raw_scores_are_another_thing_to_keep():
-    crossed = axes(Settings(attacks=("savgol", "shape")))
+    crossed = expand_axes(Settings(attacks=("savgol", "shape")))
     for item in (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0])):
         keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
         assert len(keys) == 1 + (item.kind in ("linkage", "control"))

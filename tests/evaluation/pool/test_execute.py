@@ -13,7 +13,7 @@ from helpers.small_runs import smoke
 
 import evaluation
 from evaluation.estimates import summary
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import DEFAULT, PRESETS
 from evaluation.plan.settings import Settings
