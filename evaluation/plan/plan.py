@@ -306,7 +306,7 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         "format": dataset.format,
         "fps": settings.fps,
         "seed": settings.seed,
-        "scenes": settings.n_scenes,
+        "scenes": settings.n_attacked_scenes,
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
@@ -323,8 +323,8 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
     if settings.persistent_ids:
         identity["persistent_ids"] = True
     identity |= changed_reading(settings)
-    if settings.n_utility_scenes != settings.n_scenes:
-        identity["scenes_utility"] = settings.n_utility_scenes
+    if settings.n_all_scenes != settings.n_attacked_scenes:
+        identity["scenes_utility"] = settings.n_all_scenes
     return identity
 
 
@@ -384,8 +384,8 @@ class _Crossing(NamedTuple):
 
 def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     """Return the products whose parts are units: scenes and tasks, in all worlds."""
-    n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
-    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
+    n_attacked = -(-settings.n_attacked_scenes // BLOCK_SCENES)
+    n_blocks = -(-settings.n_all_scenes // BLOCK_SCENES)
     attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
     utility = tuple(
         consumer

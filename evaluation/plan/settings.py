@@ -284,13 +284,13 @@ class Settings:
         return parse_choice(getattr(self, axis), axis=axis)
 
     @property
-    def n_scenes(self) -> int:
+    def n_attacked_scenes(self) -> int:
         """The number of attacked scenes: the first of all."""
         usual = PRESETS[self.preset].scenes if self.scenes is None else self.scenes
         return usual if self.utility_scenes is None else min(usual, self.utility_scenes)
 
     @property
-    def n_utility_scenes(self) -> int:
+    def n_all_scenes(self) -> int:
         """The number of all scenes: the robot's utility is measured in every scene."""
         if self.utility_scenes is not None:
             return self.utility_scenes

@@ -16,7 +16,7 @@ WORTH_WORKERS_LINKED: Final = 400
 
 def most_workers(run_axes: Axes, settings: Settings) -> int:
     """Return the number of workers that a run has work for, finished or not."""
-    n_scenes = 0 if run_axes.why_no_scenes else settings.n_utility_scenes
+    n_scenes = 0 if run_axes.why_no_scenes else settings.n_all_scenes
     n_blocks = -(-n_scenes // BLOCK_SCENES)
     worlds = [run_axes.mechanisms, *run_axes.mechanisms_by_world.values()]
     n_levels = sum(len(levels) for levels in worlds)
@@ -35,7 +35,7 @@ def choose_jobs(run_axes: Axes, settings: Settings) -> int:
     n_levels = len(run_axes.mechanisms)
     n_linkers = sum(len(run_axes.task_consumers(task)) - 1 for task in run_axes.tasks)
     if (
-        settings.n_utility_scenes * n_levels < WORTH_WORKERS
+        settings.n_all_scenes * n_levels < WORTH_WORKERS
         and n_levels * n_linkers < WORTH_WORKERS_LINKED
     ):
         return 1

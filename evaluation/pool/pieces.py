@@ -109,17 +109,16 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
 
 def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[Block]:
     """Return the missing levels of every block of scenes, in every world."""
-    n_scenes = plan.settings.n_utility_scenes
     tasks = {sessions.task.name for sessions in plan.sessions}
     # Split where few blocks are attacked by the workers. Each piece senses the block
     # again, so that there are no more pieces than an even load takes.
-    n_attacked = -(-plan.settings.n_scenes // BLOCK_SCENES)
+    n_attacked = -(-plan.settings.n_attacked_scenes // BLOCK_SCENES)
     n_pieces = 1
     if plan.jobs > 1:
         n_pieces = -(-_TASKS_PER_WORKER * plan.jobs // n_attacked)
     orders = _scene_orders(plan)
     blocks = []
-    for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
+    for number, first in enumerate(range(0, plan.settings.n_all_scenes, BLOCK_SCENES)):
         for world, order in orders.items():
             levels = _levels(
                 unit
@@ -145,7 +144,7 @@ def _scene_orders(plan: Plan) -> dict[World, Ints]:
     def order(n_tracks: int) -> Ints:
         return track_order(
             n_tracks=n_tracks,
-            n_scenes=settings.n_utility_scenes,
+            n_scenes=settings.n_all_scenes,
             agents=settings.stages.scenes.agents,
             seed=settings.seed,
         )

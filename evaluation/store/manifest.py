@@ -357,8 +357,8 @@ def _describe_settings(plan: Plan) -> dict[str, Any]:
     named = {axis: named_values(settings, axis) for axis in AXES}
     described: dict[str, Any] = {
         "preset": settings.preset,
-        "scenes": settings.n_scenes,
-        "scenes_utility": settings.n_utility_scenes,
+        "scenes": settings.n_attacked_scenes,
+        "scenes_utility": settings.n_all_scenes,
         "precision": settings.precision,
         "pilot_half_width": settings.pilot_half_width,
         "seed": settings.seed,

@@ -137,7 +137,7 @@ def test_options_become_settings():
     )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ()
-    assert settings.n_scenes == 5000
+    assert settings.n_attacked_scenes == 5000
     assert settings.stages.privacy.epsilon_m == 0.5
     assert (settings.seed, settings.jobs, settings.fresh) == (3, 2, True)
     assert parse_settings() == Settings()
@@ -154,7 +154,11 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
     settings = parse_settings(
         "--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2"
     )
-    assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
+    assert (settings.preset, settings.seed, settings.n_attacked_scenes) == (
+        "smoke",
+        7,
+        30,
+    )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ("least_squares",)
     stages = {"privacy.epsilon_m": 0.2, "sensing.law": "isotropic"}
@@ -188,7 +192,7 @@ def test_a_wrong_file_names_itself_and_the_key(tmp_path, ran, text, message):
 def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
     crossed = expand_axes(Settings())
     assert Settings().preset == DEFAULT == "quick"
-    assert (Settings().n_scenes, Settings().n_utility_scenes) == (250, 2000)
+    assert (Settings().n_attacked_scenes, Settings().n_all_scenes) == (250, 2000)
     assert crossed.mechanisms_by_world == dict.fromkeys(crossed.mechanisms_by_world, ())
     families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
     assert families == {"raw", "fid", "fixed", "ou"}
