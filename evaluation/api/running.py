@@ -238,7 +238,7 @@ def finished_before(plan: Plan) -> Results | None:
     try:
         manifest = read_manifest(plan.out)
         is_same = (
-            manifest["identity"] == plan.identity and manifest["code"] == plan.code
+            manifest["identity"] == plan.identity and manifest["code"] == plan.code_hash
         )
         is_finished = manifest.get("state") == "finished"
         if is_same and is_finished and not manifest.get("failed"):

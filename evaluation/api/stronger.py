@@ -8,8 +8,8 @@ from evaluation.api.estimated import level_table, link_estimates, scene_estimate
 from evaluation.estimates.families import CLEAN, RAW, entry_families
 from evaluation.estimates.strongest_table import strongest_on_each
 from evaluation.plan.address import Address
-from evaluation.plan.fingerprint import changed_modules
 from evaluation.plan.plan import Plan, plan_stronger
+from evaluation.plan.source_digest import changed_modules
 from evaluation.pool.execute import execute_stronger
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import read_manifest, write_manifest

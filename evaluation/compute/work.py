@@ -28,7 +28,7 @@ from evaluation.compute.forecasts import sharing_rows
 from evaluation.compute.link_scores import linkage_tables
 from evaluation.compute.link_setup import SensedSessions, sensed_sessions
 from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
-from evaluation.plan.fingerprint import OURS
+from evaluation.plan.source_digest import OURS
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import IsacTrackError, PluginError, error_text
 from isac_track.scenes import Cut, make_scenes

@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from attacks.tasks.build import make_sessions
-from attacks.tasks.returns import MOST_SCORES, Passages, passages
+from attacks.tasks.returns import MOST_SCORES, Passages
+from attacks.tasks.returns import passages as find_passages
 from attacks.tasks.sessions import Sessions
 from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
@@ -26,6 +27,7 @@ from evaluation.plan.settings import (
     patrol_values,
     tracking_values,
 )
+from evaluation.plan.source_digest import ModuleFiles, code_hash, source_digest
 from evaluation.plan.workers import choose_jobs
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
@@ -44,7 +46,7 @@ from isac_track.types import Tracks
 
 _SCENE_AXES = ("predictors", "attacks", "tasks", "policies")
 """Axes whose values need scenes or windows of long tracks, but for the task returns."""
-_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
+_OTHER_READING_OPTIONS = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -56,7 +58,7 @@ class Unit:
     block: int  # Of scenes; 0 for a linkage task.
     mechanism: Plugin
     key: str  # A digest of all that its rows depend on, except the consumers.
-    code: Mapping[str, str]  # Digest by module, of the code that computes it.
+    code_digests: Mapping[str, str]  # By module, of the code that computes it.
     consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
@@ -71,11 +73,11 @@ class Plan:
 
     settings: Settings
     dataset: Dataset
-    recorded: Tracks  # Its tracks, where they are sensed.
-    tracks: Cut
+    recorded: Tracks  # All its tracks, placed where the network senses them.
+    scene_tracks: Cut  # Those long enough for scenes, cut.
     axes: Axes
     identity: dict[str, Any]
-    code: str  # Version of the code that computes the cells.
+    code_hash: str  # Version of the code that computes the cells.
     jobs: int  # Worker processes.
     out: Path
     units: tuple[Unit, ...]
@@ -90,8 +92,8 @@ class Plan:
         return sum(len(unit.consumers) for unit in self.units)
 
     @property
-    def pairs(self) -> tuple[tuple[Plugin, Consumer], ...]:
-        """Every mechanism with each of its consumers."""
+    def mechanism_consumers(self) -> tuple[tuple[Plugin, Consumer], ...]:
+        """Every mechanism with each of its consumers: further blocks have no others."""
         first = (unit for unit in self.units if unit.block == 0)
         return tuple(
             (unit.mechanism, consumer)
@@ -108,11 +110,11 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     check_threads()
     settings = _with_patrols(settings)
     run_axes = expand_axes(settings)
-    options = (*_HOW_TO_READ, *READING_OPTIONS)
+    options = (*_OTHER_READING_OPTIONS, *READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
     recorded = placed(dataset.tracks, settings=settings.stages)
-    run_axes, walks = _find_passages(run_axes, settings, recorded)
+    run_axes, passages = _axes_with_passages(run_axes, settings, recorded)
     run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
     if run_axes.horizons_s:
         # Horizons for which the recording has too few long tracks are left out.
@@ -134,21 +136,21 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         settings=settings,
         dataset=dataset,
         recorded=recorded,
-        tracks=tracks,
+        scene_tracks=tracks,
         axes=run_axes,
         identity=identity,
-        code=fingerprint.code_hash(),
+        code_hash=code_hash(),
         jobs=jobs,
         out=out if settings.out is None else Path(settings.out),
         units=units,
         code_digests=code_digests,
         sessions=sessions,
         model_sessions=_model_sessions(run_axes, settings, sessions, recorded),
-        passages=walks,
+        passages=passages,
     )
 
 
-def _find_passages(
+def _axes_with_passages(
     run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Passages | None]:
     """Return the axes, and the passages of people who come back if there are any.
@@ -165,7 +167,7 @@ def _find_passages(
             )
         return run_axes, None
     try:
-        walks = passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
+        passages = find_passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
     except DataError as error:
         if is_named or settings.confirming is not None:
             raise DataError(f"task {RETURNS.name}: {error}") from None
@@ -173,28 +175,28 @@ def _find_passages(
         if recorded.session is not None:  # Of a single session: no notice.
             skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
         return replace(run_axes, links_returns=False, skipped=skipped), None
-    _check_confirming(settings.confirming, walks)
-    if not walks.not_drawn:
-        return run_axes, walks
-    name = f"{walks.not_drawn:,} people of task {RETURNS.name}"
+    _check_confirming(settings.confirming, passages)
+    if not passages.not_drawn:
+        return run_axes, passages
+    name = f"{passages.not_drawn:,} people of task {RETURNS.name}"
     why = f"linking all takes over {MOST_SCORES:,} scores at a level"
     return replace(
         run_axes, skipped={**run_axes.skipped, name: f"{name}: {why}"}
-    ), walks
+    ), passages
 
 
-def _check_confirming(name: str | None, walks: Passages) -> None:
+def _check_confirming(name: str | None, passages: Passages) -> None:
     """Raise SettingsError if no session has this name, or the others decide nothing."""
     if name is None:
         return
-    if name not in walks.sessions:
-        hint = did_you_mean(name, walks.sessions, quote="'")
+    if name not in passages.sessions:
+        hint = did_you_mean(name, passages.sessions, quote="'")
         raise SettingsError(
             f"--confirming: no session is called {name!r}"
-            f"{hint or '; sessions: ' + ', '.join(walks.sessions)}"
+            f"{hint or '; sessions: ' + ', '.join(passages.sessions)}"
         )
-    others = walks.session != walks.sessions.index(name)
-    pairs = np.unique(np.stack([walks.person, walks.session])[:, others], axis=1)
+    others = passages.session != passages.sessions.index(name)
+    pairs = np.unique(np.stack([passages.person, passages.session])[:, others], axis=1)
     if not (np.bincount(pairs[0]) > 1).any():
         raise DataError(
             f"without session {name} nobody walks in two: --confirming takes a session"
@@ -322,7 +324,7 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         identity["ids"] = "kept"
     if settings.persistent_ids:
         identity["persistent_ids"] = True
-    identity |= changed_reading(settings)
+    identity |= _changed_reading_options(settings)
     if settings.n_all_scenes != settings.n_attacked_scenes:
         identity["scenes_utility"] = settings.n_all_scenes
     return identity
@@ -355,7 +357,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     )
 
 
-def changed_reading(settings: Settings) -> dict[str, Any]:
+def _changed_reading_options(settings: Settings) -> dict[str, Any]:
     """Return the options of reading a file that differ from their defaults."""
     usual = Settings()
     values = {name: getattr(settings, name) for name in READING_OPTIONS}
@@ -431,7 +433,7 @@ class _CodeRead:
     """What a plan has read of the code: modules' digests, and the files behind them."""
 
     digests: dict[str, str]
-    files: fingerprint.ModuleFiles
+    files: ModuleFiles
 
 
 def _units(
@@ -449,12 +451,12 @@ def _units(
                 for key, consumer in by_section[section].items()
                 if run_axes.meets(consumer, mechanism)
             }
-            about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
-            about += filter(None, [mechanism.digest])
-            about += code.values()
-            about += _own_settings(section, settings)
+            key_parts = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
+            key_parts += filter(None, [mechanism.digest])
+            key_parts += code.values()
+            key_parts += _own_settings(section, settings)
             for block in blocks if level_consumers else ():
-                key = fingerprint.digest([identity, section, block, *about])
+                key = fingerprint.digest([identity, section, block, *key_parts])
                 units.append(
                     Unit(section, block, mechanism, key, code, level_consumers)
                 )
@@ -488,15 +490,18 @@ def _consumers_by_section(
     return by_section
 
 
-def _code_digests(section: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
+def _code_digests(
+    section: str, *used_plugins: Plugin, code_read: _CodeRead
+) -> dict[str, str]:
     """Return the digests of the modules of a section and of plug-ins, by module.
 
     `code_read` holds those that are known by now; new digests are added to it.
     """
-    modules, digests = fingerprint.sources(section, *used), code_read.digests
+    modules = fingerprint.key_modules(section, *used_plugins)
+    digests = code_read.digests
     for module in modules:
         if module not in digests:
-            digest = fingerprint.source_digest(module, known=code_read.files)
+            digest = source_digest(module, known=code_read.files)
             digests[module] = digest[:16]
     return {module: digests[module] for module in modules}
 

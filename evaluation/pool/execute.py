@@ -217,7 +217,7 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     with locked(plan.out):
         opened = open_run(plan.out, identity=plan.identity, fresh=fresh)
         share_key(plan.out, sources)
-        begun = opened.manifest | {"code": plan.code, "state": "running"}
+        begun = opened.manifest | {"code": plan.code_hash, "state": "running"}
         write_manifest(plan.out, begun)
         units = pieces.missing_units(plan, cell_places(opened.index_by_file))
         wanted = {

@@ -27,7 +27,7 @@ def write_sample_tracks(
     ]
     compute = partial(
         _gallery_part,
-        tracks=plan.tracks,
+        tracks=plan.scene_tracks,
         attacks=[
             plugin for plugin in axes.attacks if plugin.spec not in failed_plugins
         ],

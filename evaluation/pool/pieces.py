@@ -149,15 +149,15 @@ def _scene_orders(plan: Plan) -> dict[World, Ints]:
             seed=settings.seed,
         )
 
-    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(plan.tracks)))
-    for horizon_s, tracks in plan.tracks.further.items():
+    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(plan.scene_tracks)))
+    for horizon_s, tracks in plan.scene_tracks.further.items():
         orders[World(horizon_s=horizon_s)] = order(len(tracks))
     return orders
 
 
 def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     """Return the missing levels of every linkage task, in every world."""
-    groups = tuple(sorted(set(plan.tracks.group)))
+    groups = tuple(sorted(set(plan.scene_tracks.group)))
     walked = [(sessions, OWN_WORLD) for sessions in plan.sessions]
     walked += [
         (sessions, world)

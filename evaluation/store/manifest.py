@@ -220,7 +220,7 @@ def describe_data(plan: Plan) -> dict[str, Any]:
         recording_advice,
     )
 
-    tracks, dataset = plan.tracks, plan.dataset
+    tracks, dataset = plan.scene_tracks, plan.dataset
     own = ("name", "sha256", "format", "simulated")
     notice = dataset.notice and without_folders(dataset.notice, dataset)
     data = {
@@ -281,7 +281,7 @@ def describe(plan: Plan) -> dict[str, Any]:
     """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
 
-    tracks, settings, axes = plan.tracks, plan.settings, plan.axes
+    tracks, settings, axes = plan.scene_tracks, plan.settings, plan.axes
     labels = id_labels(plan)
     without_rule = {
         plugin.family
@@ -309,7 +309,7 @@ def describe(plan: Plan) -> dict[str, Any]:
                 str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
-        "code": plan.code,
+        "code": plan.code_hash,
         "settings": _describe_settings(plan),
         "own_plugins": list_user_plugins(axes),
         "granted": {
@@ -469,7 +469,7 @@ def cell_entries(
             )
     return [
         make_entry(mechanism, consumer, files=files[mechanism.spec, consumer.label])
-        for mechanism, consumer in plan.pairs
+        for mechanism, consumer in plan.mechanism_consumers
     ]
 
 

@@ -10,7 +10,7 @@ from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.plan.axes import expand_axes
-from evaluation.plan.plan import changed_reading
+from evaluation.plan.plan import _changed_reading_options
 from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
 from evaluation.store.files import to_csv
@@ -332,5 +332,5 @@ drop_frozen = 3
         "on_duplicate": "mean",
         "crs": "degrees",
     }
-    assert changed_reading(typed) == {**expected, "drop_frozen": 3.0}
-    assert changed_reading(parse_settings()) == {}
+    assert _changed_reading_options(typed) == {**expected, "drop_frozen": 3.0}
+    assert _changed_reading_options(parse_settings()) == {}

@@ -293,7 +293,9 @@ def test_cells_of_tracks_call_no_loop_that_is_not_compiled_ahead(coming, monkeyp
     (work,) = (
         work for work in cut_work(plan.units, plan) if isinstance(work, TrackingWork)
     )
-    for _ in compute_cells(work, tracks=plan.tracks, stages=settings.stages, seed=0):
+    for _ in compute_cells(
+        work, tracks=plan.scene_tracks, stages=settings.stages, seed=0
+    ):
         pass
     listed = {
         (cell.mechanism.spec, cell.consumer.label): list_loops(

@@ -10,10 +10,10 @@ from evaluation.plan.fingerprint import (
     RECONSTRUCTION,
     SHARING,
     consumer_key,
-    source_digest,
-    sources,
+    key_modules,
 )
 from evaluation.plan.settings import Settings
+from evaluation.plan.source_digest import source_digest
 
 FILES = {
     "solo.py": "import os\nimport numpy\nfrom helper_a import f\n",
@@ -144,7 +144,7 @@ SOURCES = {
 def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections):
     def digests():
         return {
-            section: [source_digest(source) for source in sources(section)]
+            section: [source_digest(source) for source in key_modules(section)]
             for section in SECTIONS
         }
 
@@ -165,7 +165,9 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
         return {
             consumer.label: consumer_key(
                 consumer,
-                code=[source_digest(name) for name in sources("", *consumer.plugins)],
+                code=[
+                    source_digest(name) for name in key_modules("", *consumer.plugins)
+                ],
                 keep_scores=False,
             )
             for consumer in consumers
