@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.api.rebuilding import build, limit_threads
+from evaluation.api.run_results import build, limit_threads
 from evaluation.api.stronger import try_stronger
 from evaluation.plan.constants import BLOCK_SCENES, MOST_SCENES
 from evaluation.plan.plan import Plan, make_plan

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.api.estimated import level_table, link_estimates, scene_estimates
+from evaluation.api.run_estimates import level_table, link_estimates, scene_estimates
 from evaluation.estimates.families import CLEAN, RAW, entry_families
 from evaluation.estimates.strongest_table import strongest_on_each
 from evaluation.plan.address import Address

@@ -9,8 +9,8 @@ from typing import Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from evaluation.api.estimated import (
-    Compared,
+from evaluation.api.run_estimates import (
+    AttackComparison,
     SceneEstimates,
     compare_attacks,
     level_table,
@@ -233,7 +233,7 @@ def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _frontiers_and_matches(
-    manifest: Mapping[str, Any], scenes: SceneEstimates, compared: Compared
+    manifest: Mapping[str, Any], scenes: SceneEstimates, compared: AttackComparison
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return `frontier.csv` and `matched.csv`: at the run's horizon, then at others."""
     dataset = manifest["dataset"]["name"]
@@ -243,7 +243,7 @@ def _frontiers_and_matches(
     frontiers = [
         frontier(sweeps, predictors=predictors, dataset=dataset, attacks=attacks)
     ]
-    for horizon_s, robots in scenes.later.items():
+    for horizon_s, robots in scenes.further_horizons.items():
         at_horizon = Sweeps(
             judged_at(sweeps.estimates, robots.all_estimates), compared.families
         )
@@ -275,7 +275,7 @@ def _frontiers_and_matches(
 def _verdict(
     manifest: Mapping[str, Any],
     scenes: SceneEstimates,
-    compared: Compared,
+    compared: AttackComparison,
     validity: dict[str, list[dict[str, Any]]],
 ) -> dict[str, Any]:
     """Return the verdict of a run, with records of a user's own plug-ins."""
@@ -284,7 +284,7 @@ def _verdict(
         horizon_s: Sweeps(
             judged_at(judged.estimates, robots.all_estimates), compared.families
         )
-        for horizon_s, robots in scenes.later.items()
+        for horizon_s, robots in scenes.further_horizons.items()
     }
     parts = verdict.verdict(
         judged,
@@ -297,7 +297,7 @@ def _verdict(
     if own_plugins := manifest.get("own_plugins"):
         estimates = Estimates(
             compared.sweeps.estimates,
-            scenes.estimates_later,
+            scenes.further_estimates,
             compared.sums,
             compared.families,
             compared.by_mechanism,
@@ -305,7 +305,7 @@ def _verdict(
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
     parts["robots"] = horizons.beaten_by_standing_still(
-        scenes.estimates, scenes.estimates_later
+        scenes.estimates, scenes.further_estimates
     )
     return parts
 
