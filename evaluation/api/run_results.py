@@ -82,11 +82,13 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
-    results, searched = _results(out)
+    results, search_extent = _compute_results(out)
     results = replace(results, make_first_table=first_table)
     frames = [getattr(results, name) for name in FRAMES]
     with run_in_idle_worker(partial(_to_csv_files, frames)) as wait_for_csv:
-        write_whole(out / "flags.json", weak_attacks.to_json(results.flags, searched))
+        write_whole(
+            out / "flags.json", weak_attacks.to_json(results.flags, search_extent)
+        )
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
         write_text(results)
@@ -98,7 +100,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     return results
 
 
-def _results(out: Path) -> tuple[Results, dict[str, Any]]:
+def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return the results of a run's cells, and the extent of the search for flags."""
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
@@ -122,11 +124,11 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         on_patrol = patrol_numbers(out, manifest)
         returns = return_numbers(out, manifest)
         tracked = track_numbers(out, manifest)
-        flags, searched = _flags(manifest, scenes, tidy)
+        flags, search_extent = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
-    answered_verdict = _verdict(manifest, scenes, compared, validity)
-    answered_verdict |= _further_verdicts(manifest, on_patrol, returns, families)
+    verdict_parts = _verdict(manifest, scenes, compared, validity)
+    verdict_parts |= _further_verdicts(manifest, on_patrol, returns, families)
     results = Results(
         out=out,
         manifest=manifest,
@@ -149,15 +151,15 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         linkability=links.table,
         galleries=gallery_table,
         speeds=speeds,
-        verdict=answered_verdict,
+        verdict=verdict_parts,
         failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
         conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_gallery(out),
     )
     sentences = [answer.sentence for answer in answers(results)]
-    with_answer = {"answer": sentences, **answered_verdict}
-    return replace(results, verdict=with_answer), searched
+    with_answer = {"answer": sentences, **verdict_parts}
+    return replace(results, verdict=with_answer), search_extent
 
 
 def _whole_summary(
@@ -217,13 +219,13 @@ def _flags(
 
     `tidy` is the run's summary.
     """
-    flagged, searched = weak_attacks.flags(
+    flagged, search_extent = weak_attacks.flags(
         scenes.estimates, slow=weak_attacks.slow_attacks(manifest)
     )
     far = weak_attacks.far_from_optimum(gaps(tidy))
     if len(far):
         flagged = pd.concat([flagged, far], ignore_index=True)
-    return flagged, searched
+    return flagged, search_extent
 
 
 def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:

@@ -191,7 +191,7 @@ def _carry_out(
 
 
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
-    """Return settings with the number of scenes that their precision takes; see docs.
+    """Return settings with the number of scenes that their precision takes.
 
     A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the
     widest interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up
@@ -216,7 +216,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         out=out,
     )
     plan = make_plan(pilot_settings)
-    done = None if settings.fresh else finished_before(plan)
+    done = None if settings.fresh else load_finished(plan)
     pilot = done or run(plan=plan, progress=progress, pictures=False)
     missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
@@ -233,7 +233,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     return settings.changed(utility_scenes=n_scenes, pilot_half_width=half)
 
 
-def finished_before(plan: Plan) -> Results | None:
+def load_finished(plan: Plan) -> Results | None:
     """Return the results of a plan that the same code has finished; else None."""
     try:
         manifest = read_manifest(plan.out)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import RETURNS, Task, task_named
@@ -79,7 +79,7 @@ class Axes:
     """Disclosure policies on patrols."""
     patrol_mechanisms: tuple[Plugin, ...] = ()
     """Mechanisms that patrols are shared with."""
-    follows_informed: bool = True
+    has_informed_log: bool = True
     """Whether an informed adversary reads the logs of patrols, too."""
     why_no_scenes: str = ""
     """Why a run has no scenes: too few tracks are long enough. Empty if it has any."""
@@ -126,12 +126,13 @@ class Axes:
         bound = (Consumer("bound"),) if self.attacks else ()
         return (Consumer("shared"), *robots, *attacks, *bound)
 
-    def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
+    def reads_releases_of(self, consumer: Consumer, mechanism: Plugin) -> bool:
         """Whether a consumer reads the releases of a mechanism."""
         needs_slow_error = False
         if consumer.kind == "attack":
             needs_slow_error = consumer.spec in self.slow_error_attacks
         elif consumer.kind == "bound":
+            # Where no attack runs, a bound has nothing to be compared with.
             needs_slow_error = all(
                 attack.spec in self.slow_error_attacks for attack in self.attacks
             )
@@ -167,7 +168,7 @@ class Axes:
             if plugin.spec in self.utility_predictors
         ]
         adversaries = (
-            LOG_ADVERSARIES if self.follows_informed else _QUICK_LOG_ADVERSARIES
+            LOG_ADVERSARIES if self.has_informed_log else _QUICK_LOG_ADVERSARIES
         )
         logs = [Consumer("log", adversary=name) for name in adversaries]
         consumers = robots if world else robots + logs
@@ -287,8 +288,8 @@ def expand_axes(settings: Settings) -> Axes:
     """
     preset = PRESETS[settings.preset]
     names = _axis_names(settings, preset)
-    further_attacks, slow_error_attacks = _further_attacks(settings, preset)
-    attacks, links = parse_attacks(names["attacks"] + further_attacks)
+    further_attacks = _further_attacks(settings, preset)
+    attacks, links = parse_attacks(names["attacks"] + further_attacks.specs)
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
@@ -323,12 +324,13 @@ def expand_axes(settings: Settings) -> Axes:
         mechanisms_by_world=worlds,
         runs_slow_attacks_in_worlds=settings.preset == "audit",
         slow_error_attacks=frozenset(
-            plugin.spec for plugin in plugins.parse_all("attacks", slow_error_attacks)
+            plugin.spec
+            for plugin in plugins.parse_all("attacks", further_attacks.slow_error_specs)
         ),
         linked_mechanisms_by_world=_linked_mechanisms_by_world(worlds, preset, law=law),
         policies=policies,
         patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
-        follows_informed=preset.follows_informed,
+        has_informed_log=preset.has_informed_log,
         links_returns=RETURNS in tasks,
     )
     _check_adversaries_used(run_axes, settings)
@@ -376,7 +378,9 @@ def _skips_oracle(settings: Settings, preset: Preset) -> bool:
     """Whether the oracle attacks only where no lesser adversary can."""
     if not preset.skips_oracle or ORACLE in settings.adversaries:
         return False
-    return not (preset.named_meet_oracle and settings.choice("attacks").replaces)
+    return not (
+        preset.oracle_meets_named_attacks and settings.choice("attacks").replaces
+    )
 
 
 def _check_policies(policies: Iterable[Plugin], settings: Settings) -> None:
@@ -485,26 +489,28 @@ def _track_mechanisms(
     return _patrolled_mechanisms(settings, preset, mechanisms, includes_named=True)
 
 
-def _further_attacks(
-    settings: Settings, preset: Preset
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the SPECs of attacks beside the named attacks and the preset's own.
+class _FurtherAttacks(NamedTuple):
+    """SPECs of attacks beside the named attacks and the preset's own."""
 
-    The second tuple has those that run only against a slow error. A user who names the
-    attacks of a run gets no others.
-    """
+    specs: tuple[str, ...] = ()
+    slow_error_specs: tuple[str, ...] = ()
+    """Those of them that run only against an error that changes slowly."""
+
+
+def _further_attacks(settings: Settings, preset: Preset) -> _FurtherAttacks:
+    """Return the further attacks; a user who names the attacks of a run gets none."""
     choice = settings.choice("attacks")
     if choice.replaces:
-        return (), ()
+        return _FurtherAttacks()
     # An attack that is named runs against every mechanism.
-    slow_error_attacks = tuple(
+    slow_error_specs = tuple(
         spec for spec in preset.slow_error_attacks if spec not in choice.named
     )
     if not _asked_stronger(settings):
-        return slow_error_attacks, slow_error_attacks
-    return (
-        (*slow_error_attacks, STRONGEST_ON_SLOW_NOISE),
-        tuple(spec for spec in slow_error_attacks if spec != STRONGEST_ON_SLOW_NOISE),
+        return _FurtherAttacks(slow_error_specs, slow_error_specs)
+    return _FurtherAttacks(
+        (*slow_error_specs, STRONGEST_ON_SLOW_NOISE),
+        tuple(spec for spec in slow_error_specs if spec != STRONGEST_ON_SLOW_NOISE),
     )
 
 
@@ -521,8 +527,8 @@ def _mechanisms_by_world(
     A run under `OTHER_LAW` has no other law.
     """
     specs_by_world = {
-        OTHER_LAW_WORLD: preset.other_law,
-        **dict.fromkeys(WORLDS[1:], preset.model),
+        OTHER_LAW_WORLD: preset.other_law_mechanisms,
+        **dict.fromkeys(WORLDS[1:], preset.model_mechanisms),
     }
     return {
         world: tuple(plugin for plugin in mechanisms if plugin.spec in specs)
@@ -540,7 +546,9 @@ def _linked_mechanisms_by_world(
     Only walks of a model with Gaussian errors: else the optimum is not known.
     """
     return {
-        world: tuple(plugin for plugin in levels if plugin.spec in preset.model_linked)
+        world: tuple(
+            plugin for plugin in levels if plugin.spec in preset.model_linked_mechanisms
+        )
         for world, levels in worlds.items()
         if world.is_model and (world.law or law) == OTHER_LAW
     }

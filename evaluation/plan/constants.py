@@ -8,7 +8,7 @@ ORACLE: Final = "oracle"
 IDENTITY = "identity"  # The attack that reproduces the release.
 # Consumer of the descriptors of a linkage task's windows; follows the task's name.
 WINDOWS = "windows"
-# Error law under which the preset's `other_law` is computed as well.
+# Error law under which the preset's `other_law_mechanisms` are computed as well.
 OTHER_LAW: Final = "isotropic"
 BOUND = "bound"  # Consumer of the bounds that no attack can exceed.
 # Scenes of a block. Part of every cell's key, for a change changes the draws.

@@ -49,7 +49,7 @@ class Consumer:
         "tracks",  # The metrics of a tracker's tracks.
         "tracked",  # A robot on patrol that reads tracks, or answers from them.
         "track_log",  # An adversary with the log of a policy's answers from tracks.
-        "track_link",  # A linker of tracks across a rotation of pseudonyms, or a control.
+        "track_link",  # A linker of tracks across new pseudonyms, or a control.
     ]
     plugin: Plugin | None = None
     """Predictor, attack or linker; None for kinds without a plug-in."""

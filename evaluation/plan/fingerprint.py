@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
-# Sections: the parts of the pipeline that compute consumers. A linkage task is a section
-# by its own name.
+# Sections: the parts of the pipeline that compute consumers. A linkage task is a
+# section by its own name.
 SHARING, RECONSTRUCTION = "sharing", "reconstruction"
 PATROL: Final = "patrol"  # Robots on patrol, with all policies.
 RETURNS: Final = "returns"  # People who come back: a task of whole passages.

@@ -113,19 +113,8 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     options = (*_OTHER_READING_OPTIONS, *READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
-    recorded = placed(dataset.tracks, settings=settings.stages)
-    run_axes, passages = _axes_with_passages(run_axes, settings, recorded)
-    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
-    if run_axes.horizons_s:
-        # Horizons for which the recording has too few long tracks are left out.
-        tracks = with_horizons(tracks, recorded, settings=settings.stages)
-        run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
-    identity = _identity(settings, dataset)
-    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
-    skipped = {**run_axes.skipped, **skipped}
-    tasks = {task_sessions.task for task_sessions in sessions}
-    links = tuple((task, link) for task, link in run_axes.links if task in tasks)
-    run_axes = replace(run_axes, links=links, skipped=skipped)
+    fitted = _fit_to_data(run_axes, settings, dataset)
+    run_axes, identity = fitted.axes, _identity(settings, dataset)
     units, code_digests = _units(run_axes, settings, identity=identity)
     jobs = choose_jobs(run_axes, settings)
     in_workers = settings.cell_timeout_s is not None or settings.scheduler is not None
@@ -135,8 +124,8 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     return Plan(
         settings=settings,
         dataset=dataset,
-        recorded=recorded,
-        scene_tracks=tracks,
+        recorded=fitted.recorded,
+        scene_tracks=fitted.scene_tracks,
         axes=run_axes,
         identity=identity,
         code_hash=code_hash(),
@@ -144,10 +133,45 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         out=out if settings.out is None else Path(settings.out),
         units=units,
         code_digests=code_digests,
-        sessions=sessions,
-        model_sessions=_model_sessions(run_axes, settings, sessions, recorded),
-        passages=passages,
+        sessions=fitted.sessions,
+        model_sessions=_model_sessions(
+            run_axes, settings, fitted.sessions, fitted.recorded
+        ),
+        passages=fitted.passages,
     )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _FittedData:
+    """The data of a run as its parts read them, and the axes that the data allow."""
+
+    axes: Axes
+    recorded: Tracks
+    scene_tracks: Cut
+    sessions: tuple[Sessions, ...]
+    passages: Passages | None
+
+
+def _fit_to_data(run_axes: Axes, settings: Settings, dataset: Dataset) -> _FittedData:
+    """Return the data of a run, and its axes without parts of too few people.
+
+    Raises DataError if a user has named such a part.
+    """
+    recorded = placed(dataset.tracks, settings=settings.stages)
+    run_axes, passages = _axes_with_passages(run_axes, settings, recorded)
+    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
+    if run_axes.horizons_s:
+        # Horizons for which the recording has too few long tracks are left out.
+        tracks = with_horizons(tracks, recorded, settings=settings.stages)
+        run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
+    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
+    tasks = {task_sessions.task for task_sessions in sessions}
+    run_axes = replace(
+        run_axes,
+        links=tuple((task, link) for task, link in run_axes.links if task in tasks),
+        skipped={**run_axes.skipped, **skipped},
+    )
+    return _FittedData(run_axes, recorded, tracks, sessions, passages)
 
 
 def _axes_with_passages(
@@ -186,7 +210,10 @@ def _axes_with_passages(
 
 
 def _check_confirming(name: str | None, passages: Passages) -> None:
-    """Raise SettingsError if no session has this name, or the others decide nothing."""
+    """Raise SettingsError if no session has this name.
+
+    DataError if nobody walks in two of the others: these alone decide.
+    """
     if name is None:
         return
     if name not in passages.sessions:
@@ -238,6 +265,7 @@ def _names_scenes(settings: Settings) -> bool:
 
 def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
     """Return how many tracks are long enough, in short; `tracks` is empty."""
+    # None of the long tracks was cut: all of them lack a future.
     n_long, n_recorded = tracks.no_future, tracks.no_future + tracks.too_short
     least_s = settings.stages.resample.min_duration_s
     if n_long >= FEW_PEOPLE:
@@ -449,7 +477,7 @@ def _units(
             level_consumers = {
                 key: consumer
                 for key, consumer in by_section[section].items()
-                if run_axes.meets(consumer, mechanism)
+                if run_axes.reads_releases_of(consumer, mechanism)
             }
             key_parts = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             key_parts += filter(None, [mechanism.digest])

@@ -15,7 +15,12 @@ from helpers.summaries import edit_manifest
 import evaluation
 from evaluation import sensitivity
 from evaluation.plan.plan import make_plan
-from evaluation.plan.variants import BASE, parse, variant_settings, variants
+from evaluation.plan.variants import (
+    BASE,
+    parse_variant,
+    usual_variants,
+    variant_settings,
+)
 from evaluation.reporting.difference_tables import sign_changes
 from evaluation.sensitivity import main
 from evaluation.store.manifest import read_manifest
@@ -138,13 +143,13 @@ class TestNames:
             "predictor=kalman_cv",
             "predictor=least_squares",
         )
-        assert variants() == [parse(name) for name in promised]
-        assert tuple(variant.name for variant in variants()) == promised
+        assert usual_variants() == [parse_variant(name) for name in promised]
+        assert tuple(variant.name for variant in usual_variants()) == promised
 
     @pytest.mark.parametrize("name", ["privacy.epsilon_m = 0.4", "epsilon=0.4"])
     def test_any_setting_makes_a_variant(self, name):
-        assert parse(name).stages == {"privacy.epsilon_m": 0.4}
-        assert parse("scenes.agents=3").stages == {"scenes.agents": 3}
+        assert parse_variant(name).stages == {"privacy.epsilon_m": 0.4}
+        assert parse_variant("scenes.agents=3").stages == {"scenes.agents": 3}
 
     @pytest.mark.parametrize(
         ("name", "said"),
@@ -164,12 +169,12 @@ class TestNames:
     )
     def test_a_wrong_name_says_what_was_meant(self, name, said):
         with pytest.raises((SettingsError, DataError), match=re.escape(said)):
-            parse(name)
+            parse_variant(name)
 
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
         recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
-        names = {variant.name for variant in variants(manifest)}
+        names = {variant.name for variant in usual_variants(manifest)}
         assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
@@ -178,7 +183,7 @@ class TestNames:
             "privacy.epsilon_m": 0.5,
         }
         manifest["settings"]["predictors"] = ["kalman_cv"]
-        names = {variant.name for variant in variants(manifest)}
+        names = {variant.name for variant in usual_variants(manifest)}
         missing = {
             "recording=zara01",
             "law=isotropic",
@@ -188,7 +193,7 @@ class TestNames:
         assert names.isdisjoint(missing)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
-        assert not any(variant.predictor for variant in variants(manifest))
+        assert not any(variant.predictor for variant in usual_variants(manifest))
 
 
 class TestChanges:
@@ -244,7 +249,7 @@ class TestChanges:
 def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
     return variant_settings(
-        parse(name),
+        parse_variant(name),
         manifest=with_paths(
             finished, read_manifest(finished) if manifest is None else manifest
         ),
@@ -262,7 +267,7 @@ class TestSettings:
         ran = read_manifest(finished)["settings"]
         variant, _ = settings(finished, name)
         changed = variant.stages.flat().items() - ran["stages"].items()
-        assert dict(changed) == parse(name).stages
+        assert dict(changed) == parse_variant(name).stages
         assert variant.dataset == settings(finished, BASE)[0].dataset
         assert variant.predictors == ("least_squares",)
         # Of the attacks those that the verdict is about.
@@ -311,7 +316,7 @@ class TestSettings:
         manifest["identity"] = ran.identity
         manifest["dataset"] |= {"path": str(walks), "sha256": ran.dataset.sha256}
         changed, _ = variant_settings(
-            parse(BASE), manifest=manifest, attacks={}, out=tmp_path / "base"
+            parse_variant(BASE), manifest=manifest, attacks={}, out=tmp_path / "base"
         )
         assert make_plan(changed).identity == ran.identity
 

@@ -29,7 +29,9 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
     }
     axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
     axes |= {"predictors": (), "protections": (), "policies": ()}
-    model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
+    model = replace(
+        PRESETS["paper"], utility_scenes=4, model_mechanisms=("fixed:0.5",), **axes
+    )
     monkeypatch.setitem(PRESETS, DEFAULT, model)
     usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model")
     results = run(usual, pictures=False)

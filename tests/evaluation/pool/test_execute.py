@@ -494,7 +494,10 @@ def test_some_levels_are_computed_under_the_other_law_too(
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
     axes |= {"protections": (), "model": (), "stronger_adversaries": (), "policies": ()}
     few = replace(
-        PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes
+        PRESETS["paper"],
+        utility_scenes=4,
+        other_law_mechanisms=("fid:1", "fixed:0.5"),
+        **axes,
     )
     monkeypatch.setitem(PRESETS, DEFAULT, few)
     stages = StageSettings().changed({"conflict.horizons_s": ()})
