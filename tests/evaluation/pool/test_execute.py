@@ -258,8 +258,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         "tasks": (),
     }
     axes |= {
-        "other_law": (),
-        "model": (),
+        "other_law_mechanisms": (),
+        "model_mechanisms": (),
         "protections": (),
         "stronger_adversaries": (),
     }
@@ -492,7 +492,12 @@ def test_some_levels_are_computed_under_the_other_law_too(
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes |= {"protections": (), "model": (), "stronger_adversaries": (), "policies": ()}
+    axes |= {
+        "protections": (),
+        "model_mechanisms": (),
+        "stronger_adversaries": (),
+        "policies": (),
+    }
     few = replace(
         PRESETS["paper"],
         utility_scenes=4,
