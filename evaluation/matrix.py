@@ -14,7 +14,7 @@ from evaluation.plan.settings import (
     OPTIONS,
     USUAL_STAGES,
     Settings,
-    typed_stage_values,
+    parse_stage_values,
 )
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
@@ -201,7 +201,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
     if options.config:
         values = _given_values(_read_config(options.config, stage_values))
     values |= _given_values(options)
-    stage_values |= typed_stage_values(options.set)
+    stage_values |= parse_stage_values(options.set)
     for key in ("fps", "format", "unit", "columns", "crs"):
         if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(

@@ -32,7 +32,7 @@ from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
 from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address
-from evaluation.plan.settings import check_drawing
+from evaluation.plan.environment import check_drawing
 from evaluation.plan.world import World
 from evaluation.pool.workers import run_in_idle_worker
 from evaluation.reporting import page

@@ -18,12 +18,12 @@ from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, expand_axes
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.consumer import Consumer
+from evaluation.plan.environment import check_threads
 from evaluation.plan.presets import PRESETS, STRONGEST_ON_SLOW_NOISE
 from evaluation.plan.settings import (
     READING_OPTIONS,
     TRACK_RELEASE,
     Settings,
-    check_threads,
     patrol_values,
     tracking_values,
 )
