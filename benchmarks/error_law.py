@@ -21,7 +21,7 @@ from evaluation.compute.reconstruction import attacked_block
 from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.summary import scene_numbers
 from evaluation.plan.address import Address, parse_consumer
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.presets import PUBLISHED_LEVELS
 from isac_track import datasets
 from isac_track.config import StageSettings
@@ -85,7 +85,7 @@ def _releases(
         stages=stages,
         seed=seed,
     )
-    for level in axes(settings).mechanisms:
+    for level in expand_axes(settings).mechanisms:
         release = sharing.share(level, sensed, "block", 0, seed=seed).without_sigma()
         yield from ((level, release.tracks(half)) for half in block.halves)
 
@@ -97,7 +97,7 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
         out = Path(folder) / "run"
         manifest = evaluation.run(replace(settings, out=out), pictures=False).manifest
         by_key = scene_numbers(out, manifest).estimates
-    for level in axes(settings).mechanisms:
+    for level in expand_axes(settings).mechanisms:
 
         def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Address:
             measure = parse_consumer(attack, knowledge).measured(EXPOSURE)

@@ -117,7 +117,7 @@ def _spent(plan: Plan) -> dict[str, float]:
         setup_sizes[setup] += size
         stages, seed = plan.settings.stages, plan.settings.seed
         for _, mechanism, consumer, _ in compute_cells(
-            work, tracks=plan.tracks, stages=stages, seed=seed
+            work, tracks=plan.scene_tracks, stages=stages, seed=seed
         ):
             now, name = process_time(), rate_name(consumer)
             if mechanism is work.levels[0][0]:

@@ -60,10 +60,10 @@ def _run(options: argparse.Namespace) -> int:
     if options.attack and options.mechanism:
         raise SettingsError("--attack and --mechanism: first the one, then the other")
     from evaluation.api import (  # noqa: PLC0415 - --help answers at once
-        boarding,
         card_checks,
         card_entries,
     )
+    from evaluation.api.board import write_board  # noqa: PLC0415 - as above
     from evaluation.estimates.cards import world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import gap_line  # noqa: PLC0415 - as above
 
@@ -77,7 +77,7 @@ def _run(options: argparse.Namespace) -> int:
         own = [card for card in cards if world_key(card) == world]
         if line := gap_line(own):
             print(f"{own[0].recording}, {own[0].law}: {line}")
-    print(f"Board: {boarding.write_board(cards, options.out)}")
+    print(f"Board: {write_board(cards, options.out)}")
     return DONE
 
 
@@ -85,20 +85,20 @@ def _attack(
     cards: Sequence["Card"], options: argparse.Namespace, seeds: Sequence["Seed"]
 ) -> list["Card"]:
     """Run new attacks against all cards; return the new cards."""
-    from evaluation.api import boarding  # noqa: PLC0415 - --help answers at once
+    from evaluation.api.board import attack_cards  # noqa: PLC0415 - --help answers at once
     from evaluation.reporting.amounts import counted  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import attack_line  # noqa: PLC0415 - as above
     from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
 
     attacked = []
     for item in counting(
-        boarding.attack_cards(
-            cards, options.attack, folder=options.out / "cards", seeds=seeds
-        ),
+        attack_cards(cards, options.attack, folder=options.out / "cards", seeds=seeds),
         total=len(cards),
         noun="card",
     ):
-        line = attack_line(item.before, item.after, verdict=item.verdict, own=item.own)
+        line = attack_line(
+            item.before, item.after, verdict=item.verdict, own=item.new_scores
+        )
         print(line, flush=True)
         attacked.append(item)
     verdicts = [item.verdict for item in attacked]
@@ -115,7 +115,10 @@ def _join(
     cards: Sequence["Card"], options: argparse.Namespace, seeds: Sequence["Seed"]
 ) -> list["Card"]:
     """Run all attacks against new mechanisms; return all cards, and print places."""
-    from evaluation.api import boarding  # noqa: PLC0415 - --help answers at once
+    from evaluation.api.board import (  # noqa: PLC0415 - --help answers at once
+        join_mechanisms,
+        n_joined,
+    )
     from evaluation.estimates.cards import places, world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import card_line, place_line  # noqa: PLC0415 - as above
     from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
@@ -123,14 +126,14 @@ def _join(
     policies = options.policy or ["everything"]
     joined: dict[str, Card] = {}
     for card in counting(
-        boarding.join_mechanisms(
+        join_mechanisms(
             cards,
             options.mechanism,
             policies,
             folder=options.out / "cards",
             seeds=seeds,
         ),
-        total=boarding.n_joined(cards, options.mechanism, policies),
+        total=n_joined(cards, options.mechanism, policies),
         noun="card",
     ):
         print(card_line(card), flush=True)

@@ -87,7 +87,7 @@ def _verify(options: argparse.Namespace) -> int:
     seed = None if options.seed is None else card_entries.Seed(options.seed)
     if options.secret_seed is not None:
         seed = card_entries.read_secret_seed(options.secret_seed)
-    answer = card_checks.verify(card, seed=seed)
+    answer = card_checks.verify_card(card, seed=seed)
     print(f"{card.label}: {_VERDICTS[answer.verdict]}: {answer.reason}")
     return DONE if answer.is_confirmed else LIMIT_NOT_MET
 
@@ -96,7 +96,7 @@ def _make(options: argparse.Namespace) -> int:
     """Make the cards of a run, of named mechanisms, or of the protocol."""
     from evaluation.api import (  # noqa: PLC0415 - --help answers at once
         card_entries,
-        carding,
+        card_maker,
     )
     from evaluation.plan.protocol import read_protocol  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import card_line  # noqa: PLC0415 - as above
@@ -123,9 +123,9 @@ def _make(options: argparse.Namespace) -> int:
         entries = card_entries.protocol_entries(recordings, laws, protocol=protocol)
     if options.secret_seed is not None:
         seed = card_entries.read_secret_seed(options.secret_seed)
-    maker = carding.Maker(seed, parse_all("attacks", options.attack))
+    maker = card_maker.CardMaker(seed, parse_all("attacks", options.attack))
     maker.check(entries)
-    for card, path in carding.make_cards(maker, entries, folder=folder):
+    for card, path in card_maker.make_cards(maker, entries, folder=folder):
         print(f"{card_line(card)}: {path}", flush=True)
     return DONE
 

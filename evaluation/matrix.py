@@ -14,7 +14,7 @@ from evaluation.plan.settings import (
     OPTIONS,
     USUAL_STAGES,
     Settings,
-    typed_stage_values,
+    parse_stage_values,
 )
 from evaluation.reporting import announcements, listing
 from evaluation.reporting.notices import notices
@@ -201,7 +201,7 @@ def settings_from(options: argparse.Namespace) -> Settings:
     if options.config:
         values = _given_values(_read_config(options.config, stage_values))
     values |= _given_values(options)
-    stage_values |= typed_stage_values(options.set)
+    stage_values |= parse_stage_values(options.set)
     for key in ("fps", "format", "unit", "columns", "crs"):
         if key in values and not values.keys() & {"dataset", "session"}:
             raise SettingsError(
@@ -348,16 +348,11 @@ def _rehearse(plan: "Plan") -> list[str]:
 
 def _n_workers(settings: Settings) -> int:
     """Return the number of workers of a run, which start while it is planned."""
-    from evaluation.plan.axes import (  # noqa: PLC0415 - as said
-        axes,
-        choose_jobs,
-        most_workers,
-    )
-    from evaluation.plan.fingerprint import (  # noqa: PLC0415 - as said
-        has_user_plugins,
-    )
+    from evaluation.plan.axes import expand_axes  # noqa: PLC0415 - as said
+    from evaluation.plan.fingerprint import has_user_plugins  # noqa: PLC0415 - as said
+    from evaluation.plan.workers import choose_jobs, most_workers  # noqa: PLC0415 - as said
 
-    run_axes = axes(settings)
+    run_axes = expand_axes(settings)
     jobs = min(choose_jobs(run_axes, settings), most_workers(run_axes, settings))
     has_users = has_user_plugins(run_axes)
     is_needed = jobs > 1 or has_users or settings.cell_timeout_s is not None

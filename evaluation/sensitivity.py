@@ -14,7 +14,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.plan.variants import BASE, Variant, chosen, variant_settings
+from evaluation.plan.variants import (
+    BASE,
+    Variant,
+    choose_variants,
+    variant_settings,
+)
 from isac_track.command_line import (
     DONE,
     FAILED_CELLS,
@@ -88,12 +93,14 @@ def _command(options: Namespace) -> int:
         manifest = with_paths(options.out, read_manifest(options.out))
     elif not options.list:
         raise SettingsError("name the folder of a finished run (see --help)")
-    variants = chosen(options.variant, also=options.set, manifest=manifest)
+    variants = choose_variants(
+        options.variant, stage_values=options.set, manifest=manifest
+    )
     if manifest is not None and not options.list:
         return _run(options, variants, manifest)
     width = max(len(variant.name) for variant in variants)
     for variant in variants:
-        print(f"{variant.name:<{width}}  {variant.about}")
+        print(f"{variant.name:<{width}}  {variant.description}")
     return DONE
 
 

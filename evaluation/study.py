@@ -13,7 +13,7 @@ from operator import attrgetter
 from pathlib import Path
 
 from evaluation.plan.presets import DEFAULT, PRESETS
-from evaluation.plan.settings import Settings, typed_stage_values
+from evaluation.plan.settings import READING_OPTIONS, Settings, parse_stage_values
 from isac_track.command_line import DONE, FAILED_CELLS, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
@@ -88,10 +88,10 @@ def _study(options: argparse.Namespace) -> int:
         name: getattr(options, name)
         for name in ("preset", "jobs", "executor", "scheduler")
     }
-    for name in ("columns", "on_duplicate", "crs", "drop_frozen"):
+    for name in READING_OPTIONS:
         if getattr(options, name) is not None:
             same[name] = getattr(options, name)
-    changed = typed_stage_values(options.set)
+    changed = parse_stage_values(options.set)
     if _LAW in changed:
         raise SettingsError(f"--set {_LAW}: the laws of a study are named by --law")
     asked = []

@@ -21,8 +21,8 @@ from evaluation.compute.work import Block, Levels, compute_cells
 from evaluation.estimates import paper
 from evaluation.estimates.paper import PREDICTOR, PUBLISHED
 from evaluation.estimates.summary import ratios
-from evaluation.plan.axes import Consumer
 from evaluation.plan.constants import BLOCK_SCENES
+from evaluation.plan.consumer import Consumer
 from isac_track import plugins, privacy, sensing, sharing
 from isac_track.config import PrivacySettings, SensingSettings, StageSettings
 from isac_track.errors import DataError

@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 import evaluation
-from evaluation.api.estimated import link_estimates
+from evaluation.api.run_estimates import link_estimates
 from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, entry_families
 from evaluation.estimates.frontier import Quantity, frontier_quantities

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from evaluation.api.card_entries import Seed, card_entry
-from evaluation.api.carding import Maker, card_plugin
+from evaluation.api.card_maker import CardMaker, card_plugin
 from evaluation.estimates.cards import (
     Agreement,
     agreement,
@@ -56,7 +56,7 @@ def load_cards(
     return cards
 
 
-def verify(
+def verify_card(
     card: Card, *, seed: Seed | None = None, protocol: Protocol | None = None
 ) -> Agreement:
     """Compute a card again, and return whether it is the same.
@@ -81,7 +81,7 @@ def verify(
     extra = [
         attack.spec for attack in card.attacks if attack.spec not in protocol.attacks
     ]
-    maker = Maker(seed, parse_all("attacks", extra), protocol)
+    maker = CardMaker(seed, parse_all("attacks", extra), protocol)
     entry = card_entry(card)
     _refuse_other_plugins(card, [entry.mechanism, entry.policy, *maker.attacks])
     return agreement(card, maker.card(entry), protocol)

@@ -52,7 +52,7 @@ def read_secret_seed(path: Path) -> Seed:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CardEntry:
     """What a card is of: a recording under a law, a mechanism, and a policy."""
 
     recording: str
@@ -66,12 +66,12 @@ def cross_entries(
     laws: Iterable[str],
     mechanisms: Sequence[str],
     policies: Sequence[str],
-) -> list[Entry]:
+) -> list[CardEntry]:
     """Return an entry for each combination; a sweep is an entry for each level."""
     shared = parse_all("mechanisms", mechanisms)
     answering = parse_all("policies", policies)
     return [
-        Entry(recording, law, mechanism, policy)
+        CardEntry(recording, law, mechanism, policy)
         for recording in dict.fromkeys(recordings)
         for law in dict.fromkeys(laws)
         for mechanism in shared
@@ -81,7 +81,7 @@ def cross_entries(
 
 def protocol_entries(
     recordings: Sequence[str], laws: Sequence[str], *, protocol: Protocol
-) -> list[Entry]:
+) -> list[CardEntry]:
     """Return the entries that the protocol names.
 
     They are all its mechanisms with `everything`, and raw with all its policies.
@@ -91,7 +91,7 @@ def protocol_entries(
     return list(dict.fromkeys(entries))
 
 
-def run_entries(out: Path, *, protocol: Protocol) -> tuple[list[Entry], int]:
+def run_entries(out: Path, *, protocol: Protocol) -> tuple[list[CardEntry], int]:
     """Return the entries of a finished run, and its seed.
 
     DataError if its recording is not the protocol's.
@@ -114,8 +114,8 @@ def run_entries(out: Path, *, protocol: Protocol) -> tuple[list[Entry], int]:
     return entries, int(settings["seed"])
 
 
-def card_entry(card: Card) -> Entry:
+def card_entry(card: Card) -> CardEntry:
     """Return the entry of a card, with the plug-ins of this machine."""
     (mechanism,) = parse("mechanisms", card.mechanism.spec)
     (policy,) = parse("policies", card.policy.spec)
-    return Entry(card.recording, card.law, mechanism, policy)
+    return CardEntry(card.recording, card.law, mechanism, policy)

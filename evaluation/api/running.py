@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from evaluation.api.rebuilding import build, limit_threads
+from evaluation.api.run_results import build, limit_threads
 from evaluation.api.stronger import try_stronger
 from evaluation.plan.constants import BLOCK_SCENES, MOST_SCENES
 from evaluation.plan.plan import Plan, make_plan
@@ -133,7 +133,7 @@ def run(
     progress : bool or callable
         Whether to show the data and the progress of the run, or a function of cells
         finished, cells to do, and the cell under way.
-    ready : Plan, optional
+    plan : Plan, optional
         A plan of `evaluation.plan.plan.make_plan`, instead of all settings.
     pictures : bool
         Whether to draw figures and `report.html`; `evaluation.report` draws them later.
@@ -191,7 +191,7 @@ def _carry_out(
 
 
 def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> Settings:
-    """Return settings with the number of scenes that their precision takes; see docs.
+    """Return settings with the number of scenes that their precision takes.
 
     A pilot of 250 scenes, in a folder beside the run's, shows the half-width h of the
     widest interval of a missed-conflict rate: 250 (h / precision)^2 scenes, rounded up
@@ -216,7 +216,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         out=out,
     )
     plan = make_plan(pilot_settings)
-    done = None if settings.fresh else finished_before(plan)
+    done = None if settings.fresh else load_finished(plan)
     pilot = done or run(plan=plan, progress=progress, pictures=False)
     missed = pilot.measured[pilot.measured["metric"] == "missed_conflict_rate"]
     half = float((missed["ci_high"] - missed["ci_low"]).max()) / 2.0
@@ -233,12 +233,12 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     return settings.changed(utility_scenes=n_scenes, pilot_half_width=half)
 
 
-def finished_before(plan: Plan) -> Results | None:
+def load_finished(plan: Plan) -> Results | None:
     """Return the results of a plan that the same code has finished; else None."""
     try:
         manifest = read_manifest(plan.out)
         is_same = (
-            manifest["identity"] == plan.identity and manifest["code"] == plan.code
+            manifest["identity"] == plan.identity and manifest["code"] == plan.code_hash
         )
         is_finished = manifest.get("state") == "finished"
         if is_same and is_finished and not manifest.get("failed"):

@@ -4,12 +4,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evaluation.api.estimated import level_table, link_estimates, scene_estimates
+from evaluation.api.run_estimates import level_table, link_estimates, scene_estimates
 from evaluation.estimates.families import CLEAN, RAW, entry_families
 from evaluation.estimates.strongest_table import strongest_on_each
-from evaluation.plan.address import Address
-from evaluation.plan.fingerprint import changed_modules
+from evaluation.plan.address import Address, Where
 from evaluation.plan.plan import Plan, plan_stronger
+from evaluation.plan.source_digest import changed_modules
 from evaluation.pool.execute import execute_stronger
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import read_manifest, write_manifest
@@ -65,7 +65,7 @@ def _proposal_entries(entries: Sequence[Entry]) -> list[Entry]:
     return [entry for entry in entries if is_wanted(entry.address)]
 
 
-def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Any]:
+def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Where]:
     """Return mechanism and level of each level that would be proposed now."""
     families = entry_families(manifest["cells"])
     scenes, links = scene_estimates(out, manifest), link_estimates(out, manifest)

@@ -24,7 +24,7 @@ from isac_track.scenes import robot_positions
 from isac_track.types import Floats, Prediction, Reconstruction, Release, Scenes
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import ConflictSettings, StageSettings
     from isac_track.plugins import Plugin
 

@@ -22,7 +22,7 @@ from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Windows
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
 

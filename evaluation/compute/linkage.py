@@ -43,7 +43,7 @@ from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Sessions
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
 

@@ -13,7 +13,7 @@ from evaluation.compute.current_cell import note_cell
 from isac_track.kalman.slow_errors import added_error
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
 COMPILING, COMPILED, LOADED = "compiling", "compiled", "loaded"

@@ -50,7 +50,7 @@ from predictors.kalman import KalmanCV
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.patrols import Patrol
     from isac_track.patrols.utility import Foreseen

@@ -35,7 +35,7 @@ from isac_track.sensing import sense_scenes
 from isac_track.types import Ints, Tracks
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
     from isac_track.scenes import Cut

@@ -24,7 +24,7 @@ from isac_track.tracking.methods import REFERENCE_TYPES
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
     from evaluation.compute.tracking_setup import SeedRelease, TrackingSetup
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
     from isac_track.types import Bools, Ints
 

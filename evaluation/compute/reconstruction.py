@@ -33,7 +33,7 @@ from isac_track.scenes import Cut, make_scenes
 from isac_track.types import Floats, Ints, Knowledge, Release, Scenes, Sensed
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from attacks.tasks.track_handover import TrackHandover
     from evaluation.compute.tables import Rows
     from evaluation.compute.tracking_setup import SeedRelease, TrackingSetup
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
     from isac_track.types import Floats
 

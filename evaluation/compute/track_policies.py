@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         SeedRelease,
         TrackingSetup,
     )
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.patrols.answers import Disclosure
     from isac_track.plugins import Plugin
     from isac_track.tracking.answers import TrackNetwork

@@ -34,7 +34,7 @@ from isac_track.tracking.utility import Foresight, foresee_from_tracks
 
 if TYPE_CHECKING:
     from evaluation.compute.tables import Rows
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.plugins import Plugin
     from isac_track.tracking.sharing import SharedTracks

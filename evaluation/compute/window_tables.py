@@ -32,7 +32,7 @@ from isac_track.types import Floats, derived, lengths
 
 if TYPE_CHECKING:
     from attacks.tasks.sessions import Windows
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
 
 
 # Columns of the rows of a cell of windows.

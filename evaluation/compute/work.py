@@ -40,7 +40,7 @@ from isac_track.types import Ints, Knowledge, Scenes, Sensed, Tracks
 if TYPE_CHECKING:
     from attacks.tasks.returns import Passages
     from attacks.tasks.sessions import Sessions
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.model_world import Motion
     from isac_track.plugins import Plugin

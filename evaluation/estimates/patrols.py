@@ -30,8 +30,8 @@ from evaluation.compute.patrol_rows import (
 )
 from evaluation.compute.tables import ROWS
 from evaluation.estimates.metrics import KNOWN_SHARE, METRICS, WITHHELD
-from evaluation.plan.axes import PATROL_KINDS
 from evaluation.plan.constants import ORACLE, SHARED
+from evaluation.plan.consumer import PATROL_KINDS
 from evaluation.store.cell_files import read_rows
 from isac_track.patrols.metrics import estimate_utility, knowledge_metrics
 

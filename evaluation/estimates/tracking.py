@@ -42,8 +42,8 @@ from evaluation.estimates.metrics import (
     SUCCESS,
 )
 from evaluation.estimates.patrols import PatrolNumber
-from evaluation.plan.axes import LOG, TRACK_KINDS
 from evaluation.plan.constants import ORACLE, SHARED
+from evaluation.plan.consumer import LOG, TRACK_KINDS
 from evaluation.store.cell_files import read_rows
 from isac_track.tracking.blocks import (
     block_hota,

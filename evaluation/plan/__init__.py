@@ -1,1 +1,30 @@
-"""The plan of a run: presets, settings, axes; no module here computes anything."""
+"""The plan of a run: presets, settings, axes; no module here computes anything.
+
+The nouns of plan, pool and store:
+
+Level
+    A mechanism with its parameters, such as ``fid:1``. Everything is computed level by
+    level.
+Consumer
+    A reader of releases: a robot's predictor, an adversary's attack or linker, or the
+    plain descriptors (`consumer.Consumer`). Its kind says which of these it is.
+World
+    The walks, the error law and the horizon that a number belongs to; by default the
+    run's own (`world.World`). A consumer belongs to a single world.
+Section
+    The part of the pipeline that computes a consumer: sharing, reconstruction, patrol,
+    returns, tracking, or a linkage task by its own name (`fingerprint`). It decides
+    which source files the key of a cell covers.
+Cell
+    One consumer at one level, in one block of scenes or one task. It is the smallest
+    part of a run that is finished, fails or is stored by itself.
+Unit
+    The cells of one level, section and world, in one block of scenes or one task
+    (`plan.Unit`). They share a key; each consumer adds a key of its own.
+Work
+    What a worker computes at a time: missing cells that share their scenes, people or
+    patrols (`evaluation.compute.work`). It may have the cells of several units.
+Piece
+    A part of the missing cells of a block or a task, where these are cut into several
+    works for an even load (`evaluation.pool.pieces`).
+"""

@@ -18,7 +18,7 @@ from evaluation.plan.constants import SHARED, TRACK_RELEASES
 from evaluation.plan.world import OWN_WORLD, World, parse_world
 
 _CONTROL: Final = "control-"
-_JOINT: Final = "rank1_assigned"
+_JOINT: Final = "rank1_assigned"  # Mates assigned one to one; people read "joint".
 _ANSWERED_BY: Final = ",policy="  # Between a release of tracks and its policy.
 _NOISE_BEFORE: Final = ",noise=before"  # After the tracker of such a release.
 _UNDER: Final = " under "  # Between consumer and policy.
@@ -34,12 +34,12 @@ class Where(NamedTuple):
     level: float | None = None  # None: the mechanism has none.
 
 
-class _KnownHash:
-    """Slot for the cached hash.
+class _CachedHash:
+    """A slot for the cached hash of an address.
 
-    A base class, so that dataclass fields, copies and pickles do not include it. The
-    hash is cached at the first call, for the life of the address: a report asks half a
-    million times.
+    It is a base class, so that dataclass fields, copies and pickles do not include it.
+    The hash is cached at the first call, for the life of the address: a report asks
+    half a million times.
     """
 
     __slots__ = ("_hash",)
@@ -47,7 +47,7 @@ class _KnownHash:
 
 
 @dataclass(frozen=True, slots=True)
-class Address(_KnownHash):
+class Address(_CachedHash):
     """Where a number of a study belongs; a part that is not needed is left out.
 
     All numbers of a table or a mapping may share a part: then it is left out there.
@@ -115,7 +115,10 @@ class Address(_KnownHash):
 
     @property
     def label(self) -> str:
-        """Text for people: the consumer, the adversary, and whether mates are joint."""
+        """Text for people: the consumer, the adversary, and whether mates are joint.
+
+        The files of a run have the `cell_label`, with policy and world.
+        """
         name = self.consumer
         if self.adversary:
             name = f"{name} ({self.adversary})"
@@ -141,7 +144,7 @@ class Address(_KnownHash):
 
     @property
     def source(self) -> Address:
-        """The consumer and its adversary alone: the origin of positions, or a linker."""
+        """The reader of a release alone: consumer and adversary, no level, no metric."""
         return _measure(self.task, self.plugin, self.reconstruction, self.adversary, "")
 
     @property
@@ -157,7 +160,13 @@ class Address(_KnownHash):
         *,
         adding: str = "",
     ) -> Address:
-        """Return the same at a level of a mechanism, by its own metric or another."""
+        """Return the same at a level of a mechanism, by its own metric or another.
+
+        All other parts stay but the adding rule, which follows from the mechanism: it
+        is `adding`.
+        """
+        # Not `replace`, here and below: it takes three times as long, and a report asks
+        # for thousands.
         return Address(
             recording=self.recording,
             world=self.world,
@@ -174,7 +183,6 @@ class Address(_KnownHash):
 
     def measured(self, metric: str) -> Address:
         """Return the same by another metric."""
-        # Not `replace`, which takes three times as long: a report asks for thousands.
         return Address(
             recording=self.recording,
             world=self.world,
@@ -243,12 +251,15 @@ class PolicyParts(NamedTuple):
     policy: str  # SPEC of the disclosure policy.
 
 
-def track_release_text(form: str, tracker: str, *, has_noise_before: bool) -> str:
+def track_release_text(
+    release_kind: str, tracker: str, *, has_noise_before: bool
+) -> str:
     """Return the text of a release of tracks: `RELEASE:TRACKER`, as `tracks:gnn`.
 
-    `form` is of `TRACK_RELEASES`, and `tracker` a SPEC. Noise may act before tracking.
+    `release_kind` is of `TRACK_RELEASES`, and `tracker` a SPEC. Noise may act before
+    tracking.
     """
-    text = f"{form}:{tracker}"
+    text = f"{release_kind}:{tracker}"
     return f"{text}{_NOISE_BEFORE}" if has_noise_before else text
 
 
@@ -290,9 +301,9 @@ def plugin_name(spec: str) -> str:
 @lru_cache(maxsize=4096)
 def parse_consumer(consumer: str, adversary: str = "") -> Address:
     """Return the address of the columns `consumer` and `knowledge`."""
-    task, is_linked, attack = consumer.partition("/")
+    task, separator, attack = consumer.partition("/")
     # A parameter may have a slash.
-    if not is_linked or ":" in task:
+    if not separator or ":" in task:
         task, attack = "", consumer
     plugin, _, reconstruction = attack.partition("@")
     return Address(

@@ -1,28 +1,17 @@
 """What a run crosses: the levels and consumers that its settings expand to."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, Literal
+from typing import Any, Final, NamedTuple
 
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.task_list import FUSED, RETURNS, Task, task_named
-from evaluation.plan.address import (
-    Address,
-    control_name,
-    policy_text,
-    track_release_text,
-)
-from evaluation.plan.constants import (
-    BLOCK_SCENES,
-    BOUND,
-    ORACLE,
-    OTHER_LAW,
-    WINDOWS,
-)
+from attacks.tasks.task_list import RETURNS, Task, task_named
+from evaluation.plan.address import track_release_text
+from evaluation.plan.constants import ORACLE, OTHER_LAW
+from evaluation.plan.consumer import Consumer, windows_consumer
+from evaluation.plan.linkers import assign_links, granted_knowledge, parse_attacks
 from evaluation.plan.presets import (
     PRESETS,
-    SHARED,
     STRONGEST_ON_SLOW_NOISE,
     UTILITY_PREDICTORS,
     Preset,
@@ -37,157 +26,17 @@ from isac_track.plugins import Plugin
 from isac_track.policies.query import check_reach
 from isac_track.policies.samples import Ahead
 from isac_track.policies.summaries import State
-from isac_track.protocols import USUAL, attack_kind, grants, links_same_stretch
+from isac_track.protocols import USUAL, grants
 from isac_track.types import Knowledge
 
-MOST_DEFAULT_JOBS: Final = 8  # Unless more are asked for: each takes a few hundred MB.
-# Scenes times levels: fewer take less time than workers to start.
-WORTH_WORKERS: Final = 5000
-WORTH_WORKERS_LINKED: Final = 400  # Linkage cells: the same.
-FUSION: Final = "fusion"  # Of all linkers of people who come back.
-LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
-TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
-PERFECT: Final = "oracle"  # Tracker that knows who is behind each detection.
-PATROL_KINDS: Final = ("patrol", "log")  # Kinds of consumer that read answers.
-TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")
-"""Kinds of consumer that read tracks, or what a policy answers from them."""
-_NAMES: Final = {
-    "shared": SHARED,
-    "windows": WINDOWS,
-    "bound": BOUND,
-    "link_bound": BOUND,
-    "log": LOG,
-    "track_log": LOG,
-    "returns": FUSION,
-    "tracks": TRACKER,
-}
-"""Names of consumers without a plug-in, by kind."""
-HANDOVER: Final = "handover"  # Family of the tasks in which tracks are linked.
-_FEWER_LOGS: Final = ("blind", ORACLE)
+ORACLE_TRACKER: Final = "oracle"
+"""Tracker that knows who is behind each detection."""
+HANDOVER: Final = "handover"
+"""Family of the tasks in which tracks are linked."""
 LOG_ADVERSARIES: Final = ("blind", "informed", ORACLE)
 """Adversaries with a log: the informed knows routes and policy, the oracle knows
 which answers are about the same person."""
-
-
-@dataclass(frozen=True, slots=True)
-class Consumer:
-    """A reader of a release: a predictor, an adversary, or the plain descriptors."""
-
-    kind: Literal[
-        "shared",
-        "predictor",
-        "attack",
-        "bound",
-        "linkage",
-        "link_bound",
-        "control",
-        "windows",
-        "patrol",
-        "log",
-        "returns",
-        "tracks",
-        "tracked",
-        "track_log",
-        "track_link",
-    ]
-    plugin: Plugin | None = None
-    # The adversary in the name of the row: blind, informed or oracle.
-    adversary: str = ""
-    granted: frozenset[Knowledge] = frozenset()
-    # Of a linkage attack, a control, or the descriptors of windows.
-    task: str = ""
-    # The attack whose positions a linkage attack reads.
-    reconstruction: Plugin | None = None
-    control: str = ""
-    world: World = OWN_WORLD
-    # Tracker of the tracks that it reads, by the SPEC of their release.
-    track_release: Plugin | None = None
-    # What answers to a robot on patrol, or to a log, disclose. None beside a release of
-    # tracks: all tracks.
-    policy: Plugin | None = None
-
-    @property
-    def plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-in, the reconstruction in front of that, its tracker and policy."""
-        own = (*self._reading_plugins, self.track_release, self.policy)
-        return tuple(plugin for plugin in own if plugin is not None)
-
-    @property
-    def _reading_plugins(self) -> tuple[Plugin, ...]:
-        """Its plug-ins that read a release."""
-        own = (self.plugin, self.reconstruction)
-        return tuple(plugin for plugin in own if plugin is not None)
-
-    @property
-    def spec(self) -> str:
-        """As in the column `consumer`."""
-        return self.address.consumer
-
-    @property
-    def address(self) -> Address:
-        """Where its numbers belong, at every level."""
-        reconstruction = None
-        if self.control:
-            name = control_name(self.control)
-        elif self.plugin is not None:
-            name, reconstruction = self.plugin.spec, self.reconstruction
-        else:
-            name = _NAMES[self.kind]
-        return Address(
-            world=self.world,
-            policy=policy_text(
-                track_release=self.track_release.spec if self.track_release else "",
-                policy=self.policy.spec if self.policy else "",
-            ),
-            task=self.task,
-            plugin=name,
-            reconstruction=reconstruction.spec if reconstruction else "",
-            adversary=self.adversary,
-        )
-
-    @property
-    def requires(self) -> frozenset[Knowledge]:
-        """Knowledge that any of its plug-ins cannot run without."""
-        needs = (plugin.instance.requires for plugin in self._reading_plugins)
-        return frozenset().union(*needs)
-
-    @property
-    def uses(self) -> frozenset[Knowledge]:
-        """Knowledge that any of its plug-ins takes if granted."""
-        uses = [plugin.instance.uses for plugin in self._reading_plugins]
-        return frozenset().union(*uses)
-
-    @property
-    def reads_patrols(self) -> bool:
-        """Whether it reads patrols: answers of a policy, or tracks of detections."""
-        return self.track_release is not None or self.policy is not None
-
-    @property
-    def reads_tracks(self) -> bool:
-        """Whether it reads tracks of detections."""
-        return self.kind in TRACK_KINDS
-
-    @property
-    def is_slow(self) -> bool:
-        """Whether it runs on the first release of each source track only."""
-        return self.plugin is not None and bool(
-            getattr(self.plugin.instance, "slow", False)
-        )
-
-    @property
-    def is_built_in(self) -> bool:
-        """Whether an attack is one of the project's own."""
-        return self.plugin is not None and self.plugin.origin.startswith("attacks.")
-
-    @property
-    def kind_in_files(self) -> str:
-        """As in a manifest, where the optimum of a linkage task is a linkage cell."""
-        return "linkage" if self.kind == "link_bound" else self.kind
-
-    @property
-    def label(self) -> str:
-        """Name for people: with the adversary, and the world if it is not the run's."""
-        return self.address.cell_label
+_QUICK_LOG_ADVERSARIES: Final = ("blind", ORACLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,44 +45,56 @@ class Axes:
 
     mechanisms: tuple[Plugin, ...]
     predictors: tuple[Plugin, ...]
-    attacks: tuple[Plugin, ...]  # Reconstruction attacks.
-    # Linkers by task; `task_consumers` adds the adversaries.
+    attacks: tuple[Plugin, ...]
+    """Reconstruction attacks."""
     links: tuple[tuple[Task, Consumer], ...] = ()
-    # A mechanism without any error: every linkage attack must succeed.
+    """Linkers by task; `task_consumers` adds the adversaries."""
     ceiling: Plugin | None = None
-    # Tasks of too few people, with the reasons.
+    """A mechanism without any error: every linkage attack must succeed."""
     skipped: Mapping[str, str] = field(default_factory=dict)
-    # SPECs of predictors that are read in all scenes.
-    utility: frozenset[str] = frozenset()
-    worlds: Mapping[World, tuple[Plugin, ...]] = field(default_factory=dict)
+    """Linkage that is left out, with the reasons: by task, or by people of a task."""
+    utility_predictors: frozenset[str] = frozenset()
+    """SPECs of predictors that are read in all scenes."""
+    mechanisms_by_world: Mapping[World, tuple[Plugin, ...]] = field(
+        default_factory=dict
+    )
     """Mechanisms whose scenes are attacked in others of `WORLDS`, too."""
-    slow_in_worlds: bool = False
-    linked_in: Mapping[World, tuple[Plugin, ...]] = field(default_factory=dict)
+    runs_slow_attacks_in_worlds: bool = False
+    """Whether attacks that take long run in these worlds, too."""
+    linked_mechanisms_by_world: Mapping[World, tuple[Plugin, ...]] = field(
+        default_factory=dict
+    )
     """The worlds where people are linked, and the mechanisms there."""
     horizons_s: tuple[float, ...] = ()
     """Further horizons, a world each, where predictors alone read, in all scenes."""
-    adversaries: tuple[str, ...] = ()  # Beside the usual adversaries.
-    only_stronger: bool = False
+    adversaries: tuple[str, ...] = ()
+    """Adversaries beside the usual adversaries."""
+    has_only_stronger: bool = False
     """Whether only `adversaries` read: on a few levels, after all others."""
-    against_slow: frozenset[str] = frozenset()
+    slow_error_attacks: frozenset[str] = frozenset()
     """SPECs of attacks that run only against mechanisms whose error changes slowly."""
     skips_oracle: bool = False
     """Whether the oracle attacks only where no lesser adversary can."""
-    policies: tuple[Plugin, ...] = ()  # Disclosure policies on patrols.
+    policies: tuple[Plugin, ...] = ()
+    """Disclosure policies on patrols."""
     patrol_mechanisms: tuple[Plugin, ...] = ()
     """Mechanisms that patrols are shared with."""
-    follows_informed: bool = True
+    has_informed_log: bool = True
     """Whether an informed adversary reads the logs of patrols, too."""
-    no_scenes: str = ""  # Why a run has none: too few tracks are long enough.
+    why_no_scenes: str = ""
+    """Why a run has no scenes: too few tracks are long enough. Empty if it has any."""
     links_returns: bool = False
     """Whether people who come back are linked, wherever a recording has any."""
     track_releases: tuple[Plugin, ...] = ()
     """Trackers of a network's detections; the SPEC is that of the release."""
-    tracked: tuple[Plugin, ...] = ()  # Mechanisms of these releases.
-    track_policies: tuple[Plugin, ...] = ()  # Policies that answer from tracks, too.
-    track_tasks: tuple[str, ...] = ()  # Tasks in which tracks are linked, too.
+    track_mechanisms: tuple[Plugin, ...] = ()
+    """Mechanisms of these releases."""
+    track_policies: tuple[Plugin, ...] = ()
+    """Policies that answer from tracks, too."""
+    track_tasks: tuple[str, ...] = ()
+    """Tasks in which tracks are linked, too."""
 
-    def _attacking(
+    def _adversaries_that_attack(
         self, granted: Mapping[str, frozenset[Knowledge]]
     ) -> list[tuple[str, frozenset[Knowledge]]]:
         """Return the adversaries that an attack runs for, with what each is granted.
@@ -254,35 +115,36 @@ class Axes:
         attacks = tuple(
             Consumer("attack", plugin, adversary=adversary, granted=granted)
             for plugin in self.attacks
-            for adversary, granted in self._attacking(
+            for adversary, granted in self._adversaries_that_attack(
                 grants(plugin.instance, asked=self.adversaries)
             )
-            if not self.only_stronger or adversary in self.adversaries
+            if not self.has_only_stronger or adversary in self.adversaries
         )
-        if self.only_stronger or self.no_scenes:
+        if self.has_only_stronger or self.why_no_scenes:
             return attacks
         robots = tuple(Consumer("predictor", plugin) for plugin in self.predictors)
         bound = (Consumer("bound"),) if self.attacks else ()
         return (Consumer("shared"), *robots, *attacks, *bound)
 
-    def meets(self, consumer: Consumer, mechanism: Plugin) -> bool:
+    def reads_releases_of(self, consumer: Consumer, mechanism: Plugin) -> bool:
         """Whether a consumer reads the releases of a mechanism."""
-        needs_slow = False
+        needs_slow_error = False
         if consumer.kind == "attack":
-            needs_slow = consumer.spec in self.against_slow
+            needs_slow_error = consumer.spec in self.slow_error_attacks
         elif consumer.kind == "bound":
-            needs_slow = all(
-                attack.spec in self.against_slow for attack in self.attacks
+            # Where no attack runs, a bound has nothing to be compared with.
+            needs_slow_error = all(
+                attack.spec in self.slow_error_attacks for attack in self.attacks
             )
         std_m, tau_s = added_error(mechanism.instance)
-        return not needs_slow or (std_m > 0.0 and tau_s > 0.0)
+        return not needs_slow_error or (std_m > 0.0 and tau_s > 0.0)
 
     def consumers_in(self, world: World) -> tuple[Consumer, ...]:
         """Return the consumers in another world: no robot predicts a model's walks."""
         return tuple(
             replace(consumer, world=world)
             for consumer in self.consumers
-            if (self.slow_in_worlds or not consumer.is_slow)
+            if (self.runs_slow_attacks_in_worlds or not consumer.is_slow)
             and (world == OTHER_LAW_WORLD or consumer.kind in {"attack", "bound"})
         )
 
@@ -291,7 +153,7 @@ class Axes:
         return tuple(
             replace(consumer, world=World(horizon_s=horizon_s))
             for consumer in self.consumers
-            if consumer.kind == "predictor" and consumer.spec in self.utility
+            if consumer.kind == "predictor" and consumer.spec in self.utility_predictors
         )
 
     def patrol_consumers(self, world: World = OWN_WORLD) -> tuple[Consumer, ...]:
@@ -303,9 +165,11 @@ class Axes:
         robots = [
             Consumer("patrol", plugin, world=world)
             for plugin in self.predictors
-            if plugin.spec in self.utility
+            if plugin.spec in self.utility_predictors
         ]
-        adversaries = LOG_ADVERSARIES if self.follows_informed else _FEWER_LOGS
+        adversaries = (
+            LOG_ADVERSARIES if self.has_informed_log else _QUICK_LOG_ADVERSARIES
+        )
         logs = [Consumer("log", adversary=name) for name in adversaries]
         consumers = robots if world else robots + logs
         return tuple(
@@ -324,7 +188,7 @@ class Axes:
         robots = [
             Consumer("tracked", plugin, world=world)
             for plugin in self.predictors
-            if plugin.spec in self.utility
+            if plugin.spec in self.utility_predictors
         ]
         log = Consumer("track_log", adversary=ORACLE)
         consumers = [
@@ -386,8 +250,9 @@ class Axes:
             predictors=(),
             attacks=(),
             ceiling=self.ceiling,
+            skipped=self.skipped,
             links_returns=self.links_returns,
-            no_scenes=why,
+            why_no_scenes=why,
         )
 
     @property
@@ -408,30 +273,14 @@ class Axes:
                 replace(link, adversary=adversary, granted=granted, task=task.name)
                 for link_task, link in self.links
                 if link_task is task
-                for adversary, granted in self._attacking(
-                    _granted(link, task, self.adversaries)
+                for adversary, granted in self._adversaries_that_attack(
+                    granted_knowledge(link, task, self.adversaries)
                 )
             ),
         )
 
 
-def _granted(
-    link: Consumer, task: Task, asked: tuple[str, ...]
-) -> dict[str, frozenset[Knowledge]]:
-    return grants(
-        link, everyone=task.granted_to_all, nobody=task.granted_to_none, asked=asked
-    )
-
-
-def windows_consumer(task: str) -> Consumer:
-    """Return the consumer of a task's windows: their descriptors, smoothed or not."""
-    # The built-in smoother, with no knowledge: the same whatever else is in the run.
-    return Consumer(
-        "windows", task=task, reconstruction=plugins.parse("attacks", "radial_rts")[0]
-    )
-
-
-def axes(settings: Settings) -> Axes:
+def expand_axes(settings: Settings) -> Axes:
     """Return the plug-ins of a run, each once.
 
     Raises SettingsError if a SPEC is wrong, no mechanism is left, or a task and the
@@ -439,12 +288,12 @@ def axes(settings: Settings) -> Axes:
     """
     preset = PRESETS[settings.preset]
     names = _axis_names(settings, preset)
-    further_attacks, against_slow = _further_attacks(settings, preset)
-    attacks, links = _parse_attacks(names["attacks"] + further_attacks)
+    further_attacks = _further_attacks(settings, preset)
+    attacks, links = parse_attacks(names["attacks"] + further_attacks.specs)
     mechanisms = plugins.parse_all("mechanisms", names["mechanisms"])
     predictors = plugins.parse_all("predictors", names["predictors"])
     tasks = tuple(task_named(name) for name in dict.fromkeys(names["tasks"]))
-    pairs = _assign_links(settings, links=links, asked=tasks)
+    pairs = assign_links(settings, links=links, asked=tasks)
     if not mechanisms:
         raise SettingsError(
             "nothing to run: the mechanism axis is empty; name one, such as raw"
@@ -459,7 +308,7 @@ def axes(settings: Settings) -> Axes:
     worlds: dict[World, tuple[Plugin, ...]] = {}
     # A user who names mechanisms has asked for these alone.
     if not settings.choice("mechanisms").replaces:
-        worlds = _worlds(
+        worlds = _mechanisms_by_world(
             mechanisms, preset, law=law, has_attacks=bool(attacks or pairs)
         )
     run_axes = Axes(
@@ -468,19 +317,20 @@ def axes(settings: Settings) -> Axes:
         attacks,
         pairs,
         ceiling,
-        utility=utility,
+        utility_predictors=utility,
         adversaries=_stronger_adversaries(settings, preset),
         skips_oracle=_skips_oracle(settings, preset),
         horizons_s=settings.stages.conflict.horizons_s if utility else (),
-        worlds=worlds,
-        slow_in_worlds=settings.preset == "audit",
-        against_slow=frozenset(
-            plugin.spec for plugin in plugins.parse_all("attacks", against_slow)
+        mechanisms_by_world=worlds,
+        runs_slow_attacks_in_worlds=settings.preset == "audit",
+        slow_error_attacks=frozenset(
+            plugin.spec
+            for plugin in plugins.parse_all("attacks", further_attacks.slow_error_specs)
         ),
-        linked_in=_linked_in(worlds, preset, law=law),
+        linked_mechanisms_by_world=_linked_mechanisms_by_world(worlds, preset, law=law),
         policies=policies,
         patrol_mechanisms=_patrol_mechanisms(settings, preset, mechanisms, policies),
-        follows_informed=preset.follows_informed,
+        has_informed_log=preset.has_informed_log,
         links_returns=RETURNS in tasks,
     )
     _check_adversaries_used(run_axes, settings)
@@ -518,7 +368,7 @@ def _with_tracks(run_axes: Axes, settings: Settings, preset: Preset) -> Axes:
     return replace(
         run_axes,
         track_releases=releases,
-        tracked=_tracked(settings, preset, run_axes.mechanisms),
+        track_mechanisms=_track_mechanisms(settings, preset, run_axes.mechanisms),
         track_policies=_track_policies(settings),
         track_tasks=_track_tasks(settings),
     )
@@ -528,7 +378,9 @@ def _skips_oracle(settings: Settings, preset: Preset) -> bool:
     """Whether the oracle attacks only where no lesser adversary can."""
     if not preset.skips_oracle or ORACLE in settings.adversaries:
         return False
-    return not (preset.named_meet_oracle and settings.choice("attacks").replaces)
+    return not (
+        preset.oracle_meets_named_attacks and settings.choice("attacks").replaces
+    )
 
 
 def _check_policies(policies: Iterable[Plugin], settings: Settings) -> None:
@@ -557,20 +409,22 @@ def _patrol_mechanisms(
     """
     if not policies:
         return ()
-    takes_named = bool(settings.choice("policies").named)
-    return _walked_through(settings, preset, mechanisms, takes_named=takes_named)
+    includes_named = bool(settings.choice("policies").named)
+    return _patrolled_mechanisms(
+        settings, preset, mechanisms, includes_named=includes_named
+    )
 
 
-def _walked_through(
+def _patrolled_mechanisms(
     settings: Settings,
     preset: Preset,
     mechanisms: Iterable[Plugin],
     *,
-    takes_named: bool,
+    includes_named: bool,
 ) -> tuple[Plugin, ...]:
     """Return the mechanisms of patrolled recordings: the preset's, and those named."""
     specs = set(preset.patrol_mechanisms)
-    if takes_named:
+    if includes_named:
         named = plugins.parse_all("mechanisms", settings.choice("mechanisms").named)
         specs.update(plugin.spec for plugin in named)
     return tuple(
@@ -587,7 +441,7 @@ def _track_releases(settings: Settings) -> tuple[Plugin, ...]:
     perfect association is what all other numbers assume.
     """
     rules = settings.stages.tracking
-    (oracle,) = plugins.parse("trackers", PERFECT)
+    (oracle,) = plugins.parse("trackers", ORACLE_TRACKER)
     trackers = plugins.parse("trackers", rules.method)
     if trackers == (oracle,):
         return ()
@@ -624,7 +478,7 @@ def _track_tasks(settings: Settings) -> tuple[str, ...]:
     return tuple(name for name in named if task_named(name).family == HANDOVER)
 
 
-def _tracked(
+def _track_mechanisms(
     settings: Settings, preset: Preset, mechanisms: Iterable[Plugin]
 ) -> tuple[Plugin, ...]:
     """Return the mechanisms of a run that tracks are shared with.
@@ -632,29 +486,31 @@ def _tracked(
     They are those of the preset's patrols, and those that a user names. A mechanism
     that withholds samples is left out.
     """
-    return _walked_through(settings, preset, mechanisms, takes_named=True)
+    return _patrolled_mechanisms(settings, preset, mechanisms, includes_named=True)
 
 
-def _further_attacks(
-    settings: Settings, preset: Preset
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the SPECs of attacks beside the named attacks and the preset's own.
+class _FurtherAttacks(NamedTuple):
+    """SPECs of attacks beside the named attacks and the preset's own."""
 
-    The second tuple has those that run only against a slow error. A user who names the
-    attacks of a run gets no others.
-    """
+    specs: tuple[str, ...] = ()
+    slow_error_specs: tuple[str, ...] = ()
+    """Those of them that run only against an error that changes slowly."""
+
+
+def _further_attacks(settings: Settings, preset: Preset) -> _FurtherAttacks:
+    """Return the further attacks; a user who names the attacks of a run gets none."""
     choice = settings.choice("attacks")
     if choice.replaces:
-        return (), ()
+        return _FurtherAttacks()
     # An attack that is named runs against every mechanism.
-    against_slow = tuple(
-        spec for spec in preset.against_slow if spec not in choice.named
+    slow_error_specs = tuple(
+        spec for spec in preset.slow_error_attacks if spec not in choice.named
     )
     if not _asked_stronger(settings):
-        return against_slow, against_slow
-    return (
-        (*against_slow, STRONGEST_ON_SLOW_NOISE),
-        tuple(spec for spec in against_slow if spec != STRONGEST_ON_SLOW_NOISE),
+        return _FurtherAttacks(slow_error_specs, slow_error_specs)
+    return _FurtherAttacks(
+        (*slow_error_specs, STRONGEST_ON_SLOW_NOISE),
+        tuple(spec for spec in slow_error_specs if spec != STRONGEST_ON_SLOW_NOISE),
     )
 
 
@@ -663,7 +519,7 @@ def _asked_stronger(settings: Settings) -> list[str]:
     return [name for name in settings.adversaries if name not in USUAL]
 
 
-def _worlds(
+def _mechanisms_by_world(
     mechanisms: Iterable[Plugin], preset: Preset, *, law: str, has_attacks: bool
 ) -> dict[World, tuple[Plugin, ...]]:
     """Return the mechanisms that are computed in other worlds, by world.
@@ -671,8 +527,8 @@ def _worlds(
     A run under `OTHER_LAW` has no other law.
     """
     specs_by_world = {
-        OTHER_LAW_WORLD: preset.other_law,
-        **dict.fromkeys(WORLDS[1:], preset.model),
+        OTHER_LAW_WORLD: preset.other_law_mechanisms,
+        **dict.fromkeys(WORLDS[1:], preset.model_mechanisms),
     }
     return {
         world: tuple(plugin for plugin in mechanisms if plugin.spec in specs)
@@ -682,7 +538,7 @@ def _worlds(
     }
 
 
-def _linked_in(
+def _linked_mechanisms_by_world(
     worlds: Mapping[World, tuple[Plugin, ...]], preset: Preset, *, law: str
 ) -> dict[World, tuple[Plugin, ...]]:
     """Return the mechanisms that are linked in other worlds, by world.
@@ -690,7 +546,9 @@ def _linked_in(
     Only walks of a model with Gaussian errors: else the optimum is not known.
     """
     return {
-        world: tuple(plugin for plugin in levels if plugin.spec in preset.model_linked)
+        world: tuple(
+            plugin for plugin in levels if plugin.spec in preset.model_linked_mechanisms
+        )
         for world, levels in worlds.items()
         if world.is_model and (world.law or law) == OTHER_LAW
     }
@@ -724,133 +582,3 @@ def _check_laws(mechanisms: Iterable[Plugin], *, law: str) -> None:
                 f"{quoted(plugin.spec)}: linear adding scales the raw error, whose law"
                 f" is {law}; write adding=independent, or --set sensing.law={own}"
             )
-
-
-def most_workers(run_axes: Axes, settings: Settings) -> int:
-    """Return the number of workers that a run has work for, finished or not."""
-    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
-    worlds = [run_axes.mechanisms, *run_axes.worlds.values()]
-    n_levels = sum(len(levels) for levels in worlds)
-    n_linked = len(run_axes.linked_mechanisms) + sum(
-        len(levels) for levels in run_axes.linked_in.values()
-    )
-    n_tasks = len(run_axes.tasks) + len(run_axes.return_consumers)
-    n_patrols = len(run_axes.patrol_mechanisms) + len(run_axes.tracked)
-    return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
-
-
-def choose_jobs(run_axes: Axes, settings: Settings) -> int:
-    """Return the number of workers: as asked, or a core each if it is worth it."""
-    if settings.jobs is not None:
-        return min(settings.jobs, max(most_workers(run_axes, settings), 2))
-    n_levels = len(run_axes.mechanisms)
-    n_linkers = sum(len(run_axes.task_consumers(task)) - 1 for task in run_axes.tasks)
-    if (
-        settings.n_utility_scenes * n_levels < WORTH_WORKERS
-        and n_levels * n_linkers < WORTH_WORKERS_LINKED
-    ):
-        return 1
-    return usual_jobs()
-
-
-def usual_jobs() -> int:
-    """Return the workers of a run with enough work: a core each, up to a limit."""
-    cores = os.cpu_count()
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    return min(cores or 1, MOST_DEFAULT_JOBS)
-
-
-def _parse_attacks(
-    specs: Iterable[Any],
-) -> tuple[tuple[Plugin, ...], tuple[Consumer, ...]]:
-    """Return reconstruction attacks and linkage attacks, each once, as ordered."""
-    attacks: dict[str, Plugin] = {}
-    links: dict[str, Consumer] = {}
-    for spec in specs:
-        # A linker behind a reconstruction is two plug-ins, named by SPECs.
-        name, separator, smoother = spec, "", ""
-        if isinstance(spec, str):
-            name, separator, smoother = spec.partition("@")
-        if separator and not (name.strip() and smoother.strip()):
-            raise SettingsError(
-                f"{spec!r}: expected LINKER@RECONSTRUCTION, as shape@radial_rts"
-            )
-        for plugin in plugins.resolve_plugins("attacks", name):
-            links_people = attack_kind(plugin.instance) == "linkage"
-            if not separator and not links_people:
-                attacks[plugin.spec] = plugin
-                continue
-            for reconstruction in (
-                plugins.parse("attacks", smoother) if separator else (None,)
-            ):
-                if reconstruction and (
-                    not links_people
-                    or attack_kind(reconstruction.instance) == "linkage"
-                ):
-                    raise SettingsError(
-                        f"{spec!r}: write a linkage attack left of @ and a"
-                        " reconstruction attack right of it, as in shape@radial_rts"
-                    )
-                link = Consumer("linkage", plugin, reconstruction=reconstruction)
-                links[link.spec] = link
-    return tuple(attacks.values()), tuple(links.values())
-
-
-def _assign_links(
-    settings: Settings,
-    *,
-    links: tuple[Consumer, ...],
-    asked: tuple[Task, ...],
-) -> tuple[tuple[Task, Consumer], ...]:
-    """Return the linkers of each task; a linker that suits no task runs where it can.
-
-    `asked` are the tasks of a run. That of people who come back has linkers of its own,
-    so that these may be named without another task. A linker that needs the true frame
-    suits tasks that show it, and the others suit the other tasks. A linker that needs
-    ``same_stretch`` of a walk, or a gap to bridge (``across_gap``), suits the tasks that
-    have it.
-    """
-    tasks = tuple(task for task in asked if task is not RETURNS)
-    fused = FUSED if RETURNS in asked else ()
-    chosen: dict[str, list[Task]] = {}
-    _, named_links = _parse_attacks(settings.choice("attacks").named)
-    must_run = {link.spec for link in named_links}
-    for link in links:
-        possible = [
-            task for task in tasks if _granted(link, task, settings.adversaries)
-        ]
-        linker = link.plugins[0].instance
-        suited = [
-            task
-            for task in possible
-            if task.shows_scene == (Knowledge.SCENE in linker.requires)
-        ]
-        if links_same_stretch(linker):
-            suited = [task for task in suited if task.is_same_stretch]
-        if getattr(linker, "across_gap", False):
-            suited = [task for task in suited if task.is_open]
-        chosen[link.spec] = suited or possible
-        if link.spec in must_run and not possible and link.spec not in fused:
-            required = (
-                ", ".join(sorted(knowledge.name for knowledge in link.requires))
-                or "a task"
-            )
-            task_names = ", ".join(task.name for task in tasks) or "none"
-            own = f"; task {RETURNS.name} has {', '.join(fused)} alone" if fused else ""
-            raise SettingsError(
-                f"attack {link.spec!r} has no task to run in (tasks: {task_names}); it"
-                f" requires {required}{own}"
-            )
-    must_link = settings.choice("tasks").named
-    for task in tasks:
-        if task.name in must_link and not any(
-            task in link_tasks for link_tasks in chosen.values()
-        ):
-            raise SettingsError(
-                f"task {task.name} has no attack that can run in it; name one with"
-                " --attack"
-            )
-    return tuple(
-        (task, link) for task in tasks for link in links if task in chosen[link.spec]
-    )

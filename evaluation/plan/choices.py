@@ -16,9 +16,9 @@ class Choice:
     named: tuple[Any, ...] = ()
     replaces: bool = False  # Whether they replace the preset's values.
 
-    def values(self, usual: tuple[str, ...]) -> tuple[Any, ...]:
-        """Return the values of the axis; `usual` are those of the preset."""
-        return self.named if self.replaces else (*usual, *self.named)
+    def values(self, preset_values: tuple[str, ...]) -> tuple[Any, ...]:
+        """Return the values of the axis, with the preset's own where these stay."""
+        return self.named if self.replaces else (*preset_values, *self.named)
 
 
 def parse_choice(given: Iterable[Any] | None, *, axis: str) -> Choice:
@@ -47,10 +47,10 @@ def parse_choice(given: Iterable[Any] | None, *, axis: str) -> Choice:
                 " replaces them; write + before each, or before none"
             )
         named = tuple(_without_plus(value) for value in values)
-    nothing = [
+    empty_values = [
         value for value in named if isinstance(value, str) and value in ("", "none")
     ]
-    if nothing or not named:
+    if empty_values or not named:
         raise SettingsError(f"{axis}: a + is followed by what it adds, as +NAME")
     return Choice(named)
 

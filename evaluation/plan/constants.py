@@ -8,10 +8,10 @@ ORACLE: Final = "oracle"
 IDENTITY = "identity"  # The attack that reproduces the release.
 # Consumer of the descriptors of a linkage task's windows; follows the task's name.
 WINDOWS = "windows"
-# Error law under which the preset's `other_law` is computed as well.
+# Error law under which the preset's `other_law_mechanisms` are computed as well.
 OTHER_LAW: Final = "isotropic"
 BOUND = "bound"  # Consumer of the bounds that no attack can exceed.
-# Of a unit of work. Part of the keys of sharing: a change changes the draws.
+# Scenes of a block. Part of every cell's key, for a change changes the draws.
 BLOCK_SCENES = 250
 MOST_SCENES = 10_000_000
 # Worker processes: more than a machine has cores; each takes 130 MB.

@@ -10,20 +10,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from attacks.tasks.build import make_sessions
-from attacks.tasks.returns import MOST_SCORES, Passages, passages
+from attacks.tasks.returns import MOST_SCORES, Passages
+from attacks.tasks.returns import passages as find_passages
 from attacks.tasks.sessions import Sessions
 from attacks.tasks.task_list import FUSED, RETURNS, Task
 from evaluation.plan import fingerprint
-from evaluation.plan.axes import Axes, Consumer, axes, choose_jobs
+from evaluation.plan.axes import Axes, expand_axes
 from evaluation.plan.constants import BLOCK_SCENES
+from evaluation.plan.consumer import Consumer
+from evaluation.plan.environment import check_threads
 from evaluation.plan.presets import PRESETS, STRONGEST_ON_SLOW_NOISE
 from evaluation.plan.settings import (
+    READING_OPTIONS,
     TRACK_RELEASE,
     Settings,
-    check_threads,
     patrol_values,
     tracking_values,
 )
+from evaluation.plan.source_digest import ModuleFiles, code_hash, source_digest
+from evaluation.plan.workers import choose_jobs
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track import datasets, plugins
 from isac_track.datasets import Dataset, crowd
@@ -39,11 +44,9 @@ from isac_track.plugins import Plugin
 from isac_track.scenes import FEW_PEOPLE, Cut, cut, no_tracks, with_horizons
 from isac_track.types import Tracks
 
-# Options that change how a file is read: part of the identity where they are given.
-_READING_OPTIONS = ("columns", "on_duplicate", "crs", "drop_frozen")
 _SCENE_AXES = ("predictors", "attacks", "tasks", "policies")
 """Axes whose values need scenes or windows of long tracks, but for the task returns."""
-_HOW_TO_READ = ("format", "fps", "unit", "sessions", "persistent_ids")
+_OTHER_READING_OPTIONS = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,7 +58,7 @@ class Unit:
     block: int  # Of scenes; 0 for a linkage task.
     mechanism: Plugin
     key: str  # A digest of all that its rows depend on, except the consumers.
-    code: Mapping[str, str]  # Digest by module, of the code that computes it.
+    code_digests: Mapping[str, str]  # By module, of the code that computes it.
     consumers: Mapping[str, Consumer]  # By their keys.
 
     @property
@@ -70,11 +73,11 @@ class Plan:
 
     settings: Settings
     dataset: Dataset
-    recorded: Tracks  # Its tracks, where they are sensed.
-    tracks: Cut
+    recorded: Tracks  # All its tracks, placed where the network senses them.
+    scene_tracks: Cut  # Those long enough for scenes, cut.
     axes: Axes
     identity: dict[str, Any]
-    code: str  # Version of the code that computes the cells.
+    code_hash: str  # Version of the code that computes the cells.
     jobs: int  # Worker processes.
     out: Path
     units: tuple[Unit, ...]
@@ -89,8 +92,8 @@ class Plan:
         return sum(len(unit.consumers) for unit in self.units)
 
     @property
-    def pairs(self) -> tuple[tuple[Plugin, Consumer], ...]:
-        """Every mechanism with each of its consumers."""
+    def mechanism_consumers(self) -> tuple[tuple[Plugin, Consumer], ...]:
+        """Every mechanism with each of its consumers: further blocks have no others."""
         first = (unit for unit in self.units if unit.block == 0)
         return tuple(
             (unit.mechanism, consumer)
@@ -106,23 +109,12 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     """
     check_threads()
     settings = _with_patrols(settings)
-    run_axes = axes(settings)
-    options = (*_HOW_TO_READ, *_READING_OPTIONS)
+    run_axes = expand_axes(settings)
+    options = (*_OTHER_READING_OPTIONS, *READING_OPTIONS)
     reading = {name: getattr(settings, name) for name in options}
     dataset = dataset or datasets.load(settings.dataset, **reading)
-    recorded = placed(dataset.tracks, settings=settings.stages)
-    run_axes, walks = _find_passages(run_axes, settings, recorded)
-    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
-    if run_axes.horizons_s:
-        # Horizons for which the recording has too few long tracks are left out.
-        tracks = with_horizons(tracks, recorded, settings=settings.stages)
-        run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
-    identity = _identity(settings, dataset)
-    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
-    skipped = {**run_axes.skipped, **skipped}
-    tasks = {task_sessions.task for task_sessions in sessions}
-    links = tuple((task, link) for task, link in run_axes.links if task in tasks)
-    run_axes = replace(run_axes, links=links, skipped=skipped)
+    fitted = _fit_to_data(run_axes, settings, dataset)
+    run_axes, identity = fitted.axes, _identity(settings, dataset)
     units, code_digests = _units(run_axes, settings, identity=identity)
     jobs = choose_jobs(run_axes, settings)
     in_workers = settings.cell_timeout_s is not None or settings.scheduler is not None
@@ -132,22 +124,57 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
     return Plan(
         settings=settings,
         dataset=dataset,
-        recorded=recorded,
-        tracks=tracks,
+        recorded=fitted.recorded,
+        scene_tracks=fitted.scene_tracks,
         axes=run_axes,
         identity=identity,
-        code=fingerprint.code_hash(),
+        code_hash=code_hash(),
         jobs=jobs,
         out=out if settings.out is None else Path(settings.out),
         units=units,
         code_digests=code_digests,
-        sessions=sessions,
-        model_sessions=_model_sessions(run_axes, settings, sessions, recorded),
-        passages=walks,
+        sessions=fitted.sessions,
+        model_sessions=_model_sessions(
+            run_axes, settings, fitted.sessions, fitted.recorded
+        ),
+        passages=fitted.passages,
     )
 
 
-def _find_passages(
+@dataclass(frozen=True, eq=False, slots=True)
+class _FittedData:
+    """The data of a run as its parts read them, and the axes that the data allow."""
+
+    axes: Axes
+    recorded: Tracks
+    scene_tracks: Cut
+    sessions: tuple[Sessions, ...]
+    passages: Passages | None
+
+
+def _fit_to_data(run_axes: Axes, settings: Settings, dataset: Dataset) -> _FittedData:
+    """Return the data of a run, and its axes without parts of too few people.
+
+    Raises DataError if a user has named such a part.
+    """
+    recorded = placed(dataset.tracks, settings=settings.stages)
+    run_axes, passages = _axes_with_passages(run_axes, settings, recorded)
+    run_axes, tracks = _cut_for_scenes(run_axes, settings, recorded)
+    if run_axes.horizons_s:
+        # Horizons for which the recording has too few long tracks are left out.
+        tracks = with_horizons(tracks, recorded, settings=settings.stages)
+        run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
+    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
+    tasks = {task_sessions.task for task_sessions in sessions}
+    run_axes = replace(
+        run_axes,
+        links=tuple((task, link) for task, link in run_axes.links if task in tasks),
+        skipped={**run_axes.skipped, **skipped},
+    )
+    return _FittedData(run_axes, recorded, tracks, sessions, passages)
+
+
+def _axes_with_passages(
     run_axes: Axes, settings: Settings, recorded: Tracks
 ) -> tuple[Axes, Passages | None]:
     """Return the axes, and the passages of people who come back if there are any.
@@ -164,7 +191,7 @@ def _find_passages(
             )
         return run_axes, None
     try:
-        walks = passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
+        passages = find_passages(recorded, most_scores=MOST_SCORES, seed=settings.seed)
     except DataError as error:
         if is_named or settings.confirming is not None:
             raise DataError(f"task {RETURNS.name}: {error}") from None
@@ -172,28 +199,31 @@ def _find_passages(
         if recorded.session is not None:  # Of a single session: no notice.
             skipped[RETURNS.name] = f"task {RETURNS.name}: {error}"
         return replace(run_axes, links_returns=False, skipped=skipped), None
-    _check_confirming(settings.confirming, walks)
-    if not walks.not_drawn:
-        return run_axes, walks
-    name = f"{walks.not_drawn:,} people of task {RETURNS.name}"
+    _check_confirming(settings.confirming, passages)
+    if not passages.not_drawn:
+        return run_axes, passages
+    name = f"{passages.not_drawn:,} people of task {RETURNS.name}"
     why = f"linking all takes over {MOST_SCORES:,} scores at a level"
     return replace(
         run_axes, skipped={**run_axes.skipped, name: f"{name}: {why}"}
-    ), walks
+    ), passages
 
 
-def _check_confirming(name: str | None, walks: Passages) -> None:
-    """Raise SettingsError if no session has this name, or the others decide nothing."""
+def _check_confirming(name: str | None, passages: Passages) -> None:
+    """Raise SettingsError if no session has this name.
+
+    DataError if nobody walks in two of the others: these alone decide.
+    """
     if name is None:
         return
-    if name not in walks.sessions:
-        hint = did_you_mean(name, walks.sessions, quote="'")
+    if name not in passages.sessions:
+        hint = did_you_mean(name, passages.sessions, quote="'")
         raise SettingsError(
             f"--confirming: no session is called {name!r}"
-            f"{hint or '; sessions: ' + ', '.join(walks.sessions)}"
+            f"{hint or '; sessions: ' + ', '.join(passages.sessions)}"
         )
-    others = walks.session != walks.sessions.index(name)
-    pairs = np.unique(np.stack([walks.person, walks.session])[:, others], axis=1)
+    others = passages.session != passages.sessions.index(name)
+    pairs = np.unique(np.stack([passages.person, passages.session])[:, others], axis=1)
     if not (np.bincount(pairs[0]) > 1).any():
         raise DataError(
             f"without session {name} nobody walks in two: --confirming takes a session"
@@ -235,6 +265,7 @@ def _names_scenes(settings: Settings) -> bool:
 
 def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
     """Return how many tracks are long enough, in short; `tracks` is empty."""
+    # None of the long tracks was cut: all of them lack a future.
     n_long, n_recorded = tracks.no_future, tracks.no_future + tracks.too_short
     least_s = settings.stages.resample.min_duration_s
     if n_long >= FEW_PEOPLE:
@@ -273,7 +304,7 @@ def _model_sessions(
     recorded: Tracks,
 ) -> tuple[Sessions, ...]:
     """Return the sessions of tasks that are linked in model worlds: fewer people."""
-    if not any(run_axes.linked_in.values()):
+    if not any(run_axes.linked_mechanisms_by_world.values()):
         return ()
     most = min(
         PRESETS[settings.preset].model_people, settings.stages.linkage.most_people
@@ -305,7 +336,7 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         "format": dataset.format,
         "fps": settings.fps,
         "seed": settings.seed,
-        "scenes": settings.n_scenes,
+        "scenes": settings.n_attacked_scenes,
         "crowd": hashlib.sha256(bundled).hexdigest()[:16],
         **settings.stages.flat(),
     }
@@ -321,9 +352,9 @@ def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
         identity["ids"] = "kept"
     if settings.persistent_ids:
         identity["persistent_ids"] = True
-    identity |= changed_reading(settings)
-    if settings.n_utility_scenes != settings.n_scenes:
-        identity["scenes_utility"] = settings.n_utility_scenes
+    identity |= _changed_reading_options(settings)
+    if settings.n_all_scenes != settings.n_attacked_scenes:
+        identity["scenes_utility"] = settings.n_all_scenes
     return identity
 
 
@@ -335,7 +366,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     """
     settings, wanted = plan.settings, set(specs)
     stronger_adversaries: tuple[str, ...] = ()
-    if not plan.axes.no_scenes and not settings.choice("attacks").replaces:
+    if not plan.axes.why_no_scenes and not settings.choice("attacks").replaces:
         stronger_adversaries = PRESETS[settings.preset].stronger_adversaries
     if not stronger_adversaries:
         wanted = set()
@@ -346,7 +377,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
         predictors=(),
         attacks=(plugins.parse("attacks", STRONGEST_ON_SLOW_NOISE)[0],),
         adversaries=stronger_adversaries,
-        only_stronger=True,
+        has_only_stronger=True,
     )
     units, code_digests = _units(run_axes, settings, identity=plan.identity)
     return replace(
@@ -354,10 +385,10 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     )
 
 
-def changed_reading(settings: Settings) -> dict[str, Any]:
+def _changed_reading_options(settings: Settings) -> dict[str, Any]:
     """Return the options of reading a file that differ from their defaults."""
     usual = Settings()
-    values = {name: getattr(settings, name) for name in _READING_OPTIONS}
+    values = {name: getattr(settings, name) for name in READING_OPTIONS}
     return {
         name: value for name, value in values.items() if value != getattr(usual, name)
     }
@@ -383,11 +414,13 @@ class _Crossing(NamedTuple):
 
 def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     """Return the products whose parts are units: scenes and tasks, in all worlds."""
-    n_attacked = -(-settings.n_scenes // BLOCK_SCENES)
-    n_blocks = -(-settings.n_utility_scenes // BLOCK_SCENES)
+    n_attacked = -(-settings.n_attacked_scenes // BLOCK_SCENES)
+    n_blocks = -(-settings.n_all_scenes // BLOCK_SCENES)
     attacked_blocks, all_blocks = range(n_attacked), range(n_blocks)
     utility = tuple(
-        consumer for consumer in run_axes.consumers if consumer.spec in run_axes.utility
+        consumer
+        for consumer in run_axes.consumers
+        if consumer.spec in run_axes.utility_predictors
     )
     crossings = [
         _Crossing(run_axes.mechanisms, run_axes.consumers, attacked_blocks),
@@ -396,7 +429,7 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
     for task in run_axes.tasks:
         consumers = run_axes.task_consumers(task)
         crossings.append(_Crossing(run_axes.linked_mechanisms, consumers, (0,)))
-    for world, mechanisms in run_axes.worlds.items():
+    for world, mechanisms in run_axes.mechanisms_by_world.items():
         consumers = run_axes.consumers_in(world)
         crossings.append(_Crossing(mechanisms, consumers, attacked_blocks))
     for horizon_s in run_axes.horizons_s:
@@ -412,11 +445,11 @@ def _crossings(run_axes: Axes, settings: Settings) -> list[_Crossing]:
         if run_axes.patrol_mechanisms
     ]
     crossings += [
-        _Crossing(run_axes.tracked, run_axes.track_consumers(world), (0,))
+        _Crossing(run_axes.track_mechanisms, run_axes.track_consumers(world), (0,))
         for world in worlds
-        if run_axes.tracked
+        if run_axes.track_mechanisms
     ]
-    for world, mechanisms in run_axes.linked_in.items():
+    for world, mechanisms in run_axes.linked_mechanisms_by_world.items():
         for task in filter(_is_linked_in_models, run_axes.tasks):
             consumers = run_axes.task_consumers_in(world, task)
             crossings.append(_Crossing(mechanisms, consumers, (0,)))
@@ -428,7 +461,7 @@ class _CodeRead:
     """What a plan has read of the code: modules' digests, and the files behind them."""
 
     digests: dict[str, str]
-    files: fingerprint.ModuleFiles
+    files: ModuleFiles
 
 
 def _units(
@@ -444,14 +477,14 @@ def _units(
             level_consumers = {
                 key: consumer
                 for key, consumer in by_section[section].items()
-                if run_axes.meets(consumer, mechanism)
+                if run_axes.reads_releases_of(consumer, mechanism)
             }
-            about = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
-            about += filter(None, [mechanism.digest])
-            about += code.values()
-            about += _own_settings(section, settings)
+            key_parts = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
+            key_parts += filter(None, [mechanism.digest])
+            key_parts += code.values()
+            key_parts += _own_settings(section, settings)
             for block in blocks if level_consumers else ():
-                key = fingerprint.digest([identity, section, block, *about])
+                key = fingerprint.digest([identity, section, block, *key_parts])
                 units.append(
                     Unit(section, block, mechanism, key, code, level_consumers)
                 )
@@ -485,15 +518,18 @@ def _consumers_by_section(
     return by_section
 
 
-def _code_digests(section: str, *used: Plugin, code_read: _CodeRead) -> dict[str, str]:
+def _code_digests(
+    section: str, *used_plugins: Plugin, code_read: _CodeRead
+) -> dict[str, str]:
     """Return the digests of the modules of a section and of plug-ins, by module.
 
     `code_read` holds those that are known by now; new digests are added to it.
     """
-    modules, digests = fingerprint.sources(section, *used), code_read.digests
+    modules = fingerprint.key_modules(section, *used_plugins)
+    digests = code_read.digests
     for module in modules:
         if module not in digests:
-            digest = fingerprint.source_digest(module, known=code_read.files)
+            digest = source_digest(module, known=code_read.files)
             digests[module] = digest[:16]
     return {module: digests[module] for module in modules}
 

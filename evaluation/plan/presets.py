@@ -12,7 +12,9 @@ __all__ = [
     "IDENTITY",
     "PRESETS",
     "PROTECTIONS",
+    "PUBLISHED_LEVELS",
     "SHARED",
+    "STRONGER_ADVERSARIES",
     "STRONGEST_ON_SLOW_NOISE",
     "UTILITY_PREDICTORS",
     "Preset",
@@ -34,13 +36,13 @@ class Preset:
     # Further mechanisms, beside the panel of the verdict.
     protections: tuple[str, ...] = ()
     # Further attacks, where the error changes slowly: elsewhere they equal others.
-    against_slow: tuple[str, ...] = ()
+    slow_error_attacks: tuple[str, ...] = ()
     # Mechanisms shared, predicted and reconstructed under `OTHER_LAW`, too.
-    other_law: tuple[str, ...] = ()
+    other_law_mechanisms: tuple[str, ...] = ()
     # Mechanisms reconstructed on walks of the fitted motion, too, under both laws.
-    model: tuple[str, ...] = ()
-    # Those of `model` that are linked there, where errors are Gaussian.
-    model_linked: tuple[str, ...] = ()
+    model_mechanisms: tuple[str, ...] = ()
+    # Those of `model_mechanisms` that are linked there, where errors are Gaussian.
+    model_linked_mechanisms: tuple[str, ...] = ()
     # Adversaries with more knowledge, tried on the levels that would be proposed.
     stronger_adversaries: tuple[str, ...] = ()
     adversaries: tuple[str, ...] = ()  # The same, tried on every level from the start.
@@ -49,11 +51,11 @@ class Preset:
     patrol_mechanisms: tuple[str, ...] = ("raw", "fid:1")
     fleets: int = 20  # Fleets of patrols, with routes of their own.
     patrol_segment_s: float = 300.0  # They walk through so much of a recording.
-    follows_informed: bool = True
+    has_informed_log: bool = True
     """Whether an adversary who knows routes and policy follows people, too."""
     skips_oracle: bool = False
     """Whether the oracle, a reference, attacks only where no lesser adversary can."""
-    named_meet_oracle: bool = False
+    oracle_meets_named_attacks: bool = False
     """Whether it attacks all the same where a user names the attacks of a run."""
     # At most so many people in a task of a model: the optimum takes all pairs and lags.
     model_people: int = 100
@@ -65,8 +67,12 @@ _BOTH_RULES = (
     *PUBLISHED_LEVELS,
     *(f"{level},adding=independent" for level in PUBLISHED_LEVELS[1:]),
 )
-_AXES = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
-_SWEEP = ("raw", *_AXES, *(f"{axis},adding=independent" for axis in _AXES))
+_LEVEL_SWEEPS = ("fid:1..1000/10", "fid:1e4", "fid:1e5", "fid:1e6", "fixed:0.1..1/10")
+_SWEEP = (
+    "raw",
+    *_LEVEL_SWEEPS,
+    *(f"{sweep},adding=independent" for sweep in _LEVEL_SWEEPS),
+)
 # Mechanisms that separate the descriptors from linkability. The levels were chosen by
 # PLR, AEL and MEL as shared alone, before any linkage: those of correlated and offset
 # lie within the range from raw to fixed:1 (offset:0.4 does not). In a thinned track a
@@ -88,6 +94,7 @@ PROTECTIONS = (
 )
 """Noise that may survive a filter, and the white noise for comparison."""
 _WHITE = ("fixed", ",adding=independent,law=isotropic")
+# By name and parameters: the levels.
 _LEVELS = {
     _WHITE: "0.1 0.3 0.45 0.6 0.75 0.9 0.97 1.05 1.12 1.2 1.4 1.6",
     ("ou", ""): "0.08 0.14 0.18 0.22 0.26 0.28 0.3 0.32 0.34 0.36 0.38 0.42 0.46",
@@ -159,7 +166,7 @@ _SMOKE = Preset(
     # and no returns.
     tasks=("rerelease", "handover-1s", "cross_session", RETURNS.name),
     skips_oracle=True,
-    named_meet_oracle=True,
+    oracle_meets_named_attacks=True,
     summary="40 scenes, the 5 levels that the paper gives numbers for",
 )
 _POLICIES = ("everything", "window:4", "near:3.5", "ahead:2", "state:2", "flag")
@@ -173,10 +180,10 @@ _PAPER = replace(
     tasks=(*ALL_TASKS,),
     skips_oracle=False,
     protections=PROTECTIONS,
-    against_slow=("ou_rts",),
-    other_law=PUBLISHED_LEVELS,
-    model=(*PUBLISHED_LEVELS, "ou:0.4"),
-    model_linked=("fid:1",),
+    slow_error_attacks=("ou_rts",),
+    other_law_mechanisms=PUBLISHED_LEVELS,
+    model_mechanisms=(*PUBLISHED_LEVELS, "ou:0.4"),
+    model_linked_mechanisms=("fid:1",),
     stronger_adversaries=STRONGER_ADVERSARIES,
     policies=_POLICIES,
     summary=(
@@ -184,7 +191,7 @@ _PAPER = replace(
         " controls, 4 levels of slow, Laplace and white noise"
     ),
 )
-_PROTECTING = ("ou:0.4", "ou:0.8")
+_QUICK_PROTECTIONS = ("ou:0.4", "ou:0.8")
 """Slow noise: the level next to a recommendation in `paper`, and a qualifying level."""
 _QUICK = Preset(
     scenes=250,
@@ -197,19 +204,19 @@ _QUICK = Preset(
         "fixed:0.7",
         "fixed:1",
         *(f"{name},adding=independent" for name in ("fid:1", "fixed:0.7", "fixed:1")),
-        *_PROTECTING,
+        *_QUICK_PROTECTIONS,
     ),
     predictors=("least_squares", "kalman_cv", BASELINE),
     # The strongest of each kind, by re-releases and handovers of Students03 and plaza.
     attacks=("radial_rts", "kinematic@radial_rts", "likelihood_ratio:one_to_one=true"),
-    against_slow=("ou_rts",),
+    slow_error_attacks=("ou_rts",),
     adversaries=STRONGER_ADVERSARIES,
     skips_oracle=True,
     tasks=("rerelease", "handover-1s", "handover-5s", RETURNS.name),
     policies=("everything", "near:3.5", "ahead:2", "state:2"),
     fleets=4,
     patrol_segment_s=200.0,
-    follows_informed=False,
+    has_informed_log=False,
     summary="2,000 scenes (250 attacked), 9 levels, the strongest attack of each kind",
 )
 DEFAULT = "quick"
@@ -222,7 +229,7 @@ PRESETS = {
         _PAPER,
         scenes=5000,
         utility_scenes=5000,
-        other_law=_BOTH_RULES,
+        other_law_mechanisms=_BOTH_RULES,
         summary="the axes of paper on 5,000 scenes",
     ),
     "frontier": Preset(
@@ -241,7 +248,7 @@ PRESETS = {
         tasks=("rerelease",),
         stronger_adversaries=STRONGER_ADVERSARIES,
         summary=(
-            "5,000 scenes (500 attacked), 98 levels of all families, plain and aware"
+            "5,000 scenes (500 attacked), 99 levels of all families, plain and aware"
             " robots"
         ),
     ),
@@ -262,8 +269,8 @@ PRESETS = {
             "likelihood_ratio",
         ),
         tasks=("rerelease",),
-        model=_AUDITED,
-        model_linked=_BOTH_RULES,
+        model_mechanisms=_AUDITED,
+        model_linked_mechanisms=_BOTH_RULES,
         model_people=300,
         summary=(
             "750 scenes, 11 levels, the slow attack too: how far attacks are from the optimum"

@@ -1,14 +1,14 @@
 """The settings of a run: every option of the command line and of Python, checked."""
 
-import os
 import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from importlib import import_module
 from math import inf, nextafter
 from numbers import Integral, Real
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
+
+import numpy as np
 
 from evaluation.plan.choices import Choice, parse_choice
 from evaluation.plan.constants import MOST_JOBS, MOST_SCENES
@@ -26,21 +26,32 @@ OPTIONS: Final = {
 }
 """By axis: the option of the command line that names its values."""
 AXES: Final = (*OPTIONS,)
-_KINDS: dict[str, tuple[Any, type, str]] = {
-    **dict.fromkeys(
-        ("scenes", "utility_scenes", "seed", "jobs"),
-        (Integral, int, "a whole number, as {}=40"),
-    ),
-    **dict.fromkeys(
-        ("fps", "cell_timeout_s", "precision", "drop_frozen"),
-        (Real, float, "a number, as {}=2.5"),
-    ),
-    **dict.fromkeys(("preset", "format", "executor", "scheduler"), (str, str, "text")),
-    **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), (str, str, "text")),
-    "confirming": (str, str, "the name of a session"),
-    "out": ((str, Path), Path, "the path of a folder"),
+
+
+@dataclass(frozen=True, slots=True)
+class _Kind:
+    """The type of an option's values: those accepted, their conversion, and words."""
+
+    accepted: Any  # As for `isinstance`.
+    convert: type
+    words: str  # With {} for the option's name.
+
+
+_TEXT: Final = _Kind(str, str, "text")
+_WHOLE_NUMBER: Final = _Kind(Integral, int, "a whole number, as {}=40")
+_NUMBER: Final = _Kind(Real, float, "a number, as {}=2.5")
+_FLAG: Final = _Kind((bool, np.bool_), bool, "True or False")
+_KINDS: Final[Mapping[str, _Kind]] = {
+    **dict.fromkeys(("scenes", "utility_scenes", "seed", "jobs"), _WHOLE_NUMBER),
+    **dict.fromkeys(("fps", "cell_timeout_s", "drop_frozen"), _NUMBER),
+    **dict.fromkeys(("precision", "pilot_half_width"), _NUMBER),
+    **dict.fromkeys(("persistent_ids", "keep_scores", "keep_ids", "fresh"), _FLAG),
+    **dict.fromkeys(("preset", "format", "executor", "scheduler"), _TEXT),
+    **dict.fromkeys(("unit", "columns", "on_duplicate", "crs"), _TEXT),
+    "confirming": _Kind(str, str, "the name of a session"),
+    "out": _Kind((str, Path), Path, "the path of a folder"),
 }
-"""By option: the accepted types, the type it is converted to, and words for both."""
+"""By option, but for lists, data sets and stages."""
 _SCENES_WRONG = (
     "a run needs at least 2 scenes (one of each label) and at most {1:,}, got {0}"
 )
@@ -55,18 +66,31 @@ USUAL_STAGES: Final = StageSettings().changed(
 """A run has the fleets and the patrolled segment of its preset (`plan`)."""
 TRACK_RELEASE: Final = ("tracking.method", "tracking.noise", "tracking.release")
 """Settings that the name of a release of tracks has: numbers of several stay apart."""
+READING_OPTIONS: Final = ("columns", "on_duplicate", "crs", "drop_frozen")
+"""Options of reading a file that are part of a run's identity only where given."""
 NO_TRACKS: Final = {"tracking.method": "oracle"}  # Settings of a run without tracks.
 _PORTS = range(1, 1 << 16)
-_LIMITS: dict[str, tuple[float, float, str]] = {
-    "scenes": (1, MOST_SCENES, _SCENES_WRONG),
-    "seed": (-1, inf, "the seed must not be negative, got {0}"),
-    "jobs": (0, MOST_JOBS, "jobs must be at least 1 and at most {1}, got {0}"),
-    "cell_timeout_s": (0, inf, "cell_timeout must be positive, got {0:g} s"),
-    "fps": (0, inf, "fps must be positive, got {0:g}"),
-    "utility_scenes": (1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"),
-    "precision": (0, nextafter(0.5, 0.0), _PRECISION_WRONG),
+
+
+class _Limit(NamedTuple):
+    """The range of a number, and the message for a value outside of it."""
+
+    above: float  # The value must be greater.
+    most: float
+    message: str  # With {0} for the value and {1} for the maximum.
+
+
+_LIMITS: Final[Mapping[str, _Limit]] = {
+    "scenes": _Limit(1, MOST_SCENES, _SCENES_WRONG),
+    "seed": _Limit(-1, inf, "the seed must not be negative, got {0}"),
+    "jobs": _Limit(0, MOST_JOBS, "jobs must be at least 1 and at most {1}, got {0}"),
+    "cell_timeout_s": _Limit(0, inf, "cell_timeout must be positive, got {0:g} s"),
+    "fps": _Limit(0, inf, "fps must be positive, got {0:g}"),
+    "utility_scenes": _Limit(
+        1, MOST_SCENES, "utility_scenes must be 2 to {1:,}, got {0}"
+    ),
+    "precision": _Limit(0, nextafter(0.5, 0.0), _PRECISION_WRONG),
 }
-"""By number: the value it must exceed, its maximum, and the message of the error."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,15 +210,15 @@ class Settings:
     fresh: bool = False
 
     def __post_init__(self) -> None:
-        self._check_types()
+        self._convert_types()
         for axis in AXES:
             self.choice(axis)
         _check_known("preset", (self.preset,), PRESETS)
         _check_known("adversary", self.adversaries, ADVERSARIES)
-        for name, (above, most, message) in _LIMITS.items():
+        for name, limit in _LIMITS.items():
             value = getattr(self, name)
-            if value is not None and not above < value <= most:
-                raise SettingsError(message.format(value, most))
+            if value is not None and not limit.above < value <= limit.most:
+                raise SettingsError(limit.message.format(value, limit.most))
         if self.precision is not None and self.scenes is not None:
             raise SettingsError(
                 "--precision finds the number of scenes: leave out --scenes"
@@ -227,8 +251,8 @@ class Settings:
                 "--cell-timeout is for --executor local: a cluster has its own"
             )
 
-    def _check_types(self) -> None:
-        """Refuse values of wrong types; convert lists, mappings and numbers."""
+    def _convert_types(self) -> None:
+        """Convert lists, mappings and numbers; refuse values of wrong types."""
         given: dict[str, Any] = {
             option.name: getattr(self, option.name) for option in fields(self)
         }
@@ -248,14 +272,9 @@ class Settings:
             given[axis] = None if values is None else tuple(values)
             if "none" in (given[axis] or ()):
                 raise SettingsError(f"'none' is of the command line: write {axis}=[]")
-        for name, (kind, convert, words) in _KINDS.items():
-            value = given[name]
-            if value is not None:
-                if not isinstance(value, kind) or isinstance(value, bool):
-                    raise SettingsError(
-                        f"{name} must be {words.format(name)}; got {quoted(value)}"
-                    )
-                given[name] = convert(value)
+        for name, kind in _KINDS.items():
+            if given[name] is not None:
+                given[name] = _converted(name, given[name], kind)
         given["dataset"] = _dataset(given["dataset"])
         for name, value in given.items():
             object.__setattr__(self, name, value)
@@ -274,19 +293,30 @@ class Settings:
         return parse_choice(getattr(self, axis), axis=axis)
 
     @property
-    def n_scenes(self) -> int:
+    def n_attacked_scenes(self) -> int:
         """The number of attacked scenes: the first of all."""
         usual = PRESETS[self.preset].scenes if self.scenes is None else self.scenes
         return usual if self.utility_scenes is None else min(usual, self.utility_scenes)
 
     @property
-    def n_utility_scenes(self) -> int:
+    def n_all_scenes(self) -> int:
         """The number of all scenes: the robot's utility is measured in every scene."""
         if self.utility_scenes is not None:
             return self.utility_scenes
         return (
             PRESETS[self.preset].utility_scenes if self.scenes is None else self.scenes
         )
+
+
+def _converted(name: str, value: Any, kind: _Kind) -> Any:  # noqa: ANN401 - any option
+    """Return the value of an option as its type; SettingsError for another type."""
+    # A truth value is a whole number in Python, but none that is meant.
+    is_wrong_bool = isinstance(value, bool) and kind is not _FLAG
+    if not isinstance(value, kind.accepted) or is_wrong_bool:
+        raise SettingsError(
+            f"{name} must be {kind.words.format(name)}; got {quoted(value)}"
+        )
+    return kind.convert(value)
 
 
 def _dataset(given: Any) -> Any:  # noqa: ANN401 - frames of any library
@@ -335,40 +365,14 @@ def tracking_values(stages: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def check_drawing() -> None:
-    """Raise SettingsError before a run if matplotlib cannot be imported after it."""
-    # Without the variable the import cannot fail, and takes a while.
-    if "MPLBACKEND" in os.environ:
-        try:
-            import_module("matplotlib")
-        except ValueError:
-            raise SettingsError(
-                f"matplotlib knows no backend {os.environ['MPLBACKEND']!r}; unset"
-                " MPLBACKEND: figures need none"
-            ) from None
-
-
 def _has_port(address: str) -> bool:
     """Whether an address ends with a possible port, or needs none within a process."""
     match = _ADDRESS.fullmatch(address)
     return match is not None and (match["port"] is None or int(match["port"]) in _PORTS)
 
 
-def check_threads() -> None:
-    """Raise SettingsError before a run if numba cannot be imported within it."""
-    text = os.environ.get("NUMBA_NUM_THREADS", "1")
-    try:
-        fits = int(text) > 0
-    except ValueError:  # numba would warn, with a traceback
-        fits = False
-    if not fits:
-        raise SettingsError(
-            f"NUMBA_NUM_THREADS must be at least 1, got {text[:40]!r}; unset it"
-        )
-
-
-def typed_stage_values(texts: Iterable[str]) -> dict[str, str]:
-    """Return the values of stage settings, typed as STAGE.KEY=VALUE, by STAGE.KEY.
+def parse_stage_values(texts: Iterable[str]) -> dict[str, str]:
+    """Return the values of stage settings, written as STAGE.KEY=VALUE, by STAGE.KEY.
 
     Raises SettingsError for another form.
     """

@@ -6,10 +6,10 @@ A variant's run changes a single assumption, and has only the attacks that matte
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from evaluation.plan.presets import PRESETS
-from evaluation.plan.settings import NO_TRACKS, Settings
+from evaluation.plan.settings import NO_TRACKS, READING_OPTIONS, Settings
 from isac_track import datasets, plugins
 from isac_track.config import StageSettings
 from isac_track.datasets.registry import KNOWN, known
@@ -63,7 +63,7 @@ class Variant:
     recording: str = ""  # Name or path; empty: that of the run.
 
     @property
-    def about(self) -> str:
+    def description(self) -> str:
         """The change in words."""
         if self.predictor:
             return f"the robot predicts with {self.predictor}"
@@ -89,9 +89,17 @@ class Variant:
         )
 
 
-def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
+class VariantRun(NamedTuple):
+    """The settings of a variant's run, and what its recording is too small for."""
+
+    settings: Settings
+    left_out: tuple[str, ...]
+    """The reasons for which tasks are left out."""
+
+
+def usual_variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     """Return the usual variants, the base first, without those that change nothing."""
-    usual = [Variant(BASE), *map(parse, _USUAL)]
+    usual = [Variant(BASE), *map(parse_variant, _USUAL)]
     if manifest is None:
         return usual
     usual = [variant for variant in usual if not variant.changes_nothing(manifest)]
@@ -102,23 +110,27 @@ def variants(manifest: Mapping[str, Any] | None = None) -> list[Variant]:
     return [variant for variant in usual if variant.predictor in ("", *wanted)]
 
 
-def chosen(
+def choose_variants(
     names: Sequence[str] | None,
     *,
-    also: Sequence[str],
+    stage_values: Sequence[str],
     manifest: Mapping[str, Any] | None,
 ) -> list[Variant]:
     """Return the variants to run, each once, the base first.
 
-    By default they are those of `variants`; `also` names further variants by
-    STAGE.KEY=VALUE. Raises IsacTrackError for an unknown variant, or a variant whose
-    settings the run had.
+    By default they are those of `usual_variants`; `stage_values` names further
+    variants by STAGE.KEY=VALUE. Raises IsacTrackError for an unknown variant, or a
+    variant whose settings the run had.
     """
-    added = [parse(text) for text in also]
-    for text, variant in zip(also, added, strict=True):
+    added = [parse_variant(text) for text in stage_values]
+    for text, variant in zip(stage_values, added, strict=True):
         if not variant.stages:
             raise SettingsError(f"--set takes STAGE.KEY=VALUE, got {text!r}")
-    named = variants(manifest) if names is None else [Variant(BASE), *map(parse, names)]
+    named = (
+        usual_variants(manifest)
+        if names is None
+        else [Variant(BASE), *map(parse_variant, names)]
+    )
     by_name = {variant.name: variant for variant in (*named, *added)}
     for variant in by_name.values():
         if manifest is not None and variant.changes_nothing(manifest):
@@ -128,7 +140,7 @@ def chosen(
     return list(by_name.values())
 
 
-def parse(name: str) -> Variant:
+def parse_variant(name: str) -> Variant:
     """Return the variant of a name.
 
     Raises IsacTrackError if the name, or its setting, is unknown, or its value is out
@@ -173,16 +185,16 @@ def variant_settings(
     scenes: int | None = None,
     jobs: int | None = None,
     trust: Sequence[str] = (),
-) -> tuple[Settings, tuple[str, ...]]:
-    """Return the settings of a variant's run in a folder `out`.
+) -> VariantRun:
+    """Return the settings of a variant's run in a folder `out`, and what it leaves out.
 
-    The second value has the reasons for which tasks are left out of it. `attacks` are
-    the SPECs of those to run, each with its tasks; a reconstruction has the task "".
+    `attacks` are the SPECs of those to run, each with its tasks; a reconstruction has
+    the task "".
     `trust` names a user's classes that may be imported although a file names them.
     Raises IsacTrackError if its recording is not at hand, or a setting is unknown.
     """
-    ran, identity = manifest["settings"], manifest["identity"]
-    stages = StageSettings().changed(ran["stages"]).changed(variant.stages)
+    run_settings, identity = manifest["settings"], manifest["identity"]
+    stages = StageSettings().changed(run_settings["stages"]).changed(variant.stages)
     source, reading = _recording(variant, manifest)
     # No download: a missing data set fails, and the message says how to get it.
     dataset = datasets.load(source, download=False, **reading)
@@ -191,42 +203,48 @@ def variant_settings(
             f"{dataset.path} is no longer the recording that was run; run it again"
         )
     asked = set[str]().union(*attacks.values()) - {""}
-    too_small = _too_small(asked, dataset, stages, seed=ran["seed"])
-    predictors = () if variant.predictor else tuple(ran["predictors"][:1])
-    _check_trusted([*attacks], predictors, ran["mechanisms"], trust=trust)
+    too_small = _too_small(asked, dataset, stages, seed=run_settings["seed"])
+    predictors = () if variant.predictor else tuple(run_settings["predictors"][:1])
+    _check_trusted([*attacks], predictors, run_settings["mechanisms"], trust=trust)
     tasks = (asked - too_small.keys()) | {""}
-    usual = PRESETS[ran["preset"]]
-    is_usual = [ran["scenes"], ran["scenes_utility"]] == [
+    usual = PRESETS[run_settings["preset"]]
+    is_usual = [run_settings["scenes"], run_settings["scenes_utility"]] == [
         usual.scenes,
         usual.utility_scenes,
     ]
     settings = Settings(
-        preset=ran["preset"],
+        preset=run_settings["preset"],
         dataset=source,
         **reading,
-        scenes=scenes if scenes is not None or is_usual else ran["scenes"],
-        seed=ran["seed"],
-        mechanisms=tuple(ran["mechanisms"]),
+        scenes=scenes if scenes is not None or is_usual else run_settings["scenes"],
+        seed=run_settings["seed"],
+        mechanisms=tuple(run_settings["mechanisms"]),
         predictors=(variant.predictor,) if variant.predictor else predictors,
         attacks=tuple(spec for spec, own in sorted(attacks.items()) if own & tasks),
-        tasks=tuple(task for task in ran["tasks"] if task in tasks),
+        tasks=tuple(task for task in run_settings["tasks"] if task in tasks),
         policies=(),
         stages=stages.changed(NO_TRACKS),
         keep_ids=identity.get("ids") == "kept",
         jobs=jobs,
         out=out,
     )
-    return settings, tuple(too_small.values())
+    return VariantRun(settings, tuple(too_small.values()))
 
 
 def _recording(
     variant: Variant, manifest: Mapping[str, Any]
 ) -> tuple[str | None, dict[str, Any]]:
-    """Return the data set of a variant, and the options of its files."""
+    """Return the data set of a variant, and the options of reading its files.
+
+    Another recording than the run's is read as it is by default.
+    """
     recording, identity = manifest["dataset"], manifest["identity"]
-    if variant.recording or recording["name"] in KNOWN:
-        return variant.recording or recording["name"], {}
-    reading = {name: identity.get(name) for name in ("format", "fps", "unit")}
+    if variant.recording:
+        return variant.recording, {}
+    reading = {name: identity[name] for name in READING_OPTIONS if name in identity}
+    if recording["name"] in KNOWN:
+        return recording["name"], reading
+    reading |= {name: identity.get(name) for name in ("format", "fps", "unit")}
     reading["sessions"] = tuple(recording.get("sessions", ()))
     reading["persistent_ids"] = bool(identity.get("persistent_ids"))
     return None if reading["sessions"] else recording["path"], reading

@@ -1,4 +1,4 @@
-"""Worlds: what else than the recorded walks, under the run's law and at its horizon."""
+"""Worlds: walks, error law and horizon of numbers, where not the run's own."""
 
 import re
 from dataclasses import dataclass
@@ -37,7 +37,11 @@ class World:
 
 OWN_WORLD: Final = World()
 OTHER_LAW_WORLD: Final = World(law=OTHER_LAW)
-WORLDS: Final = (OTHER_LAW_WORLD, World(is_model=True), World(True, OTHER_LAW))
+WORLDS: Final = (
+    OTHER_LAW_WORLD,
+    World(is_model=True),
+    World(is_model=True, law=OTHER_LAW),
+)
 """Worlds beside the run's own where people are attacked; each horizon is a further."""
 
 

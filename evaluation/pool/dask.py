@@ -20,8 +20,8 @@ from cloudpickle import dumps, loads
 from threadpoolctl import threadpool_limits
 
 from evaluation.compute.current_cell import Failure, note_cell
-from evaluation.plan.fingerprint import code_hash, source_digest
 from evaluation.plan.origins import OURS
+from evaluation.plan.source_digest import code_hash, source_digest
 from evaluation.pool.memory import release_memory_after
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, error_text

@@ -18,7 +18,7 @@ from evaluation.compute.work import (
     TrackingWork,
     Work,
 )
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import Plan
 from evaluation.pool.pieces import cut_work, planned_cells, unfinished
 from isac_track.types import Tracks
@@ -130,7 +130,7 @@ def work_size(work: Work, plan: Plan) -> float:
         n_queries = _present_s(work.recorded) / rules.query_s
         return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, SceneWork):
-        return work.order.size * float(np.diff(plan.tracks.offsets).mean()) / 1e6
+        return work.order.size * float(np.diff(plan.scene_tracks.offsets).mean()) / 1e6
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
     probes, gallery = (
         np.bincount(side, minlength=len(work.sessions.searches)) for side in sides

@@ -69,7 +69,7 @@ def execute(
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
-    if may_be_shown and not plan.axes.no_scenes:
+    if may_be_shown and not plan.axes.why_no_scenes:
         failed_names = {entry.spec for entry in failed}
         failed_names |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = compute_sample_tracks(
@@ -244,7 +244,7 @@ def borrow(plan: Plan, *, sources: Sequence[Path], fresh: bool = False) -> None:
     with locked(plan.out):
         opened = open_run(plan.out, identity=plan.identity, fresh=fresh)
         share_key(plan.out, sources)
-        begun = opened.manifest | {"code": plan.code, "state": "running"}
+        begun = opened.manifest | {"code": plan.code_hash, "state": "running"}
         write_manifest(plan.out, begun)
         units = pieces.missing_units(plan, file_by_cell(opened.index_by_file))
         wanted = {

@@ -110,7 +110,7 @@ def _spread_works(
         compute_files,
         files=collector.files,
         names=collector.names,
-        tracks=plan.tracks,
+        tracks=plan.scene_tracks,
         stages=plan.settings.stages,
         seed=plan.settings.seed,
     )

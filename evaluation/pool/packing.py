@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from evaluation.compute.current_cell import Failure
 from evaluation.compute.work import FinishedCell, attempt_cells
-from evaluation.plan.fingerprint import sources
+from evaluation.plan.fingerprint import key_modules
 from evaluation.pool.pieces import CellName, cell_name
 from evaluation.store.cell_files import ComputedCell, ComputedUnit, pack_units
 from evaluation.store.new_files import group_units
@@ -80,10 +80,12 @@ def expected_files(
 def _expected_unit(unit: Unit, digests: Mapping[str, str]) -> ExpectedUnit:
     consumers = {}
     for key, consumer in unit.consumers.items():
-        modules = sources("", *consumer.plugins)
+        modules = key_modules("", *consumer.plugins)
         code = {module: digests[module] for module in modules}
         consumers[consumer.label] = ConsumerCode(key, code)
-    return ExpectedUnit(unit.block, unit.mechanism.spec, unit.key, unit.code, consumers)
+    return ExpectedUnit(
+        unit.block, unit.mechanism.spec, unit.key, unit.code_digests, consumers
+    )
 
 
 class FileCollector:

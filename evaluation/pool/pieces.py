@@ -30,7 +30,7 @@ from isac_track.scenes import track_order
 if TYPE_CHECKING:
     from collections import deque
 
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from evaluation.plan.plan import Plan, Unit
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
@@ -117,17 +117,16 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
 
 def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
     """Return the missing levels of every block of scenes, in every world."""
-    n_scenes = plan.settings.n_utility_scenes
     tasks = {sessions.task.name for sessions in plan.sessions}
     # Split where few blocks are attacked by the workers. Each piece senses the block
     # again, so that there are no more pieces than an even load takes.
-    n_attacked = -(-plan.settings.n_scenes // BLOCK_SCENES)
+    n_attacked = -(-plan.settings.n_attacked_scenes // BLOCK_SCENES)
     n_pieces = 1
     if plan.jobs > 1:
         n_pieces = -(-_PIECES_PER_WORKER * plan.jobs // n_attacked)
     orders = _scene_orders(plan)
     blocks = []
-    for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
+    for number, first in enumerate(range(0, plan.settings.n_all_scenes, BLOCK_SCENES)):
         for world, order in orders.items():
             levels = _merge_levels(
                 unit
@@ -149,30 +148,30 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
 def _scene_orders(plan: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
     settings = plan.settings
-    if plan.axes.no_scenes:
+    if plan.axes.why_no_scenes:
         return {}
 
     def order(n_tracks: int) -> Ints:
         return track_order(
             n_tracks=n_tracks,
-            n_scenes=settings.n_utility_scenes,
+            n_scenes=settings.n_all_scenes,
             agents=settings.stages.scenes.agents,
             seed=settings.seed,
         )
 
-    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(plan.tracks)))
-    for horizon_s, tracks in plan.tracks.further.items():
+    orders = dict.fromkeys((OWN_WORLD, *WORLDS), order(len(plan.scene_tracks)))
+    for horizon_s, tracks in plan.scene_tracks.further.items():
         orders[World(horizon_s=horizon_s)] = order(len(tracks))
     return orders
 
 
 def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     """Return the missing levels of every linkage task, in every world."""
-    groups = tuple(sorted(set(plan.tracks.group)))
+    groups = tuple(sorted(set(plan.scene_tracks.group)))
     walked = [(sessions, OWN_WORLD) for sessions in plan.sessions]
     walked += [
         (sessions, world)
-        for world in plan.axes.linked_in
+        for world in plan.axes.linked_mechanisms_by_world
         for sessions in plan.model_sessions
     ]
     links = []

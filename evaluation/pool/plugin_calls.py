@@ -17,7 +17,7 @@ from evaluation.compute.plugin_call import (
     plugin_code,
 )
 from evaluation.compute.sharing import declared_knowledge
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.plan import Plan, Unit

@@ -28,7 +28,7 @@ def compute_sample_tracks(
     ]
     compute = partial(
         _sample_part,
-        tracks=plan.tracks,
+        tracks=plan.scene_tracks,
         attacks=[plugin for plugin in axes.attacks if plugin.spec not in failed_names],
         stages=plan.settings.stages,
         seed=plan.settings.seed,

@@ -92,10 +92,10 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         finished = 0
     so_far = f", {finished} of them finished by {CHECKSUMS}" if finished else ""
     size = (
-        f"{len(plan.tracks)} of {len(plan.dataset.tracks)} tracks used,"
+        f"{len(plan.scene_tracks)} of {len(plan.dataset.tracks)} tracks used,"
         f" {scenes_text(plan.identity)}"
     )
-    if plan.axes.no_scenes and plan.passages is not None:
+    if plan.axes.why_no_scenes and plan.passages is not None:
         size = f"{len(plan.passages)} of {len(plan.dataset.tracks)} passages used"
     yield (
         f"{plan.dataset.name}: {size}; {plan.n_cells} cells{so_far},"
@@ -110,7 +110,7 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         )
 
         same = [consumer for consumer in slow if consumer.spec == spec]
-        cost_s = slow_cost_s(same, tracks=plan.tracks, n_levels=n_levels)
+        cost_s = slow_cost_s(same, tracks=plan.scene_tracks, n_levels=n_levels)
         slow_attacks.append(SlowAttack(spec, len(same), cost_s))
     yield from plan_notices(plan, slow=slow_attacks)
 

@@ -4,8 +4,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
-from evaluation.plan.axes import usual_jobs
 from evaluation.plan.presets import DEFAULT, PRESETS
+from evaluation.plan.workers import usual_jobs
 from evaluation.pool.duration import wall_s
 from evaluation.reporting.announcements import rerun_command
 

@@ -9,7 +9,7 @@ from evaluation.compute.return_columns import GAIN, NESTED_P, STRONGEST
 from evaluation.estimates.families import CLEAN, Family
 from evaluation.estimates.metrics import SUCCESS
 from evaluation.plan.address import Address, Where, control_name
-from evaluation.plan.axes import FUSION
+from evaluation.plan.consumer import FUSION
 from evaluation.reporting import table as make
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.lookups import estimates, find_family

@@ -7,7 +7,7 @@ from typing import Any, Final
 from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import SUCCESS
 from evaluation.plan.address import Address
-from evaluation.plan.axes import FUSION
+from evaluation.plan.consumer import FUSION
 from evaluation.reporting.amounts import PERCENT, counted
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results

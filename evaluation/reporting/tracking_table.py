@@ -16,8 +16,9 @@ from evaluation.estimates.metrics import (
     MISSED_FUTURE,
 )
 from evaluation.plan.address import parse_dataset, parse_policy
-from evaluation.plan.axes import LOG, PERFECT, TRACKER
+from evaluation.plan.axes import ORACLE_TRACKER
 from evaluation.plan.constants import SHARED
+from evaluation.plan.consumer import LOG, TRACKER
 from evaluation.reporting import table as make
 from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
@@ -159,7 +160,7 @@ def _value(rows: pd.DataFrame, policy: str, consumer: str, metric: str) -> float
 def _is_perfect(release: str) -> bool:
     """Whether a release is of all tracks of the oracle."""
     tracker = release.partition(":")[2].partition(",noise=")[0]
-    return tracker == PERFECT
+    return tracker == ORACLE_TRACKER
 
 
 def _best_robot(rows: pd.DataFrame) -> str:

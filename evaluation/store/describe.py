@@ -38,7 +38,7 @@ def describe_run(plan: Plan) -> dict[str, Any]:
     """Return a description of a run: environment, code, settings, data, and tasks."""
     from isac_track.geometry import geometry  # noqa: PLC0415 - a reader needs none
 
-    tracks, settings, axes = plan.tracks, plan.settings, plan.axes
+    tracks, settings, axes = plan.scene_tracks, plan.settings, plan.axes
     labels = id_labels(plan)
     without_rule = {
         plugin.family
@@ -46,7 +46,9 @@ def describe_run(plan: Plan) -> dict[str, Any]:
         if not plugin.adding and getattr(plugin.instance, "adds_error", True)
     }
     horizons = {}
-    for horizon_s in settings.stages.conflict.horizons_s if axes.utility else ():
+    for horizon_s in (
+        settings.stages.conflict.horizons_s if axes.utility_predictors else ()
+    ):
         n_used = len(tracks.further.get(horizon_s, ()))
         horizons[f"{horizon_s:g}"] = {
             "tracks_used": n_used,
@@ -64,7 +66,7 @@ def describe_run(plan: Plan) -> dict[str, Any]:
                 str(word).encode(errors="replace").decode() for word in sys.argv or ()
             ),
         },
-        "code": plan.code,
+        "code": plan.code_hash,
         "settings": _describe_settings(plan),
         "own_plugins": list_user_plugins(axes),
         "granted": {
@@ -83,7 +85,7 @@ def describe_run(plan: Plan) -> dict[str, Any]:
         "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": horizons,
         "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
-        "no_scenes": axes.no_scenes,
+        "no_scenes": axes.why_no_scenes,
     }
 
 
@@ -104,8 +106,8 @@ def _describe_settings(plan: Plan) -> dict[str, Any]:
     named = {axis: named_values(settings, axis) for axis in AXES}
     described: dict[str, Any] = {
         "preset": settings.preset,
-        "scenes": settings.n_scenes,
-        "scenes_utility": settings.n_utility_scenes,
+        "scenes": settings.n_attacked_scenes,
+        "scenes_utility": settings.n_all_scenes,
         "precision": settings.precision,
         "pilot_half_width": settings.pilot_half_width,
         "seed": settings.seed,
@@ -155,7 +157,7 @@ def describe_data(plan: Plan) -> dict[str, Any]:
         recording_advice,
     )
 
-    tracks, dataset = plan.tracks, plan.dataset
+    tracks, dataset = plan.scene_tracks, plan.dataset
     own = ("name", "sha256", "format", "simulated")
     notice = dataset.notice and without_folders(dataset.notice, dataset)
     data = {

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final, Protocol, TypeVar
 from evaluation.plan.address import Address, parse_row
 
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Consumer
+    from evaluation.plan.consumer import Consumer
     from evaluation.plan.world import World
     from isac_track.plugins import Plugin
 

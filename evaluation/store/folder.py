@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from evaluation.plan.fingerprint import ModuleFiles, has_source, source_digest
 from evaluation.plan.presets import DEFAULT
+from evaluation.plan.source_digest import ModuleFiles, has_source, source_digest
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
 from evaluation.store.checksums import check_sound, drop_stale_checksums, write_checked

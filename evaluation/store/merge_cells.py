@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from evaluation.compute.return_columns import CLEAN
-from evaluation.plan.axes import TRACK_KINDS
+from evaluation.plan.consumer import TRACK_KINDS
 from evaluation.plan.settings import patrol_values, tracking_values
 from evaluation.store.cell_index import CellKey
 from evaluation.store.entries import Entry, make_entry, other_entries
@@ -36,7 +36,7 @@ def cell_entries(
             )
     return [
         make_entry(mechanism, consumer, files=files[mechanism.spec, consumer.label])
-        for mechanism, consumer in plan.pairs
+        for mechanism, consumer in plan.mechanism_consumers
     ]
 
 

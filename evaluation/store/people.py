@@ -51,7 +51,12 @@ def id_labels(plan: Plan) -> dict[str, str]:
     """
     tracks = plan.dataset.tracks
     own = sorted(
-        {*tracks.source, *tracks.group, *plan.tracks.source, *plan.tracks.group}
+        {
+            *tracks.source,
+            *tracks.group,
+            *plan.scene_tracks.source,
+            *plan.scene_tracks.group,
+        }
     )
     place_by_name = {name: place for place, name in enumerate(own, start=1)}
     task_names: set[str] = set()

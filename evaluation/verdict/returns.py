@@ -19,7 +19,7 @@ from evaluation.compute.return_columns import (
 from evaluation.estimates.families import CLEAN
 from evaluation.estimates.returns import ReturnNumbers
 from evaluation.plan.address import Address
-from evaluation.plan.axes import FUSION
+from evaluation.plan.consumer import FUSION
 from isac_track.intervals import Estimate
 from isac_track.linkability.return_rule import (
     PRIMARY,

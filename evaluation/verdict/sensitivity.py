@@ -10,7 +10,7 @@ import pandas as pd
 
 from evaluation.estimates.differences import load_verdict
 from evaluation.plan.address import parse_label
-from evaluation.plan.variants import BASE, variants
+from evaluation.plan.variants import BASE, usual_variants
 from evaluation.store.manifest import read_manifest
 from isac_track.errors import DataError
 
@@ -124,7 +124,7 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     """
     base = read_verdict(variant_folder(out, BASE))
     reference = read_manifest(variant_folder(out, BASE))
-    order = {variant.name: place for place, variant in enumerate(variants())}
+    order = {variant.name: place for place, variant in enumerate(usual_variants())}
     names = {
         unquote_plus(folder.name)
         for folder in (out / CELLS_FOLDER).iterdir()

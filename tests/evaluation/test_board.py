@@ -9,11 +9,17 @@ import pytest
 from helpers.cards import SMALL, made_up_card, score, small_card
 
 from evaluation import board as command
-from evaluation.api import boarding, card_checks
-from evaluation.api.boarding import Attacked, attack_cards, join_mechanisms, write_board
-from evaluation.api.card_checks import load_cards, verify
+from evaluation.api import board as api_board
+from evaluation.api import card_checks
+from evaluation.api.board import (
+    AttackedCard,
+    attack_cards,
+    join_mechanisms,
+    write_board,
+)
+from evaluation.api.card_checks import load_cards, verify_card
 from evaluation.api.card_entries import Seed, cross_entries
-from evaluation.api.carding import Maker
+from evaluation.api.card_maker import CardMaker
 from evaluation.estimates.cards import primary_scores
 from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.board_page import make_board, render
@@ -170,14 +176,14 @@ class TestAttack:
         for item in met:
             assert item.after.attacks[-1].spec == DIGITS
             assert item.after.scores[: len(item.before.scores)] == item.before.scores
-            assert [score.by for score in item.own] == [DIGITS]
+            assert [score.by for score in item.new_scores] == [DIGITS]
         assert broken[0].after.primary["known"].by == DIGITS
 
     def test_a_rise_within_the_interval_breaks_nothing(self):
         def met(known):
             new = score(known, by="new")
             scores = (*before.scores, new)
-            return Attacked(
+            return AttackedCard(
                 before,
                 replace(
                     before,
@@ -191,7 +197,9 @@ class TestAttack:
         words = {0.29: "stands", 0.31: "slightly more known", 0.33: "broken"}
         assert {known: met(known).verdict for known in words} == words
         item = met(0.29)
-        line = attack_line(before, item.after, verdict=item.verdict, own=item.own)
+        line = attack_line(
+            before, item.after, verdict=item.verdict, own=item.new_scores
+        )
         assert line.endswith(
             "stands at 30.0 % [28.0, 32.0] known by ou_rts;"
             " new knows 29.0 % [27.0, 31.0]"
@@ -204,13 +212,13 @@ class TestAttack:
         (path,) = tmp_path.glob("*.json")
         assert read_card(path) == first.after
         computed = []
-        attacked = Maker.attacked
+        attacked = CardMaker.with_new_attacks
 
         def counted(self, card, entry):
             computed.append(card.file_name)
             return attacked(self, card, entry)
 
-        monkeypatch.setattr(Maker, "attacked", counted)
+        monkeypatch.setattr(CardMaker, "with_new_attacks", counted)
         again = list(attack_cards(cards, [DIGITS], folder=tmp_path, protocol=SMALL))
         assert again[0].after == first.after
         assert again[0].before == first.before
@@ -244,7 +252,7 @@ class TestAttack:
         (item,) = attack_cards(
             [small_card("raw")], [stranger], folder=tmp_path, protocol=SMALL
         )
-        assert verify(item.after, protocol=SMALL).verdict == "equal"
+        assert verify_card(item.after, protocol=SMALL).verdict == "equal"
 
     def test_a_card_of_other_code_is_computed_anew(self, tmp_path):
         other = replace(small_card("raw"), code_digest="0" * 64)
@@ -289,13 +297,13 @@ class TestMechanism:
         (new,) = join([card], ["raw"], ["everything"], seeds=[seed])
         assert new.seed_commitment == card.seed_commitment
         (entry,) = cross_entries(["plaza"], ["radial"], ["raw"], ["everything"])
-        assert new == Maker(seed, (), SMALL).card(entry)
+        assert new == CardMaker(seed, (), SMALL).card(entry)
 
 
 class TestCommand:
     @pytest.fixture
     def folder(self, tmp_path, monkeypatch):
-        for module in (boarding, card_checks):
+        for module in (api_board, card_checks):
             monkeypatch.setattr(module, "read_protocol", lambda: SMALL)
         for card in (small_card("raw"), small_card(WATERMARK)):
             write_card(card, tmp_path / "cards")

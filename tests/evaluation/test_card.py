@@ -11,9 +11,9 @@ from helpers.cards import SMALL, made_up_card, small_card, small_maker
 
 from evaluation import card as command
 from evaluation.api import card_checks, card_entries
-from evaluation.api.card_checks import verify
+from evaluation.api.card_checks import verify_card
 from evaluation.api.card_entries import Seed, cross_entries
-from evaluation.api.carding import Maker, make_cards
+from evaluation.api.card_maker import CardMaker, make_cards
 from evaluation.store.cards import card_text, read_card, write_card
 from isac_track.errors import DataError, SettingsError
 from isac_track.plugins import parse_all
@@ -67,7 +67,7 @@ class TestMaking:
         first = path.read_bytes()
         assert first == card_text(small_card()).encode()
         with monkeypatch.context() as patch:
-            patch.setattr(Maker, "card", card_again)
+            patch.setattr(CardMaker, "card", card_again)
             [*make_cards(small_maker(), entries(), folder=tmp_path)]
         assert path.read_bytes() == first
         path.write_bytes(first[:100])  # as a full disk leaves it
@@ -78,7 +78,9 @@ class TestMaking:
         both = entries() + entries(policy="ahead:1.2")
         cards = {
             card.policy.spec: card
-            for card, _ in make_cards(Maker(Seed(0), (), SMALL), both, folder=tmp_path)
+            for card, _ in make_cards(
+                CardMaker(Seed(0), (), SMALL), both, folder=tmp_path
+            )
         }
         assert cards["everything"] == small_card()
         assert (
@@ -87,9 +89,9 @@ class TestMaking:
         )
 
     def test_a_stranger_needs_no_change_of_our_tree(self, stranger):
-        card = Maker(Seed(0), (), SMALL).card(*entries(stranger))
+        card = CardMaker(Seed(0), (), SMALL).card(*entries(stranger))
         assert card.mechanism.spec == stranger
-        assert verify(card, protocol=SMALL).verdict == "equal"
+        assert verify_card(card, protocol=SMALL).verdict == "equal"
 
     def test_a_mechanism_that_leaves_samples_out_is_refused(self):
         with pytest.raises(SettingsError, match="give --policy instead"):
@@ -104,10 +106,10 @@ class TestMaking:
 
 class TestVerifying:
     def test_the_same_seed_gives_the_same_bits(self):
-        assert verify(small_card(), protocol=SMALL).verdict == "equal"
+        assert verify_card(small_card(), protocol=SMALL).verdict == "equal"
 
     def test_another_seed_agrees(self):
-        answer = verify(small_card(), seed=Seed(1), protocol=SMALL)
+        answer = verify_card(small_card(), seed=Seed(1), protocol=SMALL)
         assert answer.verdict == "agrees"
         assert "another seed" in answer.reason
 
@@ -118,27 +120,27 @@ class TestVerifying:
         value = scores[number].value
         scores[number] = replace(scores[number], value=value + 1e-9)
         planted = replace(card, scores=tuple(scores))
-        answer = verify(planted, protocol=SMALL)
+        answer = verify_card(planted, protocol=SMALL)
         assert answer.verdict == "differs"
         assert not answer.is_confirmed
 
     def test_another_source_of_a_strangers_plugin_is_refused(self, stranger, tmp_path):
-        card = Maker(Seed(0), (), SMALL).card(*entries(stranger))
+        card = CardMaker(Seed(0), (), SMALL).card(*entries(stranger))
         path = tmp_path / "stranger_coarse.py"
         path.write_text(f"{STRANGER}\n# changed\n", encoding="utf-8")
         with pytest.raises(SettingsError, match="its source has another digest"):
-            verify(card, protocol=SMALL)
+            verify_card(card, protocol=SMALL)
 
     def test_a_secret_seed_is_bound_but_not_shown(self, tmp_path):
         path = tmp_path / "seed.txt"
         path.write_text("0123456789abcdef0123456789abcdef\n", encoding="utf-8")
         seed = card_entries.read_secret_seed(path)
-        card = Maker(seed, (), SMALL).card(*entries("raw"))
+        card = CardMaker(seed, (), SMALL).card(*entries("raw"))
         assert card.seed is None
         assert str(seed.value) not in card_text(card)
         with pytest.raises(SettingsError, match="--secret-seed FILE"):
-            verify(card, protocol=SMALL)
-        assert verify(card, seed=seed, protocol=SMALL).verdict == "equal"
+            verify_card(card, protocol=SMALL)
+        assert verify_card(card, seed=seed, protocol=SMALL).verdict == "equal"
 
     @pytest.mark.parametrize("text", ["12", "xyz", "0123456789ABCDEF" * 2])
     def test_a_seed_that_can_be_guessed_is_refused(self, text, tmp_path):
@@ -149,8 +151,8 @@ class TestVerifying:
 
 
 def test_an_attack_joins_a_card_without_changing_its_numbers():
-    maker = Maker(Seed(0), parse_all("attacks", ["kalman_rts"]), SMALL)
-    card = maker.attacked(small_card(), *entries())
+    maker = CardMaker(Seed(0), parse_all("attacks", ["kalman_rts"]), SMALL)
+    card = maker.with_new_attacks(small_card(), *entries())
     whole = maker.card(*entries())
     assert card.scores[: len(small_card().scores)] == small_card().scores
     assert {item.by: item for item in card.scores if item.metric == "known_share"} == {

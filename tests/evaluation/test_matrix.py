@@ -9,8 +9,8 @@ from helpers.commands import assert_refused
 from helpers.small_runs import write_walks
 
 from evaluation import matrix
-from evaluation.plan.axes import axes
-from evaluation.plan.plan import changed_reading
+from evaluation.plan.axes import expand_axes
+from evaluation.plan.plan import _changed_reading_options
 from evaluation.plan.presets import DEFAULT, DISSOCIATION, PRESETS, PROTECTIONS
 from evaluation.plan.settings import Settings
 from evaluation.store.csv_files import to_csv
@@ -137,7 +137,7 @@ def test_options_become_settings():
     )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ()
-    assert settings.n_scenes == 5000
+    assert settings.n_attacked_scenes == 5000
     assert settings.stages.privacy.epsilon_m == 0.5
     assert (settings.seed, settings.jobs, settings.fresh) == (3, 2, True)
     assert parse_settings() == Settings()
@@ -154,7 +154,11 @@ def test_a_file_gives_the_same_keys_and_the_command_line_wins(tmp_path):
     settings = parse_settings(
         "--config", path, "--seed", "7", "--set", "privacy.epsilon_m=0.2"
     )
-    assert (settings.preset, settings.seed, settings.n_scenes) == ("smoke", 7, 30)
+    assert (settings.preset, settings.seed, settings.n_attacked_scenes) == (
+        "smoke",
+        7,
+        30,
+    )
     assert settings.mechanisms == ("raw", "fid:1")
     assert settings.predictors == ("least_squares",)
     stages = {"privacy.epsilon_m": 0.2, "sensing.law": "isotropic"}
@@ -186,10 +190,10 @@ def test_a_wrong_file_names_itself_and_the_key(tmp_path, ran, text, message):
 
 
 def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
-    crossed = axes(Settings())
+    crossed = expand_axes(Settings())
     assert Settings().preset == DEFAULT == "quick"
-    assert (Settings().n_scenes, Settings().n_utility_scenes) == (250, 2000)
-    assert crossed.worlds == dict.fromkeys(crossed.worlds, ())
+    assert (Settings().n_attacked_scenes, Settings().n_all_scenes) == (250, 2000)
+    assert crossed.mechanisms_by_world == dict.fromkeys(crossed.mechanisms_by_world, ())
     families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
     assert families == {"raw", "fid", "fixed", "ou"}
     assert {plugin.adding for plugin in crossed.mechanisms} == {
@@ -197,7 +201,7 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
         "linear",
         "independent",
     }
-    assert crossed.utility == {plugin.spec for plugin in crossed.predictors}
+    assert crossed.utility_predictors == {plugin.spec for plugin in crossed.predictors}
     assert [task.name for task in crossed.tasks] == [
         "rerelease",
         "handover-1s",
@@ -225,9 +229,9 @@ def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
 
 def test_the_presets_are_those_of_the_design():
     assert PRESETS["smoke"].scenes == 40
-    assert len(axes(Settings(preset="smoke")).mechanisms) == 5
+    assert len(expand_axes(Settings(preset="smoke")).mechanisms) == 5
     assert PRESETS["paper"].scenes == 500
-    paper = axes(Settings(preset="paper")).mechanisms
+    paper = expand_axes(Settings(preset="paper")).mechanisms
     assert len(paper) == 1 + 2 * (13 + 10) + len(DISSOCIATION) + len(PROTECTIONS)
     etas = [plugin.level for plugin in paper if plugin.name == "fid"]
     assert etas[0] == 1.0
@@ -237,8 +241,8 @@ def test_the_presets_are_those_of_the_design():
     ]
     assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
     assert PRESETS["full"].scenes == 5000
-    frontier = axes(Settings(preset="frontier"))
-    assert frontier.utility == {
+    frontier = expand_axes(Settings(preset="frontier"))
+    assert frontier.utility_predictors == {
         predictor.spec for predictor in frontier.predictors
     }  # all scenes, each robot
 
@@ -328,5 +332,5 @@ drop_frozen = 3
         "on_duplicate": "mean",
         "crs": "degrees",
     }
-    assert changed_reading(typed) == {**expected, "drop_frozen": 3.0}
-    assert changed_reading(parse_settings()) == {}
+    assert _changed_reading_options(typed) == {**expected, "drop_frozen": 3.0}
+    assert _changed_reading_options(parse_settings()) == {}

@@ -55,7 +55,7 @@ def test_a_finished_pilot_is_read_and_says_the_same(precise):
 def test_a_precision_that_250_scenes_reach_takes_250(precise):
     _, out = precise
     asked = evaluation.Settings(**LITTLE, precision=0.4, out=out)
-    assert sized(asked, progress=lambda *_: None).n_utility_scenes == 250
+    assert sized(asked, progress=lambda *_: None).n_all_scenes == 250
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from evaluation.api.card_checks import load_cards, verify
+from evaluation.api.card_checks import load_cards, verify_card
 from evaluation.api.card_entries import card_entry, read_secret_seed
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import card_text, read_card
@@ -43,4 +43,4 @@ def test_the_published_seed_is_that_of_the_cards_made_in_secret():
 @pytest.mark.slow  # 20 s
 def test_a_public_card_is_confirmed():
     (path,) = FOLDER.glob("plaza-radial-ou-0.4-*.json")
-    assert verify(read_card(path)).is_confirmed
+    assert verify_card(read_card(path)).is_confirmed

@@ -8,8 +8,9 @@ from helpers.commands import FEW, MATRIX, assert_refused, run
 from helpers.small_runs import write_walks
 
 from evaluation.matrix import parser, settings_from
-from evaluation.plan.axes import axes, choose_jobs, most_workers
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.settings import Settings
+from evaluation.plan.workers import choose_jobs, most_workers
 from isac_track.command_line import exit_code
 from isac_track.errors import SettingsError
 
@@ -101,7 +102,7 @@ COMMANDS = {
 def test_an_option_is_refused_before_anything_is_computed(case):
     words, says = COMMANDS[case]
     with pytest.raises(SettingsError, match=says):
-        axes(settings_from(parser().parse_args(["--dataset", "plaza", *words])))
+        expand_axes(settings_from(parser().parse_args(["--dataset", "plaza", *words])))
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ def test_there_are_no_more_workers_than_works():
         tasks=[],
         policies=[],
     )
-    crossed = axes(few)
+    crossed = expand_axes(few)
     assert most_workers(crossed, few) == 2
     assert choose_jobs(crossed, few) == 2
 

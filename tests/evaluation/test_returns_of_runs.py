@@ -15,9 +15,12 @@ from attacks.tasks.returns import hide, passages
 from attacks.tasks.task_list import FUSED
 from evaluation import matrix
 from evaluation.estimates.differences import compare
+from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
+from evaluation.plan.workers import most_workers
 from evaluation.reporting.figures.figure import make_figures
 from evaluation.reporting.first_screen import first_screen
+from evaluation.reporting.notices import plan_notices
 from evaluation.reporting.page import render
 from evaluation.reporting.return_words import return_sentence
 from isac_track import datasets
@@ -115,6 +118,26 @@ def test_a_run_without_scenes_has_a_first_screen_that_says_so(made):
     assert f"Return: With {n} people we cannot tell whether a walk identifies" in text
     assert re.search(r"are named first, guessing \d+ %, [\w ]+ \d+ %\.", text)
     assert "resample.min_duration_s=" in (made.out / "tables.txt").read_text()
+
+
+def test_a_run_without_scenes_says_how_many_people_it_leaves_out(
+    sessions, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("evaluation.plan.plan.MOST_SCORES", 2000)
+    settings = Settings(preset="smoke", sessions=sessions, out=tmp_path / "run")
+    plan = make_plan(settings)
+    assert plan.axes.why_no_scenes
+    assert plan.passages.not_drawn > 0
+    (notice,) = [
+        text for text in plan_notices(plan, slow=()) if "people of task returns" in text
+    ]
+    assert notice.startswith(f"notice: left out: {plan.passages.not_drawn} people")
+
+
+def test_workers_without_scenes_are_as_many_as_levels(sessions, tmp_path):
+    settings = Settings(preset="smoke", sessions=sessions, out=tmp_path / "run")
+    plan = make_plan(settings)
+    assert most_workers(plan.axes, settings) == len(plan.units)
 
 
 def test_the_page_has_sentence_figure_and_tables(made):

@@ -14,7 +14,13 @@ from helpers.summaries import edit_manifest
 
 import evaluation
 from evaluation import sensitivity
-from evaluation.plan.variants import BASE, parse, variant_settings, variants
+from evaluation.plan.plan import make_plan
+from evaluation.plan.variants import (
+    BASE,
+    parse_variant,
+    usual_variants,
+    variant_settings,
+)
 from evaluation.reporting.difference_tables import sign_changes
 from evaluation.sensitivity import main
 from evaluation.store.manifest import read_manifest
@@ -26,6 +32,7 @@ from evaluation.verdict.sensitivity import (
     read_verdict,
     variant_folder,
 )
+from isac_track.datasets import load
 from isac_track.errors import DataError, SettingsError
 
 NAMES = (
@@ -136,13 +143,13 @@ class TestNames:
             "predictor=kalman_cv",
             "predictor=least_squares",
         )
-        assert variants() == [parse(name) for name in promised]
-        assert tuple(variant.name for variant in variants()) == promised
+        assert usual_variants() == [parse_variant(name) for name in promised]
+        assert tuple(variant.name for variant in usual_variants()) == promised
 
     @pytest.mark.parametrize("name", ["privacy.epsilon_m = 0.4", "epsilon=0.4"])
     def test_any_setting_makes_a_variant(self, name):
-        assert parse(name).stages == {"privacy.epsilon_m": 0.4}
-        assert parse("scenes.agents=3").stages == {"scenes.agents": 3}
+        assert parse_variant(name).stages == {"privacy.epsilon_m": 0.4}
+        assert parse_variant("scenes.agents=3").stages == {"scenes.agents": 3}
 
     @pytest.mark.parametrize(
         ("name", "said"),
@@ -162,12 +169,12 @@ class TestNames:
     )
     def test_a_wrong_name_says_what_was_meant(self, name, said):
         with pytest.raises((SettingsError, DataError), match=re.escape(said)):
-            parse(name)
+            parse_variant(name)
 
     def test_what_the_run_did_itself_is_left_out(self, finished):
         manifest = read_manifest(finished)
         recordings = {"recording=students03", "recording=zara01", "recording=plaza"}
-        names = {variant.name for variant in variants(manifest)}
+        names = {variant.name for variant in usual_variants(manifest)}
         assert names >= recordings | {"predictor=kalman_cv"}
         assert "predictor=least_squares" not in names
         manifest["dataset"]["name"] = "zara01"
@@ -176,7 +183,7 @@ class TestNames:
             "privacy.epsilon_m": 0.5,
         }
         manifest["settings"]["predictors"] = ["kalman_cv"]
-        names = {variant.name for variant in variants(manifest)}
+        names = {variant.name for variant in usual_variants(manifest)}
         missing = {
             "recording=zara01",
             "law=isotropic",
@@ -186,7 +193,7 @@ class TestNames:
         assert names.isdisjoint(missing)
         assert {"base", "recording=students03", "predictor=least_squares"} <= names
         manifest["settings"]["predictors"] = []
-        assert not any(variant.predictor for variant in variants(manifest))
+        assert not any(variant.predictor for variant in usual_variants(manifest))
 
 
 class TestChanges:
@@ -242,7 +249,7 @@ class TestChanges:
 def settings(finished, name, *, manifest=None, out="nowhere", **more):
     """The settings of a variant of a run, and what is left out."""
     return variant_settings(
-        parse(name),
+        parse_variant(name),
         manifest=with_paths(
             finished, read_manifest(finished) if manifest is None else manifest
         ),
@@ -260,7 +267,7 @@ class TestSettings:
         ran = read_manifest(finished)["settings"]
         variant, _ = settings(finished, name)
         changed = variant.stages.flat().items() - ran["stages"].items()
-        assert dict(changed) == parse(name).stages
+        assert dict(changed) == parse_variant(name).stages
         assert variant.dataset == settings(finished, BASE)[0].dataset
         assert variant.predictors == ("least_squares",)
         # Of the attacks those that the verdict is about.
@@ -290,6 +297,37 @@ class TestSettings:
         manifest["dataset"]["sha256"] = "0" * 64
         with pytest.raises(DataError, match="no longer the recording"):
             settings(finished, BASE, manifest=manifest)
+
+    def test_a_file_is_read_as_the_run_has_read_it(self, finished, tmp_path):
+        lines = write_walks(tmp_path / "walks.csv").read_text().splitlines()
+        # The first sample twice, at two places; and names of the recording's own.
+        t, person, x, y = lines[1].split(",")
+        twice = f"{t},{person},{float(x) + 0.5},{y}"
+        walks = tmp_path / "odd.csv"
+        walks.write_text("\n".join(["time,ped,px,py", twice, *lines[1:], ""]))
+        reading = {
+            "columns": "t=time,id=ped,x=px,y=py",
+            "on_duplicate": "mean",
+            "drop_frozen": 3.0,
+        }
+        ran = make_plan(smoke(walks, scenes=60, **reading))
+        assert {name: ran.identity[name] for name in reading} == reading
+        manifest = with_paths(finished, read_manifest(finished))
+        manifest["identity"] = ran.identity
+        manifest["dataset"] |= {"path": str(walks), "sha256": ran.dataset.sha256}
+        changed, _ = variant_settings(
+            parse_variant(BASE), manifest=manifest, attacks={}, out=tmp_path / "base"
+        )
+        assert make_plan(changed).identity == ran.identity
+
+    def test_a_known_recording_is_repaired_as_in_the_run(self, finished):
+        manifest = read_manifest(finished)
+        manifest["dataset"] |= {"name": "plaza", "sha256": load("plaza").sha256}
+        manifest["identity"]["on_duplicate"] = "mean"
+        changed, _ = settings(finished, BASE, manifest=manifest)
+        assert (changed.dataset, changed.on_duplicate) == ("plaza", "mean")
+        changed, _ = settings(finished, "recording=plaza", manifest=manifest)
+        assert changed.on_duplicate == "error"
 
 
 class TestRun:

@@ -4,7 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 from evaluation.api.card_entries import Seed, cross_entries
-from evaluation.api.carding import Maker
+from evaluation.api.card_maker import CardMaker
 from evaluation.estimates.cards import primary_scores
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import Card, CardPlugin, CardScore
@@ -70,7 +70,7 @@ def made_up_card(
 @cache
 def small_maker(seed=0):
     """A maker under the small protocol."""
-    return Maker(Seed(seed), (), SMALL)
+    return CardMaker(Seed(seed), (), SMALL)
 
 
 @cache

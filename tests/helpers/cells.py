@@ -16,7 +16,8 @@ from evaluation.compute.linkage import link
 from evaluation.compute.reconstruction import attacked_block, draw_halves
 from evaluation.compute.sharing import share
 from evaluation.compute.work import SceneWork, compute_cells
-from evaluation.plan.axes import Axes, Consumer
+from evaluation.plan.axes import Axes
+from evaluation.plan.consumer import Consumer
 from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin

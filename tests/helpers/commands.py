@@ -12,10 +12,8 @@ from typing import NamedTuple
 from helpers.processes import ROOT, TESTS
 
 MATRIX = ("-m", "evaluation.matrix")
-_UNDRAWN = (
-    "import sys; from evaluation import matrix; from evaluation.api import rebuilding; "
-)
-_UNDRAWN += "rebuilding._draw = lambda *_, **__: None; sys.exit(matrix.main())"
+_UNDRAWN = "import sys; from evaluation import matrix; from evaluation.api import run_results; "
+_UNDRAWN += "run_results._draw = lambda *_, **__: None; sys.exit(matrix.main())"
 UNDRAWN = ("-c", _UNDRAWN)
 """The matrix, but for pictures: they take most of the time of a small run."""
 FEW = (

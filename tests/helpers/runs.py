@@ -3,7 +3,7 @@
 import numpy as np
 
 from evaluation.compute.tables import ROWS
-from evaluation.plan import fingerprint
+from evaluation.plan import source_digest
 from evaluation.store import cell_files, cell_index
 from evaluation.store.files import CELLS_FOLDER
 from evaluation.store.manifest import read_manifest
@@ -44,13 +44,13 @@ def stored_consumers(out):
 
 def change_code(monkeypatch, *modules):
     """Let the code of some modules look as if somebody had changed it."""
-    read = fingerprint._read
+    read = source_digest._read_source
 
     def changed(name, **place):
         result = read(name, **place)
         return (result[0] + b"# changed\n", result[1]) if name in modules else result
 
-    monkeypatch.setattr(fingerprint, "_read", changed)
+    monkeypatch.setattr(source_digest, "_read_source", changed)
 
 
 def arrays(tables, *, tracks=None):

@@ -49,7 +49,7 @@ def single_process():
 def without_pictures():
     """Runs draw no pictures: they take most of the time of a small one."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.api.rebuilding._draw", lambda *_, **__: None)
+        patch.setattr("evaluation.api.run_results._draw", lambda *_, **__: None)
         yield
 
 

@@ -11,8 +11,8 @@ import pandas as pd
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
-from evaluation.plan.fingerprint import code_hash
 from evaluation.plan.presets import PRESETS
+from evaluation.plan.source_digest import code_hash
 from evaluation.store.csv_files import from_csv, to_csv
 from evaluation.store.manifest import read_manifest, write_manifest
 from evaluation.verdict.what_to_share import Question, recommend

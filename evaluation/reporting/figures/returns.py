@@ -5,7 +5,7 @@ from typing import Final
 
 from evaluation.compute.return_columns import STRONGEST
 from evaluation.estimates.metrics import SUCCESS
-from evaluation.plan.axes import FUSION
+from evaluation.plan.consumer import FUSION
 from evaluation.reporting.charts import LOOKS, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import find_family

@@ -25,7 +25,8 @@ from evaluation.compute.linkage import sees_times_only
 from evaluation.compute.sharing import samples_shared, share, take_samples
 from evaluation.compute.window_tables import WINDOW_COLUMNS
 from evaluation.compute.work import LinkWork, compute_cells
-from evaluation.plan.axes import Consumer, axes, windows_consumer
+from evaluation.plan.axes import expand_axes
+from evaluation.plan.consumer import Consumer, windows_consumer
 from evaluation.plan.presets import DISSOCIATION, PROTECTIONS
 from evaluation.plan.settings import Settings
 from isac_track import plugins, privacy
@@ -391,6 +392,6 @@ def test_the_presets_but_smoke_hold_the_controls():
     ]
     for preset in ("paper", "full"):
         bare = Settings(preset=preset, predictors=(), attacks=(), tasks=())
-        assert [mechanism.spec for mechanism in axes(bare).mechanisms][
+        assert [mechanism.spec for mechanism in expand_axes(bare).mechanisms][
             -len(controls) :
         ] == controls

@@ -34,7 +34,8 @@ from evaluation import matrix
 from evaluation.compute.link_setup import sensed_sessions
 from evaluation.compute.link_tables import DERIVED, linkage_tables
 from evaluation.estimates import linkability
-from evaluation.plan.axes import Consumer, axes
+from evaluation.plan.axes import expand_axes
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import Settings
 from evaluation.store import cell_files, linkage_outcomes
@@ -712,18 +713,21 @@ class TestAxes:
     )
     def test_what_does_not_fit_is_refused_with_the_way_out(self, given, message):
         with pytest.raises(SettingsError, match=message):
-            axes(Settings(**given))
+            expand_axes(Settings(**given))
 
     @pytest.mark.parametrize("name", sorted(ADVERSARIES.keys() - USUAL))
     def test_who_is_asked_for_by_name_alone_does_something(self, name):
         rows = {
             consumer.adversary
-            for consumer in axes(paper(adversaries=(name,))).consumers
+            for consumer in expand_axes(paper(adversaries=(name,))).consumers
         }
         assert rows == {"", *USUAL, name}
 
     def test_who_is_in_every_run_adds_nothing_to_it_when_asked_for(self):
-        assert axes(paper(adversaries=USUAL)).consumers == axes(paper()).consumers
+        assert (
+            expand_axes(paper(adversaries=USUAL)).consumers
+            == expand_axes(paper()).consumers
+        )
 
     def test_who_links_where(self):
         for attack, task, spec in (
@@ -734,7 +738,7 @@ class TestAxes:
             ),  # it has no task of its own: it runs where it can
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
         ):
-            result = axes(Settings(attacks=(attack,), tasks=(task,)))
+            result = expand_axes(Settings(attacks=(attack,), tasks=(task,)))
             assert [(where.name, link.spec) for where, link in result.links] == [
                 (task, spec)
             ]
@@ -742,7 +746,9 @@ class TestAxes:
     def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(
         self,
     ):
-        crossed = axes(Settings(preset="quick", attacks=("radial_rts", "averaging")))
+        crossed = expand_axes(
+            Settings(preset="quick", attacks=("radial_rts", "averaging"))
+        )
         rows = {
             (consumer.spec, consumer.adversary)
             for consumer in crossed.consumers
@@ -753,13 +759,13 @@ class TestAxes:
             "informed",
         }
         assert ("averaging", "oracle") in rows
-        asked = axes(Settings(preset="quick", adversaries=("oracle",))).consumers
+        asked = expand_axes(Settings(preset="quick", adversaries=("oracle",))).consumers
         assert "oracle" in {item.adversary for item in asked}
 
     def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(
         self,
     ):
-        result = axes(paper())
+        result = expand_axes(paper())
         assert {task.name for task in result.tasks} == TASKS.keys()
         linkers = {link.plugin.name for _, link in result.links}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
@@ -770,7 +776,7 @@ class TestAxes:
         }
         assert linkers == known
         assert result.ceiling.spec == "clean"
-        nothing = axes(Settings(tasks=()))
+        nothing = expand_axes(Settings(tasks=()))
         assert (nothing.links, nothing.ceiling) == ((), None)
 
 

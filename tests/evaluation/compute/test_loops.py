@@ -11,7 +11,7 @@ from evaluation.compute.loops import (
     list_loops,
     prepare_loop,
 )
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.settings import Settings
 from isac_track import compiling
 
@@ -41,12 +41,13 @@ def test_a_quick_run_calls_no_loop_that_is_not_compiled_ahead(
         dataset=str(csv_recording), scenes=8, mechanisms=levels, tasks=(), jobs=1
     )
     run(settings, out=tmp_path / "run", progress=False, pictures=False)
-    assert called <= {*list_loops(crossed_cells(axes(settings)))}
+    assert called <= {*list_loops(crossed_cells(expand_axes(settings)))}
 
 
 def test_the_slowest_to_compile_begin():
     names = [
-        name.partition(":")[2] for name in list_loops(crossed_cells(axes(Settings())))
+        name.partition(":")[2]
+        for name in list_loops(crossed_cells(expand_axes(Settings())))
     ]
     assert names[:3] == ["read_scores", "ratios", "described"]
     assert len(set(names)) == len(names)

@@ -17,7 +17,7 @@ from isac_track.errors import DataError
 def gallery_table(plan, *specs):
     mechanisms = plugins.parse_all("mechanisms", specs)
     options = {
-        "tracks": plan.tracks,
+        "tracks": plan.scene_tracks,
         "attacks": (),
         "stages": plan.settings.stages,
         "seed": 0,

@@ -17,7 +17,7 @@ from evaluation.compute.track_links import LINK_COLUMNS, link_rows
 from evaluation.compute.track_rows import FOLLOWED_COLUMNS, TRACK_COLUMNS, track_rows
 from evaluation.compute.tracking_setup import make_tracking_setup, share_tracked
 from evaluation.compute.work import TrackingWork, compute_cells
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.plan import make_plan
 from evaluation.pool.execute import FailedCellsWarning
 from evaluation.pool.pieces import cut_work, planned_cells
@@ -223,7 +223,7 @@ def linked(recording, tracker, **stages):
     )
     recorded = datasets.load(str(recording)).tracks
     setup = make_tracking_setup(recorded, stages=settings.stages, seed=0)
-    crossed = axes(settings)
+    crossed = expand_axes(settings)
     links = [each for each in crossed.track_consumers() if each.task]
     links = [link for link in links if link.track_release.name == tracker]
     raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
@@ -288,7 +288,9 @@ def test_cells_of_tracks_call_no_loop_that_is_not_compiled_ahead(coming, monkeyp
     (work,) = (
         work for work in cut_work(plan.units, plan) if isinstance(work, TrackingWork)
     )
-    for _ in compute_cells(work, tracks=plan.tracks, stages=settings.stages, seed=0):
+    for _ in compute_cells(
+        work, tracks=plan.scene_tracks, stages=settings.stages, seed=0
+    ):
         pass
     listed = {
         (cell.mechanism.spec, cell.consumer.label): list_loops(
@@ -496,6 +498,6 @@ def test_every_setting_changes_the_rows(counted, changes, least):
 
 def test_a_mechanism_that_leaves_samples_out_has_no_tracks():
     settings = smoke("plaza", mechanisms=("raw", "window:2"), stages=FEW)
-    assert [plugin.spec for plugin in axes(settings).tracked] == ["raw"]
+    assert [plugin.spec for plugin in expand_axes(settings).track_mechanisms] == ["raw"]
     with pytest.raises(SettingsError, match="unknown tracker"):
-        axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))
+        expand_axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))

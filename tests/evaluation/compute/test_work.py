@@ -11,7 +11,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.compute import work as work_module
 from evaluation.compute.guards import copy_for_user_plugin, guarded
 from evaluation.compute.work import LinkWork, compute_cells
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.settings import Settings
 from isac_track.scenes import cut
 
@@ -20,7 +20,9 @@ from isac_track.scenes import cut
 def piece(tracks):
     known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
     attacks = ("shape", "histogram", "histogram@kalman_rts")
-    consumers = axes(Settings(attacks=attacks, tasks=(task.name,))).task_consumers(task)
+    consumers = expand_axes(
+        Settings(attacks=attacks, tasks=(task.name,))
+    ).task_consumers(task)
     levels = tuple(
         (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
     )

@@ -25,11 +25,13 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
         "mechanisms": ("raw", "fixed:0.5"),
         "tasks": (),
         "scenes": 4,
-        "other_law": (),
+        "other_law_mechanisms": (),
     }
     axes |= {"attacks": ("identity", "kalman_rts", "averaging")}
     axes |= {"predictors": (), "protections": (), "policies": ()}
-    model = replace(PRESETS["paper"], utility_scenes=4, model=("fixed:0.5",), **axes)
+    model = replace(
+        PRESETS["paper"], utility_scenes=4, model_mechanisms=("fixed:0.5",), **axes
+    )
     monkeypatch.setitem(PRESETS, DEFAULT, model)
     usual = Settings(dataset=str(csv_recording), jobs=1, out=tmp_path / "model")
     results = run(usual, pictures=False)
@@ -82,10 +84,10 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
         "predictors": (),
         "policies": (),
     }
-    axes |= {"attacks": ("shape",), "protections": (), "other_law": ()}
+    axes |= {"attacks": ("shape",), "protections": (), "other_law_mechanisms": ()}
     model = {
-        "model": ("fixed:0.5",),
-        "model_linked": ("fixed:0.5",),
+        "model_mechanisms": ("fixed:0.5",),
+        "model_linked_mechanisms": ("fixed:0.5",),
         "model_people": 40,
     }
     monkeypatch.setitem(

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
 import pytest
 from helpers.commands import MATRIX, assert_refused, run
 
 from evaluation.matrix import parser, settings_from
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.settings import AXES, Settings
 from isac_track.errors import SettingsError
@@ -27,7 +28,7 @@ class OwnAttack:
 
 def specs(settings):
     """SPECs of a run by axis, in order."""
-    crossed = axes(settings)
+    crossed = expand_axes(settings)
     return {
         "mechanisms": [plugin.spec for plugin in crossed.mechanisms],
         "predictors": [plugin.spec for plugin in crossed.predictors],
@@ -78,47 +79,52 @@ def test_a_linker_that_is_added_links_and_the_others_still_do():
 
 
 def test_a_task_that_is_added_is_linked():
-    result = axes(typed("--preset", "frontier", "--task", "+split"))
+    result = expand_axes(typed("--preset", "frontier", "--task", "+split"))
     assert [task.name for task in result.tasks] == ["rerelease", "split"]
 
 
 def test_all_that_a_preset_does_besides_its_axes_stays():
-    usual = axes(Settings())
-    added = axes(
+    usual = expand_axes(Settings())
+    added = expand_axes(
         Settings(
             attacks=["+savgol:0.4"],
             mechanisms=["+laplace:0.3"],
             predictors=["+kalman_cv:2"],
         )
     )
-    assert added.against_slow == usual.against_slow
-    assert added.worlds == usual.worlds
-    assert added.linked_in == usual.linked_in
+    assert added.slow_error_attacks == usual.slow_error_attacks
+    assert added.mechanisms_by_world == usual.mechanisms_by_world
+    assert added.linked_mechanisms_by_world == usual.linked_mechanisms_by_world
     assert added.adversaries == usual.adversaries
     # A robot that is named is read in all scenes and at every horizon.
-    assert len(added.utility) == len(usual.utility) + 1
+    assert len(added.utility_predictors) == len(usual.utility_predictors) + 1
 
 
 def test_without_the_attacks_of_a_preset_its_further_adversaries_go():
-    assert axes(Settings()).adversaries
-    assert axes(Settings(attacks=["savgol"])).adversaries == ()
+    assert expand_axes(Settings()).adversaries
+    assert expand_axes(Settings(attacks=["savgol"])).adversaries == ()
 
 
 def test_an_attack_of_slow_errors_that_is_named_runs_against_every_mechanism():
-    (spec,) = axes(Settings()).against_slow
-    assert axes(Settings(attacks=[f"+{spec}"])).against_slow == frozenset()
+    (spec,) = expand_axes(Settings()).slow_error_attacks
+    assert expand_axes(Settings(attacks=[f"+{spec}"])).slow_error_attacks == frozenset()
 
 
 def test_twice_is_once():
     for name in PRESETS["smoke"].attacks:
-        once = axes(Settings(preset="smoke"))
-        assert axes(Settings(preset="smoke", attacks=[f"+{name}"])).links == once.links
+        once = expand_axes(Settings(preset="smoke"))
+        assert (
+            expand_axes(Settings(preset="smoke", attacks=[f"+{name}"])).links
+            == once.links
+        )
 
 
 def test_an_object_follows_a_plus_of_its_own():
-    result = axes(Settings(preset="smoke", attacks=["+", OwnAttack(), "savgol:0.4"]))
+    result = expand_axes(
+        Settings(preset="smoke", attacks=["+", OwnAttack(), "savgol:0.4"])
+    )
     assert result.attacks[-2].instance == OwnAttack()
-    assert len(result.attacks) == len(axes(Settings(preset="smoke")).attacks) + 2
+    assert len(result.attacks) == len(expand_axes(Settings(preset="smoke")).attacks) + 2
 
 
 @pytest.mark.parametrize("axis", AXES)
@@ -157,9 +163,28 @@ def test_none_beside_a_plus_is_refused():
         typed("--attack", "none", "--attack", "+savgol")
 
 
+@pytest.mark.parametrize(
+    "option", ["fresh", "keep_ids", "keep_scores", "persistent_ids"]
+)
+def test_a_flag_is_true_or_false(option):
+    for value in ("no", 0, 1.0, []):
+        with pytest.raises(SettingsError) as caught:
+            Settings(**{option: value})
+        message = str(caught.value)
+        assert message.startswith(f"{option} must be True or False; got ")
+        assert "\n" not in message
+    for value in (True, False, np.True_, np.False_):
+        assert getattr(Settings(**{option: value}), option) is bool(value)
+
+
+def test_the_width_of_a_pilot_is_a_number():
+    with pytest.raises(SettingsError, match="pilot_half_width must be a number"):
+        Settings(pilot_half_width="wide")
+
+
 def test_what_is_added_must_be_able_to_run():
     with pytest.raises(SettingsError, match="has no task to run in"):
-        axes(
+        expand_axes(
             Settings(
                 preset="smoke", tasks=["split"], attacks=["+kinematic:0.3@kalman_rts"]
             )

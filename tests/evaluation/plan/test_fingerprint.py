@@ -5,15 +5,15 @@ import sys
 import pytest
 from helpers.runs import change_code
 
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.fingerprint import (
     RECONSTRUCTION,
     SHARING,
     consumer_key,
-    source_digest,
-    sources,
+    key_modules,
 )
 from evaluation.plan.settings import Settings
+from evaluation.plan.source_digest import source_digest
 
 FILES = {
     "solo.py": "import os\nimport numpy\nfrom helper_a import f\n",
@@ -128,6 +128,9 @@ SOURCES = {
     (): (
         "evaluation.plan.presets",
         "evaluation.plan.axes",
+        "evaluation.plan.consumer",
+        "evaluation.plan.linkers",
+        "evaluation.plan.workers",
         "isac_track.plugins",
         "isac_track.testing.engine",
         "attacks.testing",
@@ -145,7 +148,7 @@ SOURCES = {
 def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections):
     def digests():
         return {
-            section: [source_digest(source) for source in sources(section)]
+            section: [source_digest(source) for source in key_modules(section)]
             for section in SECTIONS
         }
 
@@ -157,14 +160,18 @@ def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections)
 
 
 def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
-    crossed = axes(Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape")))
+    crossed = expand_axes(
+        Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape"))
+    )
     consumers = (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0]))
 
     def keys():
         return {
             consumer.label: consumer_key(
                 consumer,
-                code=[source_digest(name) for name in sources("", *consumer.plugins)],
+                code=[
+                    source_digest(name) for name in key_modules("", *consumer.plugins)
+                ],
                 keep_scores=False,
             )
             for consumer in consumers
@@ -181,7 +188,7 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 
 def test_raw_scores_are_another_thing_to_keep():
-    crossed = axes(Settings(attacks=("savgol", "shape")))
+    crossed = expand_axes(Settings(attacks=("savgol", "shape")))
     for item in (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0])):
         keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
         assert len(keys) == 1 + (item.kind in ("linkage", "control"))

@@ -5,7 +5,7 @@ import math
 import pytest
 from helpers.small_runs import smoke
 
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.fingerprint import PATROL
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import PRESETS
@@ -86,7 +86,7 @@ def test_a_wrong_policy_is_refused(csv_recording, policy, message):
 
 
 def test_the_optimum_of_a_linkage_task_has_a_kind_that_files_do_not_have():
-    crossed = axes(Settings(preset="paper", tasks=("rerelease",)))
+    crossed = expand_axes(Settings(preset="paper", tasks=("rerelease",)))
     (task,) = crossed.tasks
     *linkers, optimum = crossed.task_consumers_in(World(is_model=True), task)
     assert {linker.kind for linker in linkers} == {"linkage"}

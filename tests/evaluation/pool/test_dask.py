@@ -23,7 +23,7 @@ from evaluation import matrix
 from evaluation.compute.current_cell import Failure
 from evaluation.compute.link_views import view_key
 from evaluation.compute.work import LinkWork, SceneWork
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import dask as on_cluster

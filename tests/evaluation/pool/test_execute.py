@@ -13,7 +13,7 @@ from helpers.small_runs import smoke
 
 import evaluation
 from evaluation.estimates import summary
-from evaluation.plan.axes import Consumer
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import make_plan
 from evaluation.plan.presets import DEFAULT, PRESETS
 from evaluation.plan.settings import Settings
@@ -258,8 +258,8 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
         "tasks": (),
     }
     axes |= {
-        "other_law": (),
-        "model": (),
+        "other_law_mechanisms": (),
+        "model_mechanisms": (),
         "protections": (),
         "stronger_adversaries": (),
     }
@@ -493,9 +493,17 @@ def test_some_levels_are_computed_under_the_other_law_too(
     """As a run under that law has them; the run's own are as without them."""
     axes = {"mechanisms": ("raw", "fid:1", "fixed:0.5"), "tasks": (), "scenes": 4}
     axes |= {"attacks": ("kalman_rts", "averaging"), "predictors": ("least_squares",)}
-    axes |= {"protections": (), "model": (), "stronger_adversaries": (), "policies": ()}
+    axes |= {
+        "protections": (),
+        "model_mechanisms": (),
+        "stronger_adversaries": (),
+        "policies": (),
+    }
     few = replace(
-        PRESETS["paper"], utility_scenes=4, other_law=("fid:1", "fixed:0.5"), **axes
+        PRESETS["paper"],
+        utility_scenes=4,
+        other_law_mechanisms=("fid:1", "fixed:0.5"),
+        **axes,
     )
     monkeypatch.setitem(PRESETS, DEFAULT, few)
     stages = StageSettings().changed({"conflict.horizons_s": ()})

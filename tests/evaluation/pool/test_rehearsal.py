@@ -12,7 +12,7 @@ from helpers.small_runs import write_walks
 
 from evaluation import matrix
 from evaluation.compute.plugin_call import PluginTime
-from evaluation.plan.axes import axes
+from evaluation.plan.axes import expand_axes
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
@@ -163,7 +163,7 @@ def test_what_the_recording_cannot_do_is_refused(walks, ran, words, says):
 
 class TestHowLong:
     def test_every_built_in_consumer_has_a_rate(self):
-        crossed = axes(Settings(preset="paper"))
+        crossed = expand_axes(Settings(preset="paper"))
         # Of plaza, where nobody comes back.
         tasks = [task for task in crossed.tasks if not task.links_returning_people]
         readers = [crossed.task_consumers(task) for task in tasks]

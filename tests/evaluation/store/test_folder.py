@@ -273,7 +273,7 @@ class TestManifest:
         out = tmp_path / "run"
         plan = make_plan(replace(tiny, out=out))
         manifest = store.open_run(out, identity=plan.identity, fresh=False).manifest
-        write_manifest(out, manifest | {"code": plan.code, "state": "running"})
+        write_manifest(out, manifest | {"code": plan.code_hash, "state": "running"})
         assert_refused(ran(report, out), f"{out} holds a run that never started")
         assert len(evaluation.run(plan=plan, pictures=False).failed) == 0
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
-from evaluation.api.card_entries import Entry, Seed, card_entry, cross_entries
-from evaluation.api.carding import Maker, is_of_this_code, make_cards
+from evaluation.api.card_entries import CardEntry, Seed, card_entry, cross_entries
+from evaluation.api.card_maker import CardMaker, is_of_this_code, make_cards
 from evaluation.compute.board import KNOWN as KNOWN_SHARE
 from evaluation.estimates.cards import (
     KNOWN,
@@ -26,14 +26,14 @@ from isac_track.plugins import Plugin, parse_all
 
 
 @dataclass(frozen=True, slots=True)
-class Attacked:
+class AttackedCard:
     """A card before and after it met new attacks."""
 
     before: Card
     after: Card
 
     @property
-    def own(self) -> tuple[CardScore, ...]:
+    def new_scores(self) -> tuple[CardScore, ...]:
         """What the new attacks know, in the order of the card."""
         met = {attack.spec for attack in self.before.attacks}
         return tuple(
@@ -80,7 +80,7 @@ def attack_cards(
     folder: Path,
     seeds: Sequence[Seed] = (),
     protocol: Protocol | None = None,
-) -> Iterator[Attacked]:
+) -> Iterator[AttackedCard]:
     """Yield each card before and after it met the attacks of some SPECs.
 
     Each new card is written into a folder at once, and one that stands there already
@@ -100,22 +100,27 @@ def attack_cards(
     )
     asked = parse_all("attacks", attacks)
     known = _seeds(by_world, seeds, protocol)
-    makers: dict[tuple[str, tuple[str, ...]], Maker] = {}
+    # Cards with the same seed and attacks follow each other and share a maker.
+    maker: CardMaker | None = None
+    maker_key: tuple[str, tuple[str, ...]] = ("", ())
     for card in by_world:
         extra = _extra_attacks([card], protocol)
         key = card.seed_commitment, tuple(plugin.spec for plugin in extra)
-        if key not in makers:
-            makers = {key: _maker(known[key[0]], [*extra, *asked], protocol)}
-        after = _attacked_before(folder / card.file_name, card, makers[key])
+        if maker is None or key != maker_key:
+            maker = _maker(known[card.seed_commitment], [*extra, *asked], protocol)
+            maker_key = key
+        after = _reusable_attacked_card(folder / card.file_name, card, maker)
         if after is None:
-            maker, entry = makers[key], card_entry(card)
-            is_ours = is_of_this_code(card, maker)
-            after = maker.attacked(card, entry) if is_ours else maker.card(entry)
+            entry = card_entry(card)
+            if is_of_this_code(card, maker):
+                after = maker.with_new_attacks(card, entry)
+            else:
+                after = maker.card(entry)
             write_card(after, folder)
-        yield Attacked(_without(card, asked, protocol), after)
+        yield AttackedCard(_without(card, asked, protocol), after)
 
 
-def _attacked_before(path: Path, card: Card, maker: Maker) -> Card | None:
+def _reusable_attacked_card(path: Path, card: Card, maker: CardMaker) -> Card | None:
     """Return the card of a file if a card became it by all attacks of a maker."""
     try:
         made = read_card(path)
@@ -180,9 +185,9 @@ def join_mechanisms(
             yield card
 
 
-def _maker(seed: Seed, attacks: Sequence[Plugin], protocol: Protocol) -> Maker:
-    maker = Maker(seed, attacks, protocol)
-    maker.check(list[Entry]())
+def _maker(seed: Seed, attacks: Sequence[Plugin], protocol: Protocol) -> CardMaker:
+    maker = CardMaker(seed, attacks, protocol)
+    maker.check(list[CardEntry]())
     return maker
 
 

@@ -4,7 +4,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from evaluation.api.running import finished_before, run
+from evaluation.api.running import load_finished, run
 from evaluation.estimates.pooled import Answered, answered, run_answers, to_frame
 from evaluation.plan.plan import Plan, make_plan
 from evaluation.plan.settings import Settings
@@ -33,7 +33,7 @@ def study(
     _refuse_copies([plan for _, plan in plans])
     rows, simulated, n_failed = [], frozenset[str](), 0
     for law, plan in plans:
-        if results := finished_before(plan):
+        if results := load_finished(plan):
             sys.stderr.write(f"{plan.out}: finished before\n")
         else:
             results = run(plan=plan)

@@ -9,8 +9,8 @@ from typing import Any
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from evaluation.api.estimated import (
-    Compared,
+from evaluation.api.run_estimates import (
+    AttackComparison,
     SceneEstimates,
     compare_attacks,
     level_table,
@@ -32,7 +32,7 @@ from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
 from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address
-from evaluation.plan.settings import check_drawing
+from evaluation.plan.environment import check_drawing
 from evaluation.plan.world import World
 from evaluation.pool.workers import run_in_idle_worker
 from evaluation.reporting import page
@@ -85,11 +85,13 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
 
     Otherwise as `rebuild`, which locks the folder and checks its cells first.
     """
-    results, searched = _results(out)
+    results, search_extent = _compute_results(out)
     results = replace(results, make_first_table=first_table)
     frames = [getattr(results, name) for name in FRAMES]
     with run_in_idle_worker(partial(_to_csv_files, frames)) as wait_for_csv:
-        write_whole(out / "flags.json", weak_attacks.to_json(results.flags, searched))
+        write_whole(
+            out / "flags.json", weak_attacks.to_json(results.flags, search_extent)
+        )
         write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
         write_text(results)
@@ -101,7 +103,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
     return results
 
 
-def _results(out: Path) -> tuple[Results, dict[str, Any]]:
+def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
     """Return the results of a run's cells, and the extent of the search for flags."""
     manifest = read_manifest(out)
     dataset = manifest["dataset"]["name"]
@@ -125,11 +127,11 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         on_patrol = patrol_numbers(out, manifest)
         returns = return_numbers(out, manifest)
         tracked = track_numbers(out, manifest)
-        flags, searched = _flags(manifest, scenes, tidy)
+        flags, search_extent = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
         gallery_table, validity = wait_for_people()
-    answered_verdict = _verdict(manifest, scenes, compared, validity)
-    answered_verdict |= _further_verdicts(manifest, on_patrol, returns, families)
+    verdict_parts = _verdict(manifest, scenes, compared, validity)
+    verdict_parts |= _further_verdicts(manifest, on_patrol, returns, families)
     results = Results(
         out=out,
         manifest=manifest,
@@ -152,15 +154,15 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         linkability=links.table,
         galleries=gallery_table,
         speeds=speeds,
-        verdict=answered_verdict,
+        verdict=verdict_parts,
         failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
         conflict_times=horizons.conflict_times(out, manifest),
         gallery=read_sample_tracks(out),
     )
     sentences = [answer.sentence for answer in answers(results)]
-    with_answer = {"answer": sentences, **answered_verdict}
-    return replace(results, verdict=with_answer), searched
+    with_answer = {"answer": sentences, **verdict_parts}
+    return replace(results, verdict=with_answer), search_extent
 
 
 def _whole_summary(
@@ -220,13 +222,13 @@ def _flags(
 
     `tidy` is the run's summary.
     """
-    flagged, searched = weak_attacks.flags(
+    flagged, search_extent = weak_attacks.flags(
         scenes.estimates, slow=weak_attacks.slow_attacks(manifest)
     )
     far = weak_attacks.far_from_optimum(gaps(tidy))
     if len(far):
         flagged = pd.concat([flagged, far], ignore_index=True)
-    return flagged, searched
+    return flagged, search_extent
 
 
 def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:
@@ -236,7 +238,7 @@ def _failed_frame(manifest: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def _frontiers_and_matches(
-    manifest: Mapping[str, Any], scenes: SceneEstimates, compared: Compared
+    manifest: Mapping[str, Any], scenes: SceneEstimates, compared: AttackComparison
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Return `frontier.csv` and `matched.csv`: at the run's horizon, then at others."""
     dataset = manifest["dataset"]["name"]
@@ -246,7 +248,7 @@ def _frontiers_and_matches(
     frontiers = [
         frontier(sweeps, predictors=predictors, dataset=dataset, attacks=attacks)
     ]
-    for horizon_s, robots in scenes.later.items():
+    for horizon_s, robots in scenes.further_horizons.items():
         at_horizon = Sweeps(
             judged_at(sweeps.estimates, robots.all_estimates), compared.families
         )
@@ -278,7 +280,7 @@ def _frontiers_and_matches(
 def _verdict(
     manifest: Mapping[str, Any],
     scenes: SceneEstimates,
-    compared: Compared,
+    compared: AttackComparison,
     validity: dict[str, list[dict[str, Any]]],
 ) -> dict[str, Any]:
     """Return the verdict of a run, with records of a user's own plug-ins."""
@@ -287,7 +289,7 @@ def _verdict(
         horizon_s: Sweeps(
             judged_at(judged.estimates, robots.all_estimates), compared.families
         )
-        for horizon_s, robots in scenes.later.items()
+        for horizon_s, robots in scenes.further_horizons.items()
     }
     parts = verdict.verdict(
         judged,
@@ -300,7 +302,7 @@ def _verdict(
     if own_plugins := manifest.get("own_plugins"):
         estimates = Estimates(
             compared.sweeps.estimates,
-            scenes.estimates_later,
+            scenes.further_estimates,
             compared.sums,
             compared.families,
             compared.by_mechanism,
@@ -308,7 +310,7 @@ def _verdict(
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
     parts["robots"] = horizons.beaten_by_standing_still(
-        scenes.estimates, scenes.estimates_later
+        scenes.estimates, scenes.further_estimates
     )
     return parts
 

@@ -63,11 +63,11 @@ def link_estimates(out: Path, manifest: Mapping[str, Any]) -> LinkEstimates:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Judged:
+class RobotEstimates:
     """Robots judged at a horizon: their metrics, and misses against false alarms."""
 
     estimates: Mapping[Address, Estimate]
-    at_raw_alarms: Mapping[Address, Estimate]
+    at_raw_alarms: Mapping[Address, Estimate]  # At raw's false-alarm rate.
     best: BestRobots  # Over the levels that a site may choose, and raw.
     curves: pd.DataFrame
     decided: pd.DataFrame
@@ -84,27 +84,29 @@ class SceneEstimates:
 
     estimates: Mapping[Address, Estimate]
     attacked: dict[Address, ClusterSums]
-    worlds: Mapping[
-        World, Mapping[Address, Estimate]
-    ]  # Others, further horizons among them.
-    own: _Judged  # At the run's own horizon.
-    later: Mapping[float, _Judged]  # At further horizons, s, ascending.
+    worlds: Mapping[World, Mapping[Address, Estimate]]
+    """Estimates in other worlds, further horizons among them."""
+    own_horizon: RobotEstimates
+    further_horizons: Mapping[float, RobotEstimates]  # By s, ascending.
 
     @property
-    def estimates_later(self) -> dict[float, Mapping[Address, Estimate]]:
+    def further_estimates(self) -> dict[float, Mapping[Address, Estimate]]:
         """The metrics at further horizons."""
-        return {horizon_s: robots.estimates for horizon_s, robots in self.later.items()}
+        return {
+            horizon_s: robots.estimates
+            for horizon_s, robots in self.further_horizons.items()
+        }
 
     @property
     def decided(self) -> pd.DataFrame:
         """The robots at every horizon, the run's own first: `decisions.csv`."""
-        robots = (self.own, *self.later.values())
+        robots = (self.own_horizon, *self.further_horizons.values())
         return pd.concat([judged.decided for judged in robots], ignore_index=True)
 
     @property
     def curves(self) -> pd.DataFrame:
         """Their misses over false alarms: `curves.csv`."""
-        robots = (self.own, *self.later.values())
+        robots = (self.own_horizon, *self.further_horizons.values())
         return pd.concat([judged.curves for judged in robots], ignore_index=True)
 
 
@@ -113,7 +115,7 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
     numbers = summary.scene_numbers(out, manifest)
     dataset = manifest["dataset"]["name"]
     own = _judged(numbers, manifest, dataset=dataset)
-    later = dict[float, _Judged]()
+    later = dict[float, RobotEstimates]()
     worlds: dict[World, Mapping[Address, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
         world = World(horizon_s=horizon_s)
@@ -135,7 +137,7 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
 
 def _judged(
     numbers: summary.SceneNumbers, manifest: Mapping[str, Any], *, dataset: str
-) -> _Judged:
+) -> RobotEstimates:
     robots = decisions(numbers, manifest, dataset=dataset)
     candidates = {
         name
@@ -144,13 +146,13 @@ def _judged(
     }
     estimates = {**numbers.estimates, **robots.at_raw_alarms}
     best = best_robots(numbers.scored, manifest, estimates, among=candidates)
-    return _Judged(
+    return RobotEstimates(
         numbers.estimates, robots.at_raw_alarms, best, robots.curves, robots.decided
     )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Compared:
+class AttackComparison:
     """All estimates of a run, and the strongest attacks among them."""
 
     sweeps: Sweeps
@@ -193,12 +195,12 @@ class Compared:
 
 def compare_attacks(
     scenes: SceneEstimates, links: LinkEstimates, families: Mapping[str, Family]
-) -> Compared:
+) -> AttackComparison:
     """Find the strongest attacks of a run, at all levels and against each mechanism."""
     sums = links.sums | scenes.attacked
     estimates = {
         **scenes.estimates,
-        **scenes.own.at_raw_alarms,
+        **scenes.own_horizon.at_raw_alarms,
         **links.estimates,
     }
     sweeps = Sweeps(estimates, families)
@@ -208,7 +210,7 @@ def compare_attacks(
         for task, source in best.items()
     }
     by_mechanism = strongest_on_each(sweeps.estimates, sums, families)
-    return Compared(sweeps, families, sums, best, crossed, by_mechanism)
+    return AttackComparison(sweeps, families, sums, best, crossed, by_mechanism)
 
 
 def level_table(
@@ -220,13 +222,14 @@ def level_table(
 ) -> pd.DataFrame:
     """Return privacy and utility of a site at each level: `levels.csv`."""
     later = {
-        World(horizon_s=horizon_s): robots for horizon_s, robots in scenes.later.items()
+        World(horizon_s=horizon_s): robots
+        for horizon_s, robots in scenes.further_horizons.items()
     }
     return levels(
-        {**scenes.estimates, **scenes.own.at_raw_alarms, **links.estimates},
+        {**scenes.estimates, **scenes.own_horizon.at_raw_alarms, **links.estimates},
         attacks=attacks,
         horizons={world: robots.all_estimates for world, robots in later.items()},
-        best={OWN_WORLD: scenes.own.best}
+        best={OWN_WORLD: scenes.own_horizon.best}
         | {world: robots.best for world, robots in later.items()},
         linked=links.table,
         families=entry_families(manifest["cells"]),

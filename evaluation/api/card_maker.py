@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 import isac_track
-from evaluation.api.card_entries import Entry, Seed, card_entry
-from evaluation.api.rebuilding import limit_threads
+from evaluation.api.card_entries import CardEntry, Seed, card_entry
+from evaluation.api.run_results import limit_threads
 from evaluation.compute.board import (
     attack_scores,
     board_setup,
@@ -25,8 +25,8 @@ from evaluation.compute.board import (
 from evaluation.compute.log_attacks import LogAttack, log_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, share_level
 from evaluation.estimates.cards import card_score, cut_digests, primary_scores
-from evaluation.plan.fingerprint import source_digest
 from evaluation.plan.protocol import Protocol, read_protocol
+from evaluation.plan.source_digest import source_digest
 from evaluation.store.cards import (
     Card,
     CardMessage,
@@ -45,7 +45,7 @@ _CODE: Final = ("evaluation.compute.board", "evaluation.estimates.cards")
 
 
 @dataclass(eq=False, slots=True)
-class Maker:
+class CardMaker:
     """Makes the cards of entries under one protocol, seed and list of attacks.
 
     It holds the patrols of one recording and law, and the mechanism that was shared
@@ -62,7 +62,7 @@ class Maker:
         default_factory=dict, init=False
     )
 
-    def check(self, entries: Iterable[Entry]) -> None:
+    def check(self, entries: Iterable[CardEntry]) -> None:
         """Raise SettingsError for an entry or attack that the protocol cannot score."""
         self.all_attacks()
         for entry in entries:
@@ -79,7 +79,7 @@ class Maker:
         named = [*self.protocol.attacks, *(plugin.spec for plugin in self.attacks)]
         return [log_attack(plugin) for plugin in parse_all("attacks", named)]
 
-    def card(self, entry: Entry, *, beside: Sequence[Plugin] = ()) -> Card:
+    def card(self, entry: CardEntry, *, beside: Sequence[Plugin] = ()) -> Card:
         """Return the card of an entry.
 
         `beside` are further policies with the same mechanism: the people of a query are
@@ -94,7 +94,14 @@ class Maker:
                 robots=parse_all("predictors", self.protocol.robots),
                 attacks=attacks,
             )
-        message = hidden_message(shared)
+        message, digits = hidden_message(shared), None
+        if message is not None:
+            digits = CardMessage(
+                explained=message.explained,
+                place=message.place,
+                target=message.target,
+                is_message=message.is_message,
+            )
         plain = [card_score(score.metric, score.by, score.estimate) for score in scores]
         return Card(
             protocol_version=self.protocol.version,
@@ -114,20 +121,13 @@ class Maker:
             seed_commitment=self.seed.commitment(self.protocol),
             scores=tuple(plain),
             primary=primary_scores(plain, self.protocol),
-            attacks=tuple(map(attack_of_card, attacks)),
-            digits=None
-            if message is None
-            else CardMessage(
-                explained=message.explained,
-                place=message.place,
-                target=message.target,
-                is_message=message.is_message,
-            ),
+            attacks=tuple(map(card_attack, attacks)),
+            digits=digits,
             code_digest=code_digest(self.protocol.robots),
             environment=environment(),
         )
 
-    def attacked(self, card: Card, entry: Entry) -> Card:
+    def with_new_attacks(self, card: Card, entry: CardEntry) -> Card:
         """Return a card with the scores of the further attacks, and new primary scores.
 
         The other scores stay as they are.
@@ -144,10 +144,10 @@ class Maker:
             card,
             scores=together,
             primary=primary_scores(together, self.protocol),
-            attacks=(*card.attacks, *map(attack_of_card, new)),
+            attacks=(*card.attacks, *map(card_attack, new)),
         )
 
-    def share(self, entry: Entry, beside: Sequence[Plugin] = ()) -> SharedPatrol:
+    def share(self, entry: CardEntry, beside: Sequence[Plugin] = ()) -> SharedPatrol:
         """Return the patrol of an entry, shared with its mechanism."""
         world = entry.recording, entry.law
         if world not in self._setups:
@@ -160,7 +160,7 @@ class Maker:
             self._shared = {key: share_level(mechanism, self._setups[world], policies)}
         return self._shared[key]
 
-    def _setup(self, entry: Entry) -> PatrolSetup:
+    def _setup(self, entry: CardEntry) -> PatrolSetup:
         expected = self.protocol.recording_digest(entry.recording)
         stages = self.protocol.stages(entry.law)
         dataset = datasets.load(entry.recording)
@@ -179,7 +179,7 @@ def card_plugin(plugin: Plugin, *, protects: bool = True) -> CardPlugin:
     return CardPlugin(plugin.spec, digest, protects=protects)
 
 
-def attack_of_card(attack: LogAttack) -> CardPlugin:
+def card_attack(attack: LogAttack) -> CardPlugin:
     """Return an attack as a card names it."""
     return replace(card_plugin(attack.plugin), adversary=attack.adversary)
 
@@ -204,7 +204,7 @@ def environment() -> dict[str, str]:
     }
 
 
-def is_of_this_code(card: Card, maker: Maker) -> bool:
+def is_of_this_code(card: Card, maker: CardMaker) -> bool:
     """Whether a card is of the code, the plug-ins and the machine of this process."""
     entry = card_entry(card)
     return (
@@ -213,12 +213,12 @@ def is_of_this_code(card: Card, maker: Maker) -> bool:
         and card.environment == environment()
         and card.mechanism.digest == card_plugin(entry.mechanism).digest
         and card.policy.digest == card_plugin(entry.policy).digest
-        and {*card.attacks} <= {*map(attack_of_card, maker.all_attacks())}
+        and {*card.attacks} <= {*map(card_attack, maker.all_attacks())}
     )
 
 
 def make_cards(
-    maker: Maker, entries: Iterable[Entry], *, folder: Path
+    maker: CardMaker, entries: Iterable[CardEntry], *, folder: Path
 ) -> Iterator[tuple[Card, Path]]:
     """Write the card of each entry into a folder, and yield card and path.
 
@@ -235,14 +235,14 @@ def make_cards(
         policies = [entry.policy for entry in same]
         for entry in same:
             path = folder / _file_name(maker, entry)
-            card = _made_before(path, maker, entry)
+            card = _reusable_card(path, maker, entry)
             if card is None:
                 card = maker.card(entry, beside=policies)
                 path = write_card(card, folder)
             yield card, path
 
 
-def _file_name(maker: Maker, entry: Entry) -> str:
+def _file_name(maker: CardMaker, entry: CardEntry) -> str:
     seed = None if maker.seed.is_secret else maker.seed.value
     label = seed_label(seed, maker.seed.commitment(maker.protocol))
     return card_file_name(
@@ -250,7 +250,7 @@ def _file_name(maker: Maker, entry: Entry) -> str:
     )
 
 
-def _made_before(path: Path, maker: Maker, entry: Entry) -> Card | None:
+def _reusable_card(path: Path, maker: CardMaker, entry: CardEntry) -> Card | None:
     """Return the card of a file if it is of an entry and of the same inputs."""
     try:
         card = read_card(path)
@@ -260,6 +260,6 @@ def _made_before(path: Path, maker: Maker, entry: Entry) -> Card | None:
         card.file_name == path.name == _file_name(maker, entry)
         and card.seed_commitment == maker.seed.commitment(maker.protocol)
         and is_of_this_code(card, maker)
-        and card.attacks == tuple(map(attack_of_card, maker.all_attacks()))
+        and card.attacks == tuple(map(card_attack, maker.all_attacks()))
     )
     return card if is_same else None
