@@ -54,7 +54,6 @@ COLUMNS = [
 _COMPARED_WITH = {"averaging": (IDENTITY,)}
 _LEAST_RISE = 1.1
 _ROUNDING = 1e-9
-_RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
 _ABOUT = {
     BEATEN: (
         "PLR of `by`, the same attack with less knowledge or a simpler attack with no"
@@ -291,17 +290,21 @@ def _falling_pairs(
 
 
 def _should_win(attack: Address, by: Address) -> bool:
-    """Whether the first attack should do no worse than the second."""
+    """Whether the first attack should do no worse than the second.
+
+    Adversaries are compared by their sets of knowledge, which are no chain.
+    """
+    knows, by_knows = ADVERSARIES[attack.adversary], ADVERSARIES[by.adversary]
     base, by_base = plugin_name(attack.plugin), plugin_name(by.plugin)
     if base == IDENTITY:
         return False
     if attack.consumer == by.consumer:
-        return _RANK[by.adversary] < _RANK[attack.adversary]
+        return by_knows < knows
     if base in SIMPLER:
         simpler = SIMPLER[: SIMPLER.index(base)]
     else:
         simpler = _COMPARED_WITH.get(base, SIMPLER)
-    return by_base in simpler and _RANK[by.adversary] <= _RANK[attack.adversary]
+    return by_base in simpler and by_knows <= knows
 
 
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:

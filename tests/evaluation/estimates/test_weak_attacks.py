@@ -59,6 +59,12 @@ def beaten(plr, attack=None):
         ("a blind .71, a informed .70", "a informed < a blind"),
         ("a blind .70, a informed .71", ""),
         ("a informed .70, a oracle .70", ""),
+        # Adversaries are no chain: each may know what the other does not.
+        ("a insider .4, a repeats .6", ""),
+        ("a repeats .4, a insider .6", "a repeats < a insider"),
+        ("a companions .4, a anchor .6", ""),
+        ("a companions .4, a informed .6", "a companions < a informed"),
+        ("savgol repeats .7, kalman_rts insider .6", ""),
         # Not in the list of simple ones: held against these alone.
         ("another blind .7, mine blind .6", ""),
         # Parameters change no rank.
