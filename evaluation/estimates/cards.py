@@ -208,6 +208,7 @@ def _rejected(
     """Return the score that differs most, if any differs after Holm's correction."""
     gaps = np.array([_joint_errors(*pair) for pair in pairs])
     p_values = 2.0 * ndtr(-gaps)
+    # Holm's correction at 5 % implies it; it stands since it is in the protocol.
     is_beyond = gaps > protocol.agreement["standard_errors"]
     is_rejected = is_beyond & (holm(p_values) <= protocol.agreement["level"])
     if not is_rejected.any():
@@ -225,6 +226,7 @@ class Place:
     """The place of a card among the cards of its world."""
 
     kind: Literal["front", "alone", "beaten", "unmet", "control"]
+    """"alone": no other card of its world that enters has its form of answer."""
     beaten_by: tuple[Card, ...] = ()  # The clearest first.
     beats: tuple[Card, ...] = ()
     is_within: bool = False  # Whether its intervals overlap those of the first.
@@ -260,6 +262,8 @@ def places(cards: Sequence[Card]) -> list[Place]:
     values = np.array(
         [[card.primary[axis].value for axis in AXES] for card in cards], dtype=float
     ).reshape(len(cards), len(AXES))
+    # A card without a number on an axis must not be safe from all others.
+    values[np.isnan(values)] = np.inf
     enters = np.array(
         [
             not is_control(card) and not lacking
@@ -270,9 +274,9 @@ def places(cards: Sequence[Card]) -> list[Place]:
     forms = np.array([card.form for card in cards])
     is_rival = enters[:, None] & (forms[:, None] == forms)
     wins = pareto.beats(values) & is_rival & enters
-    is_alone = (is_rival & enters).sum(axis=0).max(initial=0) < 2  # noqa: PLR2004 - two compare
+    is_alone = (is_rival.sum(axis=0) < 2).tolist()  # noqa: PLR2004 - two compare
     return [
-        _place(cards, row, wins, lacking, is_alone=bool(is_alone))
+        _place(cards, row, wins, lacking, is_alone=is_alone[row])
         for row, lacking in enumerate(unmet)
     ]
 

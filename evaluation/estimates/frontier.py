@@ -22,6 +22,7 @@ from evaluation.estimates.matching import (
     FUTURE,
     Places,
     Sweeps,
+    has_interval,
     interpolated,
     places,
     with_ends,
@@ -143,7 +144,7 @@ def frontier(
         price = _price(sweeps, robot, metric)
         robots = dict.fromkeys(sweeps.families, parse_consumer(robot))
         own = [Quantity(name, robots) for name in ROBOTS_OWN]
-        axes, robot_rows = [], []
+        axes, robot_rows = list[_Axis](), []
         for quantity, curves in [
             *shared,
             *((quantity, _curves(sweeps, quantity)) for quantity in own),
@@ -155,7 +156,7 @@ def frontier(
                 if name in price.reached
             }
             if quantity.is_axis:
-                axes.append(left)
+                axes.append(_axis(sweeps, price, quantity, left))
             robot_rows += [
                 {
                     **row,
@@ -164,7 +165,7 @@ def frontier(
                 }
                 for row in _rows(sweeps, price, quantity, left, locate)
             ]
-        beaten = _dominated(axes, price.is_dense)
+        beaten = _surely_beaten(axes)
         for row in robot_rows:
             row["dominated"] = beaten.get((row["mechanism"], row["target"]), pd.NA)
         rows += robot_rows
@@ -191,13 +192,14 @@ def _price(sweeps: Sweeps, robot: str, metric: str) -> _Price:
         name: (np.abs(rise[0, :, None] - targets) <= NEAR).sum(axis=0) >= ENOUGH_LEVELS
         for name, rise in rises.items()
     }
-    level = {
-        name: with_ends(
-            LEVEL_READ, _levels(sweeps.levels(name), position), is_dense[name]
-        )
-        for name, position in reached.items()
-    }
-    return _Price(parse_consumer(robot).measured(metric), reached, is_dense, level)
+    cost = parse_consumer(robot).measured(metric)
+    level = {}
+    for name, position in reached.items():
+        _, effective = sweeps.rests_on([name], cost)
+        can_say = is_dense[name] & (effective >= LEAST_CLUSTERS)
+        values = _levels(sweeps.levels(name), position)
+        level[name] = with_ends(LEVEL_READ, values, can_say)
+    return _Price(cost, reached, is_dense, level)
 
 
 def _rows(
@@ -235,8 +237,7 @@ def _columns(
 ) -> dict[str, Floats]:
     """Return the columns of a mechanism at a price, (P,) each: level, value and gap."""
     values = left[name]
-    _, effective = sweeps.rests_on([name], measure, price.cost)
-    can_say = price.is_dense[name] & (effective >= LEAST_CLUSTERS)
+    can_say = _can_say(sweeps, price, measure, name=name)
     columns = {**price.level[name], **with_ends(VALUE, values, can_say)}
     if WHITE in left:
         n_rows = min(len(values), len(left[WHITE]))
@@ -271,31 +272,60 @@ def _curves(sweeps: Sweeps, quantity: Quantity) -> dict[str, Floats]:
     )
 
 
-def _dominated(
-    axes: Sequence[Mapping[str, Floats]], is_dense: Mapping[str, Bools]
-) -> dict[tuple[str, float], bool]:
+def _can_say(sweeps: Sweeps, price: _Price, measure: Address, *, name: str) -> Bools:
+    """Return at which targets a mechanism has levels and people enough, (P,)."""
+    _, effective = sweeps.rests_on([name], measure, price.cost)
+    return price.is_dense[name] & (effective >= LEAST_CLUSTERS)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Axis:
+    """A number by which mechanisms are held against one another at a price."""
+
+    values: Mapping[str, Floats]  # (1 + B, P) estimate and replicates at the targets
+    can_say: Mapping[str, Bools]  # (P,) whether the number has an interval there
+
+
+def _axis(
+    sweeps: Sweeps, price: _Price, quantity: Quantity, values: Mapping[str, Floats]
+) -> _Axis:
+    can_say = {
+        name: _can_say(
+            sweeps,
+            price,
+            quantity.source_by_mechanism[name].measured(quantity.metric),
+            name=name,
+        )
+        & has_interval(numbers)
+        for name, numbers in values.items()
+    }
+    return _Axis(values, can_say)
+
+
+def _surely_beaten(axes: Sequence[_Axis]) -> dict[tuple[str, float], bool]:
     """Return whether a mechanism is beaten at a target, where that can be decided.
 
     A mechanism is beaten if another is surely better by more than `MARGIN` on some axis
     (attacked PLR, or rank 1 of a linker), and it is surely better on none. The bounds
-    are simultaneous (max-t over all pairs and axes). `axes` are the values by
-    mechanism, estimate and replicates at all targets, (1 + B, P).
+    are simultaneous (max-t over all pairs and axes). Only mechanisms that have an
+    interval on every axis are compared.
     """
     is_beaten: dict[tuple[str, float], bool] = {}
+    if not axes:
+        return is_beaten
     for place, target in enumerate(TARGETS):
         names = [
             name
-            for name, is_so in is_dense.items()
-            if is_so[place]
-            and all(name in axis and np.isfinite(axis[name][0, place]) for axis in axes)
+            for name in axes[0].values
+            if all(name in axis.values and axis.can_say[name][place] for axis in axes)
         ]
-        if not names or not axes:
+        if not names:
             continue
-        n_rows = min(len(axis[name]) for axis in axes for name in names)
-        left = np.array(
-            [[axis[name][:n_rows, place] for axis in axes] for name in names]
+        n_rows = min(len(axis.values[name]) for axis in axes for name in names)
+        at_target = np.array(
+            [[axis.values[name][:n_rows, place] for axis in axes] for name in names]
         )
-        gaps = left[:, None] - left
+        gaps = at_target[:, None] - at_target
         gap, drawn = gaps[..., 0], gaps[..., 1:]
         error = np.nanstd(drawn, axis=-1)
         deviation = np.abs(drawn - gap[..., None])

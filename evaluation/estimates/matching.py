@@ -330,14 +330,17 @@ def with_ends(
     `can_say`, (P,), tells where there may be an interval.
     """
     drawn = values[1:].T.copy()
-    has_ends = can_say & (
-        np.isfinite(drawn).sum(axis=1) >= MIN_DEFINED * drawn.shape[1]
-    )
-    ends = np.where(
-        has_ends & np.isfinite(values[0]), percentile_intervals(drawn), np.nan
-    )
+    has_ends = can_say & has_interval(values)
+    ends = np.where(has_ends, percentile_intervals(drawn), np.nan)
     # Copy: a view would keep all replicates in memory.
     return dict(zip(names, (values[0].copy(), *ends), strict=True))
+
+
+def has_interval(values: Floats) -> Bools:
+    """Return where enough replicates are known, (P,), of estimates, (1 + B, P)."""
+    n_known = np.isfinite(values[1:]).sum(axis=0)
+    is_enough = n_known >= MIN_DEFINED * (len(values) - 1)
+    return np.asarray(is_enough & np.isfinite(values[0]))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -195,7 +195,9 @@ def _finding(cards: Sequence[Card], placed: Sequence[Place]) -> str:
     ]
     if alone:
         verb = "is" if len(alone) == 1 else "are each"
-        texts = [f"{listed(alone)} {verb} alone in this world, nothing to compare."]
+        where = "with its form of answer" if n_front else "in this world"
+        texts = texts if n_front else []
+        texts.append(f"{listed(alone)} {verb} alone {where}, nothing to compare.")
     if named:
         texts.append(f"The strongest adversary, and against how many entries: {named}.")
     return " ".join([*texts, *_followed_always(cards)])

@@ -79,7 +79,7 @@ def place_line(card: Card, place: Place) -> str:
     """Return the place of a new card, and which entries it beats, in a line."""
     text = {
         "front": "on the front",
-        "alone": "alone in this world, nothing to compare",
+        "alone": "alone with its form of answer, nothing to compare",
         "control": "a control, which beats nobody and is on no front",
     }.get(place.kind, place_text(place))
     if place.kind in {"front", "beaten"}:

@@ -270,24 +270,30 @@ def conflicts_text(criterion: Criterion) -> str:
 
 
 def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return the adversaries that break a level, that do not, and those untried."""
+    """Return the adversaries that break a level, that do not, and all others."""
     limit = _plr_limit(answer)
-    tried = [side for side in offer.beyond if side.breaks(limit) is not None]
+    tried = [side for side in offer.beyond if side.source is not None]
     broken = [
         f"{adversary_name(side.adversary)} (knows {bare_percent(_worse(side, limit))})"
         for side in tried
         if side.breaks(limit)
     ]
     withstood = [
-        adversary_name(side.adversary) for side in tried if not side.breaks(limit)
+        adversary_name(side.adversary) for side in tried if side.breaks(limit) is False
     ]
-    untried = [side.adversary for side in offer.beyond if side.breaks(limit) is None]
+    unknown = [
+        adversary_name(side.adversary) for side in tried if side.breaks(limit) is None
+    ]
+    untried = [side.adversary for side in offer.beyond if side.source is None]
     sentences = []
     if broken:
         verb = "breaks" if len(broken) == 1 else "break"
         sentences.append(f"{sentence_case(listed(broken))} {verb} it.")
     if withstood:
         sentences.append(f"It holds against {listed(withstood)}.")
+    if unknown:
+        names = listed(unknown, "or")
+        sentences.append(f"The run cannot say whether it holds against {names}.")
     if untried:
         sentences.append(f"Not tried: --adversary {listed(untried, 'or')}.")
     return sentences
@@ -315,7 +321,8 @@ def _worse(side: Attacked, limit: float) -> Estimate:
     It is the share at 4/3 epsilon if only that exceeds the limit.
     """
     near, wide = side.value(EXPOSURE), side.value(WIDE)
-    return wide if near.ci_high <= limit < wide.ci_high else near
+    is_near = near.ci_high > limit
+    return wide if wide.ci_high > limit and not is_near else near
 
 
 def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:

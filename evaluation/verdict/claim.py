@@ -132,7 +132,10 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
             mean = np.where(is_known, gaps, 0.0).sum(axis=1) / is_known.sum(axis=1)
             relative = float(mean[0] / theirs[0, reached].mean())
     points = [
-        {"at": float(at), **rules.numbers(estimate_from_replicates(gap, n=n))}
+        {
+            "at": float(at),
+            **rules.numbers(estimate_from_replicates(gap, n=n, effective=effective)),
+        }
         for at, gap in zip(targets[reached], gaps[:, reached].T, strict=True)
     ]
     return _Gap(

@@ -147,6 +147,9 @@ def _logs(
         address, share = number.address, number.estimate
         if address.metric != metric or address.adversary in ("", ORACLE):
             continue
+        if not np.isfinite(share.value):
+            # NaN is below no number: no later adversary would replace it.
+            continue
         place = _place(address)
         if place not in strongest or share.value > strongest[place].value:
             strongest[place] = share

@@ -218,10 +218,16 @@ class Attacked:
         return self.numbers.get(metric, UNKNOWN)
 
     def breaks(self, limit: float) -> bool | None:
-        """Return whether PLR, at epsilon or wider, breaks a limit; None: not tried."""
-        if self.source is None:
-            return None
-        return not all(self.value(name).ci_high <= limit for name in (EXPOSURE, WIDE))
+        """Return whether PLR, at epsilon or wider, breaks a limit.
+
+        None: the adversary was not tried, or too few people tell.
+        """
+        statuses = {
+            Check(name, limit, self.value(name)).status for name in (EXPOSURE, WIDE)
+        }
+        if "not met" in statuses:
+            return True
+        return None if "cannot say" in statuses else False
 
 
 @dataclass(frozen=True, slots=True)

@@ -213,7 +213,9 @@ def _estimated(
     effective = effective_clusters(np.bincount(column).astype(np.float64))
     sums = np.sqrt(n / (n - 1.0)) * np.bincount(column, weights=parts, minlength=n)
     error = float(np.sqrt(sums @ sums))
-    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
+    # As many degrees of freedom as in the items of the verdict.
+    freedom = max(effective - 1.0, 1.0)
+    half = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * error
     replicates = np.zeros(0) if drawn is None else value + drawn[:, names] @ sums
     ends = value - half, value + half
     return Estimate(

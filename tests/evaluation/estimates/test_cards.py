@@ -19,6 +19,7 @@ from evaluation.estimates.cards import (
     same_board,
 )
 from evaluation.plan.protocol import read_protocol
+from evaluation.reporting.board_page import make_board
 from evaluation.reporting.cards import place_line
 from evaluation.store.cards import CardPlugin, CardScore
 from isac_track.errors import DataError
@@ -165,6 +166,26 @@ class TestFront:
         flag = made_up_card(known=0.0, followed=0.0, weaker=0.0, form="flag")
         louder = made_up_card(known=0.1, followed=0.0, weaker=0.0, form="flag")
         assert on_front([flag, louder, made_up_card()]).tolist() == [True, False, True]
+
+    def test_a_card_without_a_rival_of_its_form_is_alone(self):
+        flag = made_up_card(weaker=0.0, form="flag")
+        cards = [made_up_card(), made_up_card(known=0.4), flag]
+        placed = places(cards)
+        assert [place.kind for place in placed] == ["front", "beaten", "alone"]
+        assert place_line(flag, placed[2]) == (
+            f"{flag.label}: alone with its form of answer, nothing to compare"
+        )
+        finding = make_board(cards).worlds[0].finding
+        assert finding.startswith(
+            "1 of 3 entries is on the front. ou:0.4 is alone with its form of answer,"
+            " nothing to compare."
+        )
+
+    def test_a_card_without_a_primary_number_is_not_on_the_front(self):
+        card, unknown = made_up_card(), made_up_card(known=0.2)
+        nothing = replace(unknown.primary["known"], value=None)
+        unknown = replace(unknown, primary={**unknown.primary, "known": nothing})
+        assert on_front([card, unknown]).tolist() == [True, False]
 
     def test_the_clearest_of_those_who_beat_a_card_is_named(self):
         weak = made_up_card(known=0.5, mechanism="weak")  # [0.48, 0.52]

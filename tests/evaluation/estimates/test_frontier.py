@@ -116,6 +116,37 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
     )
 
 
+ENDS = ["level_low", "level_high", "ci_low", "ci_high"]
+
+
+def first_price(estimates):
+    frame = rows(table(estimates), robot=PREDICTORS[0], criterion="missed")
+    return rows(frame, consumer="kalman_rts", metric="plr")
+
+
+def test_few_people_have_no_interval_and_no_comparison():
+    few = {key: replace(item, n=10) for key, item in run(advantage=0.1).items()}
+    frame = first_price(few)
+    assert frame["value"].notna().all()
+    assert frame[ENDS].isna().all(axis=None)
+    assert frame["dominated"].isna().all()
+
+
+def test_what_too_few_replicates_reach_is_not_compared():
+    """Fixed noise ends at the second target: about half of its replicates fall short."""
+    short = {
+        key: item
+        for key, item in run(advantage=0.1).items()
+        if key.mechanism != "fixed" or key.level < 0.3
+    }
+    frame = first_price(short)
+    ended, other = (rows(frame, mechanism=name) for name in ("fixed", f"fixed{RULE}"))
+    assert ended["value"].notna().tolist() == [True, True, False, False]
+    assert ended["ci_low"].notna().tolist() == [True, False, False, False]
+    assert ended["dominated"].notna().tolist() == [True, False, False, False]
+    assert other["dominated"].all()
+
+
 def test_the_strongest_on_each_mechanism_is_cross_fitted():
     """Two attacks, each better against one mechanism; the choice is scored by hand."""
     n, first, second = (
@@ -169,7 +200,9 @@ def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_know
     for _, item in frame.groupby(["consumer", "metric"]):
         assert item["target"].tolist() == list(TARGETS)
         assert item["level"].notna().tolist() == [True, True, False, False]
-        assert item["dominated"].isna().tolist() == [False, False, True, True]
+        # Few replicates reach the second target: no interval, and no comparison.
+        assert item["ci_low"].isna().tolist() == [False, True, True, True]
+        assert item["dominated"].isna().tolist() == [False, True, True, True]
         assert item["vs_white"].isna().all()
     assert table(
         {key: item for key, item in estimates.items() if key.mechanism == "raw"}
