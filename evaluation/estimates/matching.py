@@ -5,8 +5,9 @@ missed-conflict rate over raw; the same while false alarms are held at raw's rat
 same for conflicts that are still to come; or an equal PLR as shared.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from typing import Final, NamedTuple, TypeAlias
 
@@ -29,7 +30,7 @@ from evaluation.estimates.metrics import (
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.presets import SHARED
 from evaluation.plan.world import OWN_WORLD, World
-from isac_track.intervals import Estimate, percentile_intervals
+from isac_track.intervals import LEAST_CLUSTERS, Estimate, percentile_intervals
 from isac_track.types import Bools, Floats, Ints
 
 MISSED, AT_EQUAL_ALARMS, FUTURE, PLR = "missed", EQUAL_ALARMS, "missed_future", "plr"
@@ -216,7 +217,8 @@ def matched(
     The columns are `COLUMNS`. `at` is the rise of the missed rate over raw, or the PLR
     as shared; `missed_conflict_rate` is raw's plus the rise. `defined` is the share of
     replicates that reach the point. Below `MIN_DEFINED` there is no interval (NaN),
-    since the remaining replicates would all lie on one side.
+    since the remaining replicates would all lie on one side. Neither is there one below
+    `LEAST_CLUSTERS` effective clusters.
     """
     matches = _matches(sweeps, predictors, criteria)
     measures = {measure for match in matches for measure in (*match.measures, match.by)}
@@ -239,7 +241,9 @@ def matched(
                     "family": sweeps.families[mechanism].family,
                 }
                 for match in matches
-                for measure, points in _compared(curves, match.by, match.measures)
+                for measure, points in _compared(
+                    curves, match, partial(sweeps.rests_on, (mechanism, fixed))
+                )
             ]
     table = pd.DataFrame(parts, columns=COLUMNS)
     return table.explode([*_POINTS], ignore_index=True).infer_objects()
@@ -283,9 +287,13 @@ def _matches(
 
 
 def _compared(
-    curves: Curves, matched_by: Address, measures: Sequence[Address]
+    curves: Curves, match: _Match, rests_on: Callable[..., tuple[int, float]]
 ) -> Iterator[tuple[Address, dict[str, Floats]]]:
-    """Yield measures with their columns of `matched.csv`, (P,), at matched points."""
+    """Yield measures with their columns of `matched.csv`, (P,), at matched points.
+
+    `rests_on` is that of the sweeps, for both mechanisms.
+    """
+    matched_by = match.by
     scales: Sequence[Floats] = curves.get(matched_by, ())
     reach = min(
         (np.abs(curve[0] - curve[0, -1]).max() for curve in scales), default=0.0
@@ -305,7 +313,7 @@ def _compared(
             at, rate = changes, raw + changes
         in_group = [
             measure
-            for measure in measures
+            for measure in match.measures
             if (measure.consumer == SHARED) == are_shared
         ]
         pairs = at_changes(curves, matched_by, in_group, at=changes)
@@ -313,11 +321,13 @@ def _compared(
             compared, fixed = pair.first, pair.second
             gap = compared - fixed
             defined = np.isfinite(gap[1:]).mean(axis=0)
+            _, effective = rests_on(matched_by, pair.measure)
             points = {"at": at, "missed_conflict_rate": rate}
             for names, values in zip(_INTERVALS, (compared, fixed, gap), strict=True):
                 has_ends = np.isfinite(values[1:]).all(axis=0) | (
                     defined >= MIN_DEFINED
                 )
+                has_ends &= effective >= LEAST_CLUSTERS
                 points |= with_ends(names, values, has_ends)
             yield pair.measure, points | {"defined": defined}
 

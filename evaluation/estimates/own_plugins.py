@@ -4,7 +4,8 @@ An attack, a linker or a predictor is compared with the strongest built-in of it
 in the same run: same people, same draws, so that the difference is paired by cluster.
 Both numbers are means over the levels at which the strongest attack of a run is chosen.
 Where an attack has several rows, and among the built-in attacks, the strongest is
-chosen on one half of the people and scored on the other. A mechanism has a row of
+chosen on one half of the people and scored on the other. The best built-in predictor is
+chosen and scored on the same people, which favours it slightly. A mechanism has a row of
 numbers for each of its levels.
 """
 

@@ -151,7 +151,7 @@ def run_answers(
             if answer is None or not math.isfinite(answer.value):
                 continue
             # As everywhere, fewer clusters have no interval.
-            has_ends = answer.n >= LEAST_CLUSTERS
+            has_ends = answer.n_effective >= LEAST_CLUSTERS
             row = {
                 **about,
                 "question": question,

@@ -4,8 +4,9 @@ A weak attack makes a mechanism look private; `_ABOUT` describes the three signs
 weak attack. An attack is simpler than another if it comes earlier in `SIMPLER`. An
 attack that is not in that list is compared with all of it; `averaging` over
 re-releases, which does not smooth, is compared with the control only. Noise is the RMSE
-as shared. Comparisons that no attack could win are left out, and fewer than 20 clusters
-decide nothing. The control, which reproduces the shared positions, is never flagged.
+as shared. Comparisons that no attack could win are left out, and fewer than 20
+effective clusters decide nothing. The control, which reproduces the shared positions,
+is never flagged.
 """
 
 import json
@@ -103,7 +104,9 @@ def flags(
     pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
     pairs += _falling_pairs(levels, estimates, left_out)
     enough = [
-        pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE
+        pair
+        for pair in pairs
+        if min(pair.minus.n_effective, pair.plus.n_effective) >= FEWEST_EFFECTIVE
     ]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)

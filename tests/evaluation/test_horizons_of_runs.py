@@ -276,6 +276,12 @@ class TestStandingStill:
         (record,) = beaten_by_standing_still(self.robots(0.5, clusters=19), {})
         assert record["loses"] == []
         assert record["robot"] == "least_squares"
+        unequal = {
+            key: replace(item, effective=3.0) if key.consumer == BASELINE else item
+            for key, item in self.robots(0.5).items()
+        }
+        (record,) = beaten_by_standing_still(unequal, {})
+        assert record["loses"] == []
         assert beaten_by_standing_still({}, {3.0: {}}) == []
 
     def test_the_first_screen_says_so(self, made):

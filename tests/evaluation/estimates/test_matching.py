@@ -135,6 +135,14 @@ def frame(estimates):
     return matched(make_sweeps(estimates), predictors=PREDICTORS, dataset="students03")
 
 
+def test_few_effective_clusters_have_no_interval():
+    few = {key: replace(item, effective=8.0) for key, item in run().items()}
+    rows = frame(few)
+    assert rows["difference"].notna().any()
+    ends = ["fid_low", "fid_high", "fixed_low", "fixed_high", "ci_low", "ci_high"]
+    assert rows[ends].isna().all(axis=None)
+
+
 @pytest.fixture(scope="module")
 def table():
     return frame(run())

@@ -71,8 +71,11 @@ def claim(estimates, text, adding="linear", **history):
     return rows.iloc[0]
 
 
-def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history():
-    few = {key: replace(number, n=8) for key, number in results(advantage=0.05).items()}
+@pytest.mark.parametrize("size", [{"n": 8}, {"effective": 8.0}])
+def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history(size):
+    few = {
+        key: replace(number, **size) for key, number in results(advantage=0.05).items()
+    }
     table = claims(few, dataset="plaza", points=350.0)
     assert len(table) > 5
     assert set(table["answer"]) == {"not testable"}

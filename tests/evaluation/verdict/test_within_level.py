@@ -4,8 +4,10 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
 from evaluation.estimates.matching import Sweeps
+from evaluation.verdict.items import around
 from evaluation.verdict.within_level import (
     LinkedTracks,
     clustered_mean,
@@ -62,6 +64,17 @@ def test_its_interval_covers_zero_as_often_as_it_says():
     result = [partial_correlation([draw(rng, 200, noise=0.5)]) for _ in range(400)]
     covered = np.mean([item.ci_low <= 0 <= item.ci_high for item in result])
     assert 0.92 <= covered <= 0.98
+
+
+def test_its_interval_is_that_of_the_item():
+    """Unequal clusters: t has the degrees of freedom of the effective clusters."""
+    tracks = draw(np.random.default_rng(4), own=1.0)
+    cluster = np.minimum(np.arange(400) // 2, 60)
+    result = partial_correlation([replace(tracks, cluster=cluster)])
+    assert result.n_effective < 5 < result.n
+    normal = float(ndtri(0.975))
+    expected = around(result, result.standard_error, normal)
+    assert (result.ci_low, result.ci_high) == pytest.approx(expected)
 
 
 def test_nothing_varies_nothing_is_known():
