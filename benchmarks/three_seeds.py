@@ -20,7 +20,7 @@ import pandas as pd
 
 from evaluation.estimates.families import CLEAN, SWEPT
 from evaluation.estimates.keys import row_worlds
-from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.estimates.metrics import METRICS, PLR, RANK1
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.plan.world import OWN_WORLD
@@ -85,7 +85,7 @@ def read(out: Path) -> Run:
     results = estimates(summary[row_worlds(summary) == OWN_WORLD])
     strongest = {
         (task, mechanism): source
-        for metric in (EXPOSURE, SUCCESS)
+        for metric in (PLR, RANK1)
         for task, levels in by_task(results, metric=metric).items()
         for mechanism, source in against_each(levels).items()
     }

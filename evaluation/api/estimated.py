@@ -18,11 +18,11 @@ from evaluation.estimates.levels import levels
 from evaluation.estimates.linked_people import Choices
 from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
-    ACHIEVED,
-    ASSIGNED,
-    EXPOSURE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    LINKAGE_COMPARED,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.estimates.strongest import (
     HEADLINE,
@@ -37,9 +37,9 @@ from evaluation.store.entries import horizons_in
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
-_DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
+_DRAWN: Final = (*LINKAGE_COMPARED, RANK1_JOINT, RANK1_AMONG_100)
 """Metrics of linkers that are compared, and so have replicates."""
-_PEOPLE_METRICS: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)
+_PEOPLE_METRICS: Final = (PLR, RANK1, RANK1_JOINT, TPR)
 """Metrics of the tables about linked people."""
 
 
@@ -54,11 +54,11 @@ class LinkEstimates:
 
 def link_estimates(out: Path, manifest: Mapping[str, Any]) -> LinkEstimates:
     """Return the estimates of linkage; DataError if a cell cannot be read."""
-    cards = linkability.cards(out, manifest, drawn=_DRAWN)
+    outcomes = linkability.linkage_outcomes(out, manifest, drawn=_DRAWN)
     return LinkEstimates(
-        estimates=summary.linkage_estimates(cards),
-        sums=summary.linkage_sums(cards),
-        table=linkability.linkability(cards, dataset=manifest["dataset"]["name"]),
+        estimates=summary.linkage_estimates(outcomes),
+        sums=summary.linkage_sums(outcomes),
+        table=linkability.linkability(outcomes, dataset=manifest["dataset"]["name"]),
     )
 
 
@@ -122,9 +122,11 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
         name = Address(recording=dataset, world=world).dataset
         later[horizon_s] = _judged(ahead, manifest, dataset=name)
     for world in WORLDS:
-        cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
+        outcomes = linkability.linkage_outcomes(
+            out, manifest, drawn=_DRAWN, world=world
+        )
         in_world = summary.scene_numbers(out, manifest, world=world).estimates
-        in_world |= linked_gaps(summary.linkage_estimates(cards))
+        in_world |= linked_gaps(summary.linkage_estimates(outcomes))
         # Without replicates, as large as a run's own: no comparison pairs with them.
         worlds[world] = {
             key: replace(estimate, replicates=np.zeros(0))
@@ -204,7 +206,7 @@ def compare_attacks(
     sweeps = Sweeps(estimates, families)
     best = strongest(sweeps.estimates, families)
     crossed = {
-        task: cross_fitted(sums, families, source, by=SUCCESS if task else EXPOSURE)
+        task: cross_fitted(sums, families, source, by=RANK1 if task else PLR)
         for task, source in best.items()
     }
     by_mechanism = strongest_on_each(sweeps.estimates, sums, families)

@@ -16,11 +16,11 @@ import pandas as pd
 from evaluation.estimates.keys import EstimatesByAddress, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
-    EXPOSURE,
-    GAP,
-    RANK_GAP,
-    RANK_OPTIMUM,
-    SUCCESS,
+    PLR,
+    PLR_GAP,
+    RANK1,
+    RANK1_GAP,
+    RANK1_OPTIMUM,
 )
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import Address, Where, parse_consumer
@@ -37,14 +37,14 @@ def linked_gaps(estimates: EstimatesByAddress) -> dict[Address, Estimate]:
     numbers = dict[Address, Estimate]()
     for key, estimate in estimates.items():
         if key.plugin == BOUND:
-            if key.metric == SUCCESS:
-                numbers[key.measured(RANK_OPTIMUM)] = estimate
+            if key.metric == RANK1:
+                numbers[key.measured(RANK1_OPTIMUM)] = estimate
             continue
         numbers[key] = estimate
-        bound = Address(task=key.task, plugin=BOUND, metric=SUCCESS)
+        bound = Address(task=key.task, plugin=BOUND, metric=RANK1)
         best = estimates.get(bound.at(*key.where))
-        if key.metric == SUCCESS and key.adversary and best is not None:
-            numbers[key.measured(RANK_GAP)] = difference(best, estimate)
+        if key.metric == RANK1 and key.adversary and best is not None:
+            numbers[key.measured(RANK1_GAP)] = difference(best, estimate)
     return numbers
 
 
@@ -74,8 +74,8 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     rows["upper_end"] = rows["ci_high"].fillna(rows["value"])
     closest = []
     for gap_metric, metric, bound_metrics in (
-        (GAP, EXPOSURE, BOUNDS),
-        (RANK_GAP, SUCCESS, (RANK_OPTIMUM,)),
+        (PLR_GAP, PLR, BOUNDS),
+        (RANK1_GAP, RANK1, (RANK1_OPTIMUM,)),
     ):
         has_gap = (
             (rows["metric"] == gap_metric)

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from evaluation.estimates.families import AT_RAW, FID, FIXED, SWEPT, Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.metrics import EXPOSURE, METRICS
+from evaluation.estimates.metrics import METRICS, PLR
 from evaluation.estimates.strongest import against_each, by_task
 from evaluation.estimates.summary import bootstrap_weights, clusters
 from evaluation.plan.address import AS_SHARED, Address, Where
@@ -74,9 +74,7 @@ def by_speed(
         return pd.DataFrame(columns=COLUMNS)
     at_raw = AT_RAW if AT_RAW in shown else shown[0]
     speed_by_source = _speeds(out, entries[AS_SHARED.at(*at_raw)])
-    strongest_by_mechanism = against_each(
-        by_task(estimates, metric=EXPOSURE).get("", {})
-    )
+    strongest_by_mechanism = against_each(by_task(estimates, metric=PLR).get("", {}))
     rows = []
     for where in shown:
         attack = (
@@ -119,8 +117,8 @@ def _bins(
     speed_by_source: Mapping[str, float],
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""
-    table = read_rows(out, entry, columns=["source", "group", METRICS[EXPOSURE].column])
-    values = table[METRICS[EXPOSURE].column].to_numpy()
+    table = read_rows(out, entry, columns=["source", "group", METRICS[PLR].column])
+    values = table[METRICS[PLR].column].to_numpy()
     speed_mps = _row_speeds(table, speed_by_source)
     cluster, weights = clusters(table, manifest), bootstrap_weights(manifest)
     for low, high in pairwise(EDGES_MPS):

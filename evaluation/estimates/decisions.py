@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
+from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.summary import SceneNumbers, bootstrap_weights
 from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import (
@@ -191,7 +191,7 @@ def decisions(
     )
     for place, (entry, cluster, columns) in order:
         where, consumer = entry.address.where, entry.address.consumer
-        alarms = parse_consumer(consumer).measured("false_alarm_rate")
+        alarms = parse_consumer(consumer).measured(FALSE_ALARMS)
         raw_alarm = numbers.estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():
             is_separation = name == _SEPARATION

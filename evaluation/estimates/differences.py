@@ -17,14 +17,15 @@ from scipy.special import ndtri, stdtr
 
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.keys import EstimatesByAddress, row_dicts
-from evaluation.estimates.linkability import cards
+from evaluation.estimates.linkability import linkage_outcomes
 from evaluation.estimates.metrics import (
-    EXPOSURE,
+    CHANCE,
     METRICS,
     MISSED_FUTURE,
     MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
 )
 from evaluation.estimates.patrols import patrol_numbers
 from evaluation.estimates.returns import return_numbers
@@ -198,7 +199,7 @@ def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
     """Return every number of a run: of scenes at all horizons, linkage, whole walks."""
     numbers = {
         **scene_numbers(out, manifest).estimates,
-        **linkage_estimates(cards(out, manifest)),
+        **linkage_estimates(linkage_outcomes(out, manifest)),
         **return_numbers(out, manifest).estimates,
     }
     walked_through = [*patrol_numbers(out, manifest), *track_numbers(out, manifest)]
@@ -290,9 +291,9 @@ def _rows(
     }
     # Plain rank 1 depends on how many candidates there are.
     same_size = {
-        key.measured(SUCCESS)
+        key.measured(RANK1)
         for key, (a, b) in pairs.items()
-        if key.metric == "chance" and a.value == b.value
+        if key.metric == CHANCE and a.value == b.value
     }
     rows = []
     for key, (a, b) in pairs.items():
@@ -303,7 +304,7 @@ def _rows(
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
-        if metric.name == SUCCESS and key not in same_size:
+        if metric.name == RANK1 and key not in same_size:
             # Galleries of two sizes do not compare.
             change = Difference(math.nan)
         elif same and paired:
@@ -364,10 +365,10 @@ def _lead(
     missed = [measure for measure in known if measure.metric == MISSED_RATE][:1]
     measures = [*missed]
     if "" in best:
-        measures.append(best[""].measured(EXPOSURE))
+        measures.append(best[""].measured(PLR))
     for linker in [best[task] for task in best if task][:1]:
-        among_100 = linker.measured(SUCCESS_OF_100)
-        measures.append(among_100 if among_100 in known else linker.measured(SUCCESS))
+        among_100 = linker.measured(RANK1_AMONG_100)
+        measures.append(among_100 if among_100 in known else linker.measured(RANK1))
     levels = _lead_levels({key.where for key in estimates}, cells)
     # After the misses at the run's own horizon, the future misses at further horizons.
     ahead = [world for world in map(parse_world, rows["world"].unique()) if world]
@@ -391,7 +392,7 @@ def _lead(
     lead = rows.loc[
         [index_by_number[number] for number in wanted if number in index_by_number]
     ]
-    return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
+    return lead[(lead["metric"] != RANK1) | lead["difference"].notna()]
 
 
 def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:

@@ -29,9 +29,9 @@ from evaluation.estimates.matching import (
 )
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
+    RANK1,
+    RANK1_AMONG_100,
     ROBOTS_OWN,
-    SUCCESS,
-    SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.strongest_table import Strongest, strongest_on_each
@@ -107,7 +107,7 @@ def frontier_quantities(
         ]
     crossed: dict[Address, Estimate] = {}
     for attack in attacks:
-        metrics = (SUCCESS, SUCCESS_OF_100) if attack.source.task else DESCRIPTORS
+        metrics = (RANK1, RANK1_AMONG_100) if attack.source.task else DESCRIPTORS
         for where, metric in product(attack.wheres, metrics):
             if estimate := attack.at(where, metric, sweeps.estimates):
                 crossed[attack.source.at(*where, metric)] = estimate

@@ -18,14 +18,14 @@ from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW,
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
-    ACHIEVED,
     COSTS,
     DESCRIPTORS,
+    DISTANCE_MAE,
     EQUAL_ALARMS,
-    ERROR,
-    EXPOSURE,
     FUTURE_EQUAL_ALARMS,
+    LINKAGE_COMPARED,
     MISSED_RATE,
+    PLR,
 )
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.presets import SHARED
@@ -33,7 +33,12 @@ from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import LEAST_CLUSTERS, Estimate, percentile_intervals
 from isac_track.types import Bools, Floats, Ints
 
-MISSED, AT_EQUAL_ALARMS, FUTURE, PLR = "missed", EQUAL_ALARMS, "missed_future", "plr"
+MISSED, AT_EQUAL_ALARMS, FUTURE, EQUAL_PLR = (
+    "missed",
+    EQUAL_ALARMS,
+    "missed_future",
+    "plr",
+)
 """Criteria of matching."""
 CRITERIA: Final = {
     MISSED: MISSED_RATE,
@@ -45,7 +50,7 @@ N_POINTS, N_ATTACK_POINTS = 20, 10  # Points of a curve as shared, and after an 
 # Share of replicates that must reach a point for it to have an interval.
 MIN_DEFINED = 0.975
 FEWEST_LEVELS: Final = 2  # Fewest levels of a curve, beside raw.
-_SHOWN: Final = AS_SHARED.measured(EXPOSURE)
+_SHOWN: Final = AS_SHARED.measured(PLR)
 _SMALLEST = 1e-12
 _ROUNDING = 1e-9
 _INTERVALS = (
@@ -82,7 +87,7 @@ class Sweeps:
         self._levels: dict[str, list[float | None]] = {}
         for key in estimates:
             if (
-                key.metric == EXPOSURE
+                key.metric == PLR
                 and key.measure == _SHOWN
                 and families[key.mechanism].is_added
             ):
@@ -154,7 +159,7 @@ class Sweeps:
                 drawn = [self.estimates[key].drawn for key in keys]
                 stacked[name] = np.stack(drawn, axis=1)
         # The cost of noise falls towards raw; what noise hides rises.
-        rises = measures[RAW].metric not in (*COSTS, ERROR)
+        rises = measures[RAW].metric not in (*COSTS, DISTANCE_MAE)
         curves = joined([*stacked.values()], increasing=rises) if stacked else []
         return dict(zip(stacked, curves, strict=True))
 
@@ -197,7 +202,7 @@ def matched(
     predictors: Sequence[str],
     dataset: str,
     world: World = OWN_WORLD,
-    criteria: Collection[str] = (*CRITERIA, PLR),
+    criteria: Collection[str] = (*CRITERIA, EQUAL_PLR),
 ) -> pd.DataFrame:
     """Return every mechanism with levels against fixed noise at matched points.
 
@@ -267,7 +272,7 @@ def _matches(
     measures = shared + [
         measure
         for measure in attacked
-        if measure.metric in (ACHIEVED if measure.source.task else DESCRIPTORS)
+        if measure.metric in (LINKAGE_COMPARED if measure.source.task else DESCRIPTORS)
     ]
     matches = [
         _Match(
@@ -280,9 +285,9 @@ def _matches(
         for criterion, metric in CRITERIA.items()
         if criterion in criteria
     ]
-    if _SHOWN in shared and PLR in criteria:
+    if _SHOWN in shared and EQUAL_PLR in criteria:
         others = [measure for measure in measures if measure != _SHOWN]
-        matches.append(_Match(PLR, _SHOWN, "", others))
+        matches.append(_Match(EQUAL_PLR, _SHOWN, "", others))
     return matches
 
 

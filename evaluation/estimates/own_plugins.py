@@ -17,7 +17,7 @@ import numpy as np
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
+from evaluation.estimates.metrics import FALSE_ALARMS, MISSED_FUTURE, PLR, RANK1
 from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,
@@ -36,7 +36,6 @@ ATTACK: Final = "attack"
 LINKER: Final = "linker"
 PREDICTOR: Final = "predictor"
 MECHANISM: Final = "mechanism"
-_ALARMS: Final = "false_alarm_rate"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,7 +80,7 @@ def _attack_record(
 ) -> dict[str, Any] | None:
     """Return the comparison of an attack or a linker; None if the run has no number."""
     attacks = {key.source for key in run.sums if key.adversary}
-    attacks |= {key.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)}
+    attacks |= {key.source for key in run.own if key.metric in (PLR, RANK1)}
     tasks = {source.task for source in attacks if source.attack_spec == spec}
     if not tasks:
         return None
@@ -99,7 +98,7 @@ def _attack_record(
     rival = _strongest(built_in, run=run)
     if tested is None:
         return None
-    metric = SUCCESS if task else EXPOSURE
+    metric = RANK1 if task else PLR
     pairs: list[tuple[Estimate | None, Estimate | None]] = []
     for where in ranking_levels([*tested.wheres], run.families):
         own = tested.at(where, metric, run.own)
@@ -124,7 +123,7 @@ def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | N
     if not sources:
         return None
     task = next(iter(sources)).task
-    metric = SUCCESS if task else EXPOSURE
+    metric = RANK1 if task else PLR
     estimates = {key: known for key, known in run.own.items() if key.source in sources}
     levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.families)]
@@ -166,7 +165,7 @@ def _predictor_record(
             name: _interval(
                 _mean(
                     _at_levels(
-                        estimates, parse_consumer(robot).measured(_ALARMS), levels
+                        estimates, parse_consumer(robot).measured(FALSE_ALARMS), levels
                     )
                 )
             )
@@ -225,13 +224,11 @@ def _mechanism_records(
             "horizon_s": horizon_s,
             "robot": robot,
             "missed": _interval(missed.get(robot)),
-            "as_sent": _interval(run.own.get(AS_SHARED.at(*where, EXPOSURE))),
-            "attacked": _interval(
-                attack.at(where, EXPOSURE, run.own) if attack else None
-            ),
+            "as_sent": _interval(run.own.get(AS_SHARED.at(*where, PLR))),
+            "attacked": _interval(attack.at(where, PLR, run.own) if attack else None),
             "task": run.leading,
             "linked": _interval(
-                linker.at(where, SUCCESS, run.own) if linker and run.leading else None
+                linker.at(where, RANK1, run.own) if linker and run.leading else None
             ),
         }
 

@@ -29,14 +29,14 @@ import numpy as np
 from evaluation.estimates.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
 from evaluation.estimates.keys import INFORMED, EstimatesByAddress
 from evaluation.estimates.metrics import (
-    ASSIGNED,
     DESCRIPTORS,
-    EXPOSURE,
-    MEDIAN,
+    MEDIAN_ERROR,
     METRICS,
-    SUCCESS,
-    SUCCESS_OF_100,
-    WIDE,
+    PLR,
+    PLR_WIDE,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.presets import IDENTITY
@@ -54,11 +54,11 @@ HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
-RULES: Final = (SUCCESS, ASSIGNED)
+RULES: Final = (RANK1, RANK1_JOINT)
 """Rules by which a linker names mates: each best candidate, or a matching of all."""
 _CHOICES: Final = {
-    EXPOSURE: (((EXPOSURE,), (*DESCRIPTORS, MEDIAN)), ((WIDE,), (WIDE,))),
-    SUCCESS: ((RULES, (SUCCESS,)), ((SUCCESS_OF_100,), (SUCCESS_OF_100,))),
+    PLR: (((PLR,), (*DESCRIPTORS, MEDIAN_ERROR)), ((PLR_WIDE,), (PLR_WIDE,))),
+    RANK1: ((RULES, (RANK1,)), ((RANK1_AMONG_100,), (RANK1_AMONG_100,))),
 }
 """Choices of a strongest by ranking metric: metrics that rank, and metrics scored."""
 
@@ -94,7 +94,7 @@ def strongest(
     `estimates` are all those of the run, `families` its mechanisms.
     """
     best = {}
-    for metric in (EXPOSURE, SUCCESS):
+    for metric in (PLR, RANK1):
         levels = by_task(estimates, metric=metric)
         family_names = {
             families[name].family
@@ -138,9 +138,9 @@ def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
 
 def success_metric(estimates: EstimatesByAddress, linker: Address) -> str:
     """Return a linker's success metric: rank 1 of 100 if it has as many candidates."""
-    at_raw = estimates.get(linker.measured(SUCCESS_OF_100).at(RAW, None))
+    at_raw = estimates.get(linker.measured(RANK1_AMONG_100).at(RAW, None))
     is_known = at_raw is not None and np.isfinite(at_raw.value)
-    return SUCCESS_OF_100 if is_known else SUCCESS
+    return RANK1_AMONG_100 if is_known else RANK1
 
 
 def _choosing(
@@ -180,7 +180,7 @@ def cross_fitted(
     families: Mapping[str, Family],
     headline: Address,
     *,
-    by: str = EXPOSURE,
+    by: str = PLR,
 ) -> CrossFitted:
     """Return the strongest attack's success, each half scored by the other's choice.
 
@@ -293,7 +293,7 @@ def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
     A linker's rank 1 is that by the better of `RULES`.
     """
     values: dict[str, Levels] = {}
-    ranked = RULES if metric == SUCCESS else (metric,)
+    ranked = RULES if metric == RANK1 else (metric,)
     for key, estimate in estimates.items():
         if key.metric in ranked:
             source = key.source

@@ -15,11 +15,11 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
-    ASSIGNED,
     DESCRIPTORS,
-    EXPOSURE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.estimates.strongest import (
     GROUPS,
@@ -51,7 +51,7 @@ COLUMNS: Final = [
     "first_choice",
     "second_choice",
 ]
-_LINKER_METRICS: Final = (SUCCESS, SUCCESS_OF_100)
+_LINKER_METRICS: Final = (RANK1, RANK1_AMONG_100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -71,7 +71,7 @@ class Strongest:
         key = self.source.at(*where, metric)
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
-        keys = [key, key.measured(ASSIGNED)] if metric == SUCCESS else [key]
+        keys = [key, key.measured(RANK1_JOINT)] if metric == RANK1 else [key]
         known = [
             estimates[key]
             for key in keys
@@ -95,7 +95,7 @@ def strongest_on_each(
         group = key.mechanism, key.source.task
         own_sums.setdefault(group, {})[key] = summed
     strongest = []
-    for ranked_by in (EXPOSURE, SUCCESS):
+    for ranked_by in (PLR, RANK1):
         for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
                 for mechanism, source in against_each(levels, among=among).items():
@@ -128,7 +128,7 @@ def _rows(
             estimate = attack.at(where, metric, estimates)
             if estimate is None or not np.isfinite(estimate.value):
                 continue
-            ranked = EXPOSURE if not task else metric
+            ranked = PLR if not task else metric
             first, second = attack.crossed.choices.get(ranked) or (source, source)
             yield {
                 **in_run(number, dataset=dataset).to_columns(),

@@ -35,11 +35,12 @@ from evaluation.compute.tracking import (
     by_step,
 )
 from evaluation.estimates.metrics import (
+    CHANCE,
     DISCLOSED,
     FUTURE_EQUAL_ALARMS,
     KNOWN_SHARE,
     METRICS,
-    SUCCESS,
+    RANK1,
 )
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.axes import LOG, TRACK_KINDS
@@ -70,7 +71,6 @@ _BESIDE: Final = (
     *HOTA_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
-CHANCE: Final = "chance"  # Of rank 1, by guessing.
 LINKABLE: Final = "linkable_share"
 REJOINED: Final = "rejoined_share"
 BLIND: Final = "blind"  # The adversary that joins tracks without identities.
@@ -149,7 +149,7 @@ def _link_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     with a track of their own on both: no linker links more.
     """
     rows = _read(out, entry, LINK_COLUMNS)
-    columns = {SUCCESS: "hits", CHANCE: "chance", LINKABLE: "linkable"}
+    columns = {RANK1: "hits", CHANCE: "chance", LINKABLE: "linkable"}
     return {
         (entry.address, name): block_ratio(
             numerator=by_seed(rows, column),

@@ -20,7 +20,7 @@ import pandas as pd
 from evaluation.estimates.bounds import Gap
 from evaluation.estimates.families import CLEAN, RAW
 from evaluation.estimates.keys import EstimatesByAddress, where_text
-from evaluation.estimates.metrics import EXPOSURE, SUCCESS
+from evaluation.estimates.metrics import PLR, RANK1
 from evaluation.plan.address import (
     AS_SHARED,
     Address,
@@ -98,7 +98,7 @@ def flags(
     """
     levels: dict[Where, dict[Address, Estimate]] = {}
     for key, estimate in estimates.items():
-        if key.metric == EXPOSURE and key.adversary:
+        if key.metric == PLR and key.adversary:
             levels.setdefault(key.where, {})[key.source] = estimate
     left_out: Counter[str] = Counter()
     pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
@@ -127,7 +127,7 @@ def flags(
             attack.adversary,
             by.consumer,
             by.adversary,
-            EXPOSURE,
+            PLR,
         )
         sentence = f"{attack.label} {pair.text}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
@@ -155,7 +155,7 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
         )
         about = FAR, mechanism, np.nan if level is None else level
         names = gap.attack.consumer, gap.attack.adversary
-        metric = SUCCESS if gap.attack.task else EXPOSURE
+        metric = RANK1 if gap.attack.task else PLR
         rows.append(
             (*about, *names, BOUND, "", metric, *interval, len(exact), sentence)
         )
@@ -235,7 +235,7 @@ def _beaten_pairs(
     left_out: Counter[str],
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = estimates.get(AS_SHARED.at(*where, EXPOSURE))
+        shared = estimates.get(AS_SHARED.at(*where, PLR))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
             minus, plus = plr[attack], plr[by]
@@ -254,7 +254,7 @@ def _beaten_pairs(
 def _falling_pairs(
     levels: Levels, estimates: EstimatesByAddress, left_out: Counter[str]
 ) -> Iterator[_Pair]:
-    rmse, exposed = AS_SHARED.measured("rmse"), AS_SHARED.measured(EXPOSURE)
+    rmse, exposed = AS_SHARED.measured("rmse"), AS_SHARED.measured(PLR)
     mechanisms = (name for name, _ in levels if name not in (RAW, CLEAN))
     for mechanism in dict.fromkeys(mechanisms):
         # In the order of the actual noise, whichever way the level counts.

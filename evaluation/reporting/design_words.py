@@ -12,12 +12,12 @@ from rich.console import Console
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.metrics import (
-    EXPOSURE,
-    MEDIAN,
+    MEDIAN_ERROR,
     METRICS,
     MISSED_RATE,
-    SUCCESS,
-    WIDE,
+    PLR,
+    PLR_WIDE,
+    RANK1,
 )
 from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
@@ -59,7 +59,7 @@ from isac_track.intervals import Estimate
 from isac_track.kalman import steady
 from isac_track.privacy import WIDE_TIMES
 
-_NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
+_NUMBERS: Final = (PLR, PLR_WIDE, MEDIAN_ERROR, "ael", "mel")
 _LINES: Final = 12  # Lines of the short answer, at most.
 _HEADS: Final = 2  # Lines above the rows of its table.
 _LEAST_ROWS: Final = 2  # Rows of its table, at least.
@@ -161,8 +161,7 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
         "shared": _side(offer.shared),
         "after_attack": _side(offer.attacked),
         "beyond": [
-            _side(side, limit=advice.question.limits.get(EXPOSURE))
-            for side in offer.beyond
+            _side(side, limit=advice.question.limits.get(PLR)) for side in offer.beyond
         ],
         "linked": _linked(offer.linked) if offer.linked else None,
         "tasks": [_linked(task) for task in offer.tasks],
@@ -260,7 +259,7 @@ def notes(answer: Answer) -> list[str]:
 def _closed_form_notes(answer: Answer) -> list[str]:
     """Return the noise that the closed forms name, which need no run."""
     question = answer.recommendation.question
-    limit = question.limits.get(EXPOSURE, 0.0)
+    limit = question.limits.get(PLR, 0.0)
     if not 0.0 < limit < 1.0 or question.as_shared:
         return []
     epsilon_m = words.epsilon_m(answer.manifest)
@@ -314,7 +313,7 @@ def _level_lines(
     for offer in offers:
         side = _limited_side(offer, advice)
         linked = offer.linked.share if offer.linked else None
-        numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
+        numbers = [offer.cost, side.value(PLR), side.value(PLR_WIDE), linked]
         name = short_mechanism_name(offer.family, offer.where.level)
         rows.append([shorten_name(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
@@ -409,15 +408,15 @@ def answer_table(advice: Recommendation) -> Table:
         ),
         Column(
             "known",
-            partial(_position_cell, EXPOSURE),
-            METRICS[EXPOSURE].unit,
+            partial(_position_cell, PLR),
+            METRICS[PLR].unit,
             above="attacked",
         ),
-        Column("at 4/3", partial(_position_cell, WIDE), METRICS[WIDE].unit),
+        Column("at 4/3", partial(_position_cell, PLR_WIDE), METRICS[PLR_WIDE].unit),
         Column(
             "error",
-            partial(_position_cell, MEDIAN),
-            METRICS[MEDIAN].unit,
+            partial(_position_cell, MEDIAN_ERROR),
+            METRICS[MEDIAN_ERROR].unit,
             above="median",
         ),
         Column("of raw", partial(_linkage_cell, "share"), "%", above="re-identified"),
@@ -437,4 +436,4 @@ def _linkage_cell(name: str, offer: Offer) -> Cell:
     """Return a number of the linkage of a level; an empty cell without any."""
     if offer.linked is None:
         return Cell()
-    return make.estimate_cell(SUCCESS, getattr(offer.linked, name))
+    return make.estimate_cell(RANK1, getattr(offer.linked, name))

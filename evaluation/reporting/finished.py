@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from evaluation.estimates.keys import row_addresses
-from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
+from evaluation.estimates.metrics import PLR, RANK1, RANK1_JOINT
 from evaluation.estimates.strongest import strongest
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table
@@ -48,7 +48,7 @@ def load(out: Path | str) -> Results:
     results = Results(out=out, manifest=manifest, **tables)
     rows = results.measured
     rows = rows[
-        rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")
+        rows["metric"].isin([PLR, RANK1, RANK1_JOINT]) & (rows["knowledge"] != "")
     ]
     # The choice reads only the values.
     values = map(_Value, rows["value"])

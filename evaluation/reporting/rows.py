@@ -44,7 +44,7 @@ from isac_track.types import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from evaluation.estimates.linkability import LinkedTask
+    from evaluation.estimates.linkability import TaskOutcomes
     from evaluation.reporting.charts import Look
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
@@ -315,7 +315,7 @@ class Results:
             raise SettingsError(f"unknown metric {metric!r}{hint}")
         rows = self.measured
         rows = rows[rows["metric"] == name]
-        place = METRICS[name].measured
+        place = METRICS[name].kind
         row_tasks = rows["consumer"].map(lambda consumer: parse_consumer(consumer).task)
         task = task or next(iter(row_tasks), "")
         rows = rows[row_tasks == task]
@@ -460,10 +460,10 @@ class Results:
         )
 
     @cached_property
-    def tasks(self) -> list[LinkedTask]:
+    def tasks(self) -> list[TaskOutcomes]:
         """The linkage tasks, on the run's data set or on their own."""
         from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
-            linked_tasks,
+            task_outcomes,
             task_recording,
         )
 
@@ -471,7 +471,7 @@ class Results:
             task_recording(parse_consumer(consumer).task, dataset=self.dataset)
             for consumer in self.linkability["consumer"]
         ]
-        return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
+        return task_outcomes(self.linkability[self.linkability["dataset"] == expected])
 
 
 def _positions_label(rows: pd.DataFrame, place: str) -> str:

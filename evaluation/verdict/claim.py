@@ -21,7 +21,7 @@ from evaluation.estimates.matching import (
     Sweeps,
     at_changes,
 )
-from evaluation.estimates.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS, RANK1_AMONG_100
 from evaluation.estimates.strongest import success_metric
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.verdict import rules
@@ -191,7 +191,7 @@ def _sentences(measure: Address, relative: float, about: _About) -> dict[str, st
     elif about.compared == AFTER:
         subject = f"{head} after {measure.source.consumer}"
     else:
-        is_of_100 = measure.metric == SUCCESS_OF_100
+        is_of_100 = measure.metric == RANK1_AMONG_100
         gallery = "100" if is_of_100 else "the candidates of this run"
         task = measure.source.task
         subject = f"the share of people found among {gallery} in {task}"

@@ -14,7 +14,7 @@ from typing import Any
 
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster
 from evaluation.estimates.matching import FUTURE, Sweeps
-from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.metrics import PLR
 from evaluation.plan.address import Address
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import Draft, decided
@@ -111,7 +111,7 @@ def _scoring_attacks(
     is_after = item["section"] == rules.INFLATION or item.get("of") == claim.AFTER
     if not is_after and item.get("of") != claim.LINKED:
         return []
-    ranked = EXPOSURE if is_after else str(item.get("metric"))
+    ranked = PLR if is_after else str(item.get("metric"))
     choices = scored.get(item["task"], {}).get(ranked, ())
     labels = [choice.without_task.label for choice in choices]
     return labels if {*labels} - {item["subject"]} else []

@@ -15,8 +15,8 @@ import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, Family
 from evaluation.estimates.keys import where_text
-from evaluation.estimates.linked_people import LinkedTask
-from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.linked_people import TaskSums
+from evaluation.estimates.metrics import DESCRIPTORS, RANK1, RANK1_AMONG_100
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import (
     Panel,
@@ -76,7 +76,7 @@ class Tested:
 
 
 def validity(
-    tasks: Sequence[LinkedTask],
+    tasks: Sequence[TaskSums],
     *,
     families: Mapping[str, Family],
     preset: str,
@@ -135,7 +135,7 @@ def _tested(
     return Tested(panel, name, own, beside, errors)
 
 
-def _sums(task: LinkedTask, name: str) -> Sums:
+def _sums(task: TaskSums, name: str) -> Sums:
     values, windows = (
         np.array([level.descriptors[name][part] for level in task.levels])
         for part in (0, 1)
@@ -148,7 +148,7 @@ def _sums(task: LinkedTask, name: str) -> Sums:
     )
 
 
-def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
+def _half(task: TaskSums, sums: Sums, seed: int) -> Sums:
     """Return a half of the people, with the other half's linkage as its descriptor."""
     order = stream(seed, "halves", task.task).permutation(len(task.clusters))
     is_first = order < len(task.clusters) / 2
@@ -237,7 +237,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
         "ci_low": low,
         "ci_high": high,
         "unit": "fraction",
-        "metric": "rank1" if panel.task.gallery is None else "rank1_g100",
+        "metric": RANK1 if panel.task.gallery is None else RANK1_AMONG_100,
         **_error_numbers(tested.errors),
         "evidence": kinds if decision in (rules.DOES_NOT, rules.TRACKS) else [],
         "power": spread.decision_power(answers),

@@ -18,18 +18,19 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.families import ADDING_RULES, RAW, Family
 from evaluation.estimates.metrics import (
+    CHANCE,
     DESCRIPTORS,
     EQUAL_ALARMS,
-    EXPOSURE,
     FALSE_ALARMS,
     FUTURE_EQUAL_ALARMS,
     LINKAGE_SHARE,
-    MEDIAN,
+    MEDIAN_ERROR,
     METRICS,
     MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
-    WIDE,
+    PLR,
+    PLR_WIDE,
+    RANK1,
+    RANK1_AMONG_100,
 )
 from evaluation.estimates.pareto import beats
 from evaluation.estimates.strongest import BEYOND
@@ -52,11 +53,11 @@ LIMITS: Final = {
     MISSED: MISSED_RATE,
     "false_alarm": FALSE_ALARMS,
     **dict(zip(DESCRIPTORS, DESCRIPTORS, strict=True)),
-    SUCCESS: SUCCESS,
-    LINKED: SUCCESS,
+    RANK1: RANK1,
+    LINKED: RANK1,
 }
 """Metrics that may be limited; `rank1` is of every task of the recording."""
-USUAL: Final[Mapping[str, float]] = {EXPOSURE: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
+USUAL: Final[Mapping[str, float]] = {PLR: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
 """Default limits."""
 Unknown: TypeAlias = Literal[
     "no horizon",
@@ -223,7 +224,7 @@ class Attacked:
         None: the adversary was not tried, or too few people tell.
         """
         statuses = {
-            Check(name, limit, self.value(name)).status for name in (EXPOSURE, WIDE)
+            Check(name, limit, self.value(name)).status for name in (PLR, PLR_WIDE)
         }
         if "not met" in statuses:
             return True
@@ -236,7 +237,7 @@ class Linked:
 
     task: str
     source: Address | None = None  # None: it was not run at this level.
-    metric: str = SUCCESS  # Rank 1, or that of 100 candidates.
+    metric: str = RANK1  # Rank 1, or that of 100 candidates.
     rank1: Estimate = UNKNOWN
     chance: float = math.nan
     share: Estimate = UNKNOWN  # Of raw's rank 1 above chance.
@@ -278,7 +279,7 @@ class Offer:
         """
         exposed = self.attacked if self.attacked.source else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
-        plr = exposed.value(EXPOSURE).value
+        plr = exposed.value(PLR).value
         cost, plr, rank1 = (
             math.inf if math.isnan(value) else value
             for value in (self.cost.value, plr, linked)
@@ -648,8 +649,8 @@ class _Frame:
         sides += [side for side in offer.beyond if side.adversary in question.against]
         for side in sides:
             # An adversary that was not tried gets no further check.
-            for name in (*DESCRIPTORS, WIDE) if side.source else DESCRIPTORS:
-                limit = question.limits.get(EXPOSURE if name == WIDE else name)
+            for name in (*DESCRIPTORS, PLR_WIDE) if side.source else DESCRIPTORS:
+                limit = question.limits.get(PLR if name == PLR_WIDE else name)
                 if limit is None:
                     continue
                 untried: Unknown = (
@@ -675,10 +676,10 @@ class _Frame:
             limit = question.limits[LINKED]
             source, missing = linked.source, linked.missing
             checks.append(Check(LINKED, limit, linked.share, source, missing=missing))
-        if SUCCESS in question.limits:
-            limit = question.limits[SUCCESS]
+        if RANK1 in question.limits:
+            limit = question.limits[RANK1]
             for task in offer.tasks or (Linked("", missing="no task"),):
-                name = f"{SUCCESS}/{task.task}"
+                name = f"{RANK1}/{task.task}"
                 checks.append(
                     Check(name, limit, task.rank1, task.source, missing=task.missing)
                 )
@@ -699,16 +700,16 @@ def _attacked(
         if row.adversary == adversary
         and not row.source.task
         and (source is None or row.source == source)
-        and row.metric in {*DESCRIPTORS, WIDE, MEDIAN}
+        and row.metric in {*DESCRIPTORS, PLR_WIDE, MEDIAN_ERROR}
     ]
-    by_plr = next((row.source for row in rows if row.metric == EXPOSURE), None)
+    by_plr = next((row.source for row in rows if row.metric == PLR), None)
     return Attacked(adversary, by_plr, {row.metric: row.measured for row in rows})
 
 
 def _linked(level: _Level, task: str) -> Linked:
     """Return the success of a task's strongest linker at a level."""
     rows = {row.metric: row for row in level.rows if row.source.task == task}
-    metric = SUCCESS_OF_100 if SUCCESS_OF_100 in rows else SUCCESS
+    metric = RANK1_AMONG_100 if RANK1_AMONG_100 in rows else RANK1
     if metric not in rows:
         return Linked(task, missing="no attack")
     rank1 = rows[metric]
@@ -719,5 +720,5 @@ def _linked(level: _Level, task: str) -> Linked:
         missing = WEAK
     numbers = {name: row.measured for name, row in rows.items()}
     share = numbers.get(LINKAGE_SHARE, UNKNOWN)
-    chance = numbers.get("chance", UNKNOWN).value
+    chance = numbers.get(CHANCE, UNKNOWN).value
     return Linked(task, rank1.source, metric, rank1.measured, chance, share, missing)

@@ -8,7 +8,7 @@ import pandas as pd
 
 from evaluation.estimates.frontier import VALUE, WHITE, usual_price
 from evaluation.estimates.keys import row_dicts
-from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.metrics import PLR
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.plan.presets import BASELINE
@@ -44,7 +44,7 @@ def figures(run: Results) -> Iterator[Figure]:
     """Yield attacked PLR over the rise of misses: a panel a robot and six families."""
     if run.frontier.empty:
         return
-    rows = usual_price(run.frontier[run.frontier["metric"] == EXPOSURE])
+    rows = usual_price(run.frontier[run.frontier["metric"] == PLR])
     rows = rows[(rows["consumer"] != AS_SHARED.consumer) & rows["value"].notna()]
     robots = [robot for robot in dict.fromkeys(rows["robot"]) if robot != BASELINE]
     rows = rows[rows["robot"].isin(robots or [BASELINE])]

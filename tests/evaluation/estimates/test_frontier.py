@@ -8,7 +8,7 @@ from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import PREDICTORS, run
 
 from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, frontier
-from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
+from evaluation.estimates.metrics import MISSED_RATE, RANK1_AMONG_100
 from evaluation.estimates.strongest import first_half
 from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -186,7 +186,7 @@ def test_the_strongest_on_each_mechanism_is_cross_fitted():
 def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_known():
     estimates = run()
     estimates |= {
-        key.measured(SUCCESS_OF_100): item
+        key.measured(RANK1_AMONG_100): item
         for key, item in estimates.items()
         if key.metric == "rank1"
     }
@@ -196,7 +196,7 @@ def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_know
         if key.mechanism in ("raw", "fixed") and (key.level or 0.0) < 0.3
     }
     frame = rows(table(few), robot=PREDICTORS[0], criterion="missed")
-    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {SUCCESS_OF_100}
+    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {RANK1_AMONG_100}
     for _, item in frame.groupby(["consumer", "metric"]):
         assert item["target"].tolist() == list(TARGETS)
         assert item["level"].notna().tolist() == [True, True, False, False]

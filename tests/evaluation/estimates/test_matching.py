@@ -15,10 +15,10 @@ from scipy.optimize import isotonic_regression, lsq_linear
 from evaluation.estimates.matching import (
     AT_EQUAL_ALARMS,
     COLUMNS,
+    EQUAL_PLR,
     MISSED,
     N_ATTACK_POINTS,
     N_POINTS,
-    PLR,
     at_changes,
     interpolated,
     joined,
@@ -155,13 +155,13 @@ def better():
 
 
 def test_equal_mechanisms_do_not_differ_under_any_criterion(table):
-    assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, PLR}
+    assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, EQUAL_PLR}
     assert np.allclose(table["difference"], 0.0, atol=2e-4)
     assert list(table.columns) == COLUMNS
 
 
 def test_an_advantage_is_read_at_equal_rate(better):
-    part = better[(better["consumer"] == SHARED) & (better["criterion"] != PLR)]
+    part = better[(better["consumer"] == SHARED) & (better["criterion"] != EQUAL_PLR)]
     # Towards raw both end in the same point.
     inner = part[(part["at"] > 0.03) & (part["defined"] >= 0.975)]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.1, atol=0.002)
@@ -170,7 +170,7 @@ def test_an_advantage_is_read_at_equal_rate(better):
 
 def test_at_equal_plr_the_linkers_are_compared(better):
     """FID reaches a PLR with 0.1 less noise, and so 0.03 more people are linked."""
-    part = better[(better["criterion"] == PLR) & (better["metric"] == "rank1")]
+    part = better[(better["criterion"] == EQUAL_PLR) & (better["metric"] == "rank1")]
     low = part[part["at"] < np.exp(-0.5 - 0.2)]
     assert len(low) > 10
     assert np.allclose(low["difference"], 0.03, atol=2e-4)
@@ -184,7 +184,7 @@ def test_what_is_compared_for_whom(table):
     shared = rates["consumer"] == SHARED
     assert set(rates[shared]["predictor"]) == set(PREDICTORS)
     assert set(rates[~shared]["predictor"]) == {PREDICTORS[0]}
-    assert set(table[table["criterion"] == PLR]["predictor"]) == {""}
+    assert set(table[table["criterion"] == EQUAL_PLR]["predictor"]) == {""}
     assert not table["consumer"].str.contains("control-").any()
     simulated = table["consumer"].str.startswith("new_traversal/")
     assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
@@ -207,7 +207,7 @@ def test_nothing_is_extrapolated(table):
         (table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)
     ]
     assert alarms["at"].max() == pytest.approx(0.24)
-    plr = table[table["criterion"] == PLR]
+    plr = table[table["criterion"] == EQUAL_PLR]
     assert plr["at"].min() == pytest.approx(np.exp(-1.3), rel=1e-6)
     assert plr["at"].max() < np.exp(-0.5)
 
