@@ -16,7 +16,6 @@ from evaluation.estimates.families import RAW, Family, entry_families
 from evaluation.estimates.galleries import TPR
 from evaluation.estimates.levels import levels
 from evaluation.estimates.linked_people import Choices
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
     LINKAGE_COMPARED,
     PLR,
@@ -31,6 +30,7 @@ from evaluation.estimates.strongest import (
     strongest,
 )
 from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.entries import horizons_in

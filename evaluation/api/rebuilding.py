@@ -25,11 +25,12 @@ from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import galleries
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.linked_people import Choices, read_probes
-from evaluation.estimates.matching import FUTURE, Sweeps, matched
+from evaluation.estimates.matching import matched
 from evaluation.estimates.own_plugins import Estimates, plugin_records
 from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
 from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address
 from evaluation.plan.settings import check_drawing

@@ -15,18 +15,14 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.linkability import in_run
-from evaluation.estimates.matching import (
-    AT_EQUAL_ALARMS,
-    CRITERIA,
-    FUTURE,
-    Places,
-    Sweeps,
+from evaluation.estimates.interpolation import (
+    CurvePositions,
     has_interval,
     interpolated,
-    places,
+    positions_at_change,
     with_ends,
 )
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     RANK1,
@@ -35,6 +31,7 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, CRITERIA, FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_dataset
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -177,7 +174,7 @@ class _Price:
     """Mechanisms where a robot's missed rate has risen by the targets, (P,)."""
 
     cost: Address
-    reached: Mapping[str, Places]  # Position on the curve, (1 + B, P) each.
+    reached: Mapping[str, CurvePositions]  # Position on the curve, (1 + B, P) each.
     is_dense: Mapping[str, Bools]  # (P,) whether enough levels are near the target
     level: Mapping[str, Mapping[str, Floats]]  # (P,) columns `LEVEL_READ`
 
@@ -187,7 +184,7 @@ def _price(sweeps: Sweeps, robot: str, metric: str) -> _Price:
     costs = _curves(sweeps, Quantity(metric, robots))
     rises = {name: np.abs(curve - curve[:, -1:]) for name, curve in costs.items()}
     targets = np.array(TARGETS)
-    reached = {name: places(targets, rise) for name, rise in rises.items()}
+    reached = {name: positions_at_change(targets, rise) for name, rise in rises.items()}
     is_dense = {
         name: (np.abs(rise[0, :, None] - targets) <= NEAR).sum(axis=0) >= ENOUGH_LEVELS
         for name, rise in rises.items()
@@ -345,7 +342,7 @@ def _surely_beaten(axes: Sequence[_Axis]) -> dict[tuple[str, float], bool]:
     return is_beaten
 
 
-def _levels(levels: Sequence[float | None], position: Places) -> Floats:
+def _levels(levels: Sequence[float | None], position: CurvePositions) -> Floats:
     """Return the level at positions on a curve, (R, P); NaN where only raw is beyond.
 
     Raw counts as a level of zero where levels fall towards it on a linear scale; on

@@ -19,7 +19,6 @@ from evaluation.compute.link_scores import COMPANIONS, NAMED_MATES
 from evaluation.compute.link_setup import SIDES
 from evaluation.compute.tables import ON_TRIAL
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     METRICS,
@@ -28,6 +27,7 @@ from evaluation.estimates.metrics import (
     RANK1_JOINT,
 )
 from evaluation.estimates.strongest import against_each, by_task, first_half
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.constants import WINDOWS
 from evaluation.plan.world import OWN_WORLD

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW
-from evaluation.estimates.matching import FUTURE, MIN_DEFINED, MISSED, Sweeps
+from evaluation.estimates.interpolation import MIN_DEFINED
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
+from evaluation.estimates.sweeps import FUTURE, MISSED, Sweeps
 from evaluation.plan.address import Address, Where, parse_dataset
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference

@@ -21,7 +21,6 @@ from scipy.special import ndtri, stdtrit
 from evaluation.estimates.families import ADDING_RULES, FID, RAW, entry_families
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import linkage_outcomes
-from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import (
     CHANCE,
     MISSED_FUTURE,
@@ -33,6 +32,7 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import World
 from evaluation.store.entries import horizons_in

@@ -11,7 +11,6 @@ import pandas as pd
 from evaluation.estimates import paper
 from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
 from evaluation.estimates.keys import row_dicts, where_text
-from evaluation.estimates.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.estimates.metrics import (
     METRICS,
     PLR,
@@ -20,6 +19,7 @@ from evaluation.estimates.metrics import (
     ROBOT_PLR,
 )
 from evaluation.estimates.strongest import HEADLINE
+from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.plan.address import AS_SHARED, parse_consumer, parse_dataset
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import find_family

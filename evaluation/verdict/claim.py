@@ -12,17 +12,17 @@ import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED
 from evaluation.estimates.frontier import TARGETS
-from evaluation.estimates.matching import (
+from evaluation.estimates.interpolation import MIN_DEFINED
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS, RANK1_AMONG_100
+from evaluation.estimates.strongest import success_metric
+from evaluation.estimates.sweeps import (
     AT_EQUAL_ALARMS,
     CRITERIA,
     FUTURE,
-    MIN_DEFINED,
     MISSED,
     Sweeps,
     at_changes,
 )
-from evaluation.estimates.metrics import DESCRIPTORS, METRICS, RANK1_AMONG_100
-from evaluation.estimates.strongest import success_metric
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft

@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import AS_SHARED, Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft

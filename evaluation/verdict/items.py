@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
-from evaluation.estimates.matching import MIN_DEFINED
+from evaluation.estimates.interpolation import MIN_DEFINED
 from evaluation.plan.world import World
 from evaluation.verdict import rules
 from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known

@@ -13,10 +13,11 @@ import numpy as np
 
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import FID, FIXED, RAW, Family
+from evaluation.estimates.interpolation import MIN_DEFINED, CurvePositions
 from evaluation.estimates.keys import where_text
 from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.linked_people import TaskSums
-from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED, Places
+from evaluation.estimates.sweeps import FEWEST_LEVELS
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
@@ -331,7 +332,9 @@ def _filled(values: Floats) -> Floats:
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 
-def _level_shares(levels: Sequence[int], position: Places, n_levels: int) -> Floats:
+def _level_shares(
+    levels: Sequence[int], position: CurvePositions, n_levels: int
+) -> Floats:
     """Return the shares of all levels of a task that a sweep is read from, (K, L)."""
     shares = spread.mixture(position, len(levels))
     all_shares = np.zeros((len(shares), n_levels))

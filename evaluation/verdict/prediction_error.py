@@ -14,7 +14,11 @@ from typing import Final
 import numpy as np
 
 from evaluation.estimates.families import FID, FIXED, RAW
-from evaluation.estimates.matching import interpolated, nearest_places, rising
+from evaluation.estimates.interpolation import (
+    interpolated,
+    isotonic_rows,
+    nearest_positions,
+)
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
@@ -71,8 +75,8 @@ def prediction_errors(
         order = np.argsort(scale[:, ~is_out], axis=1, kind="stable")
         x = np.take_along_axis(scale[:, ~is_out], order, axis=1)
         y = np.take_along_axis(reached[:, ~is_out], order, axis=1)
-        position = nearest_places(scale[:, is_out], x)
-        predicted = interpolated(position, rising(y), log=False)
+        position = nearest_positions(scale[:, is_out], x)
+        predicted = interpolated(position, isotonic_rows(y), log=False)
         null = np.delete(means, place, axis=0).mean(axis=0)[:, None]
         truth = reached[:, is_out]
         rows.append([_squares(truth - predicted), _squares(truth - null)])

@@ -13,8 +13,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster
-from evaluation.estimates.matching import FUTURE, Sweeps
 from evaluation.estimates.metrics import PLR
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import claim, inflation, rules
 from evaluation.verdict.items import Draft, decided

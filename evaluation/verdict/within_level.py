@@ -14,9 +14,9 @@ from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
 from evaluation.estimates.linked_people import LinkedProbes
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft

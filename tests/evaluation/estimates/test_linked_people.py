@@ -9,8 +9,8 @@ from helpers.small_runs import smoke, write_walks
 import evaluation
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.linked_people import LinkedProbes, by_cluster, read_probes
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.strongest import first_half
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import parse_consumer
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate

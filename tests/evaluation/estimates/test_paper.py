@@ -10,6 +10,7 @@ from helpers.addresses import address_at
 from helpers.mechanisms import make_sweeps
 
 from evaluation.estimates import matching, paper
+from evaluation.estimates.sweeps import MISSED
 from isac_track.intervals import Estimate
 
 N = 200
@@ -23,9 +24,7 @@ def matched(estimates, *, dataset, predictors):
     table = matching.matched(
         make_sweeps(estimates), predictors=predictors, dataset=dataset
     )
-    return table[
-        (table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")
-    ]
+    return table[(table["criterion"] == MISSED) & (table["consumer"] == "shared")]
 
 
 def claims(estimates, *, dataset="students03", points=366.0, interval_s=0.0834):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import ndtri
 
-from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.verdict.items import around
 from evaluation.verdict.within_level import (
     LinkedTracks,
