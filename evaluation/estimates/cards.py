@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from evaluation.estimates import pareto
+from evaluation.estimates.json_numbers import json_number
 from evaluation.store.cards import Card, CardScore
 from isac_track.errors import DataError
 from isac_track.linkability.significance import holm
@@ -41,16 +42,12 @@ def card_score(metric: str, by: str, estimate: Estimate) -> CardScore:
     return CardScore(
         metric=metric,
         by=by,
-        value=_known(estimate.value),
-        ci_low=_known(estimate.ci_low),
-        ci_high=_known(estimate.ci_high),
-        error=_known(error),
+        value=json_number(estimate.value),
+        ci_low=json_number(estimate.ci_low),
+        ci_high=json_number(estimate.ci_high),
+        error=json_number(error),
         n=int(estimate.n),
     )
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def primary_scores(

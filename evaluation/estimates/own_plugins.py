@@ -11,11 +11,13 @@ numbers for each of its levels.
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from evaluation.estimates.families import Family
+from evaluation.estimates.json_numbers import json_interval
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import FALSE_ALARMS, MISSED_FUTURE, PLR, RANK1
 from evaluation.estimates.strongest import (
@@ -36,6 +38,8 @@ ATTACK: Final = "attack"
 LINKER: Final = "linker"
 PREDICTOR: Final = "predictor"
 MECHANISM: Final = "mechanism"
+
+_interval = partial(json_interval, "value", ends="ci")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -274,13 +278,3 @@ def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
     return estimate_from_replicates(
         drawn, n=min(estimate.n for estimate in known), effective=effective
     )
-
-
-def _interval(estimate: Estimate | None) -> dict[str, float | None]:
-    """Return value and interval, None where they are not known: JSON has no NaN."""
-    columns = ("value", "ci_low", "ci_high")
-    values = [getattr(estimate, end, np.nan) for end in columns]
-    return {
-        end: float(value) if np.isfinite(value) else None
-        for end, value in zip(columns, values, strict=True)
-    }

@@ -13,6 +13,7 @@ import numpy as np
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED
 from evaluation.estimates.frontier import TARGETS
 from evaluation.estimates.interpolation import MIN_DEFINED
+from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.metrics import DESCRIPTORS, METRICS, RANK1_AMONG_100
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.sweeps import (
@@ -26,7 +27,7 @@ from evaluation.estimates.sweeps import (
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, known
+from evaluation.verdict.rules import NAME
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.types import Floats
 
@@ -156,7 +157,7 @@ def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
     if is_linkage:
         details["metric"] = measure.metric
     details |= {
-        "relative": known(gap.relative),
+        "relative": json_number(gap.relative),
         "range": [gap.reached[0], gap.reached[-1]] if gap.points else None,
         "unreached": gap.unreached,
         "points": gap.points,

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
 from evaluation.estimates.interpolation import MIN_DEFINED
+from evaluation.estimates.json_numbers import json_number
 from evaluation.plan.world import World
 from evaluation.verdict import rules
-from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
+from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
 _FAR: Final = 0.99  # Quantile of a deviation that shows how heavy its tails are.
@@ -162,8 +163,8 @@ def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
         "decision": decision,
         "sign": rules.SIGN[decision],
         **rules.numbers(number),
-        "band_low": known(band_low),
-        "band_high": known(band_high),
+        "band_low": json_number(band_low),
+        "band_high": json_number(band_high),
         "unit": draft.unit,
         "n": effect.n,
         "sentence": sentence.replace("{}", shown),

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from evaluation.estimates.json_numbers import json_interval
 from evaluation.estimates.metrics import DESCRIPTORS, METRICS
 from isac_track.intervals import Estimate
 
@@ -67,13 +68,7 @@ def people_amount(n: float) -> str:
 
 def numbers(effect: Estimate) -> dict[str, Any]:
     """Return an effect as in `verdict.json`."""
-    ends = {name: known(getattr(effect, name)) for name in ("ci_low", "ci_high")}
-    return {"effect": known(effect.value), **ends}
-
-
-def known(value: float) -> float | None:
-    """Return a number, or None for NaN, which JSON lacks."""
-    return float(value) if np.isfinite(value) else None
+    return json_interval("effect", effect, ends="ci")
 
 
 def with_interval(

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, Family
+from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.keys import where_text
 from evaluation.estimates.linked_people import TaskSums
 from evaluation.estimates.metrics import DESCRIPTORS, RANK1, RANK1_AMONG_100
@@ -27,7 +28,7 @@ from evaluation.verdict.panel import (
     drawn_weights,
 )
 from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
-from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
+from evaluation.verdict.rules import BETWEEN, NAME, with_interval
 from evaluation.verdict.spread import (
     BOTH,
     NEITHER,
@@ -297,8 +298,8 @@ def _contrasts(
                 "quartile": spread.QUARTILES[k] if is_fid else None,
                 "subject": level.linker.without_task.label,
                 "effect": gap if np.isfinite(own.errors[k]) else None,
-                "ci_low": known(ci_low[k]),
-                "ci_high": known(ci_high[k]),
+                "ci_low": json_number(ci_low[k]),
+                "ci_high": json_number(ci_high[k]),
                 "unit": "fraction",
                 "n": int(own.people[k]),
                 "reading": next(

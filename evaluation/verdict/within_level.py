@@ -13,6 +13,7 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
@@ -20,7 +21,7 @@ from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, known
+from evaluation.verdict.rules import NAME
 from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
@@ -120,7 +121,7 @@ def _item(
             "": f"{sentence}.",
         },
         untestable=untestable,
-        details={"levels": len(levels), "linked": known(excess.value)},
+        details={"levels": len(levels), "linked": json_number(excess.value)},
     )
 
 
