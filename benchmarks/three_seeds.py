@@ -22,7 +22,7 @@ from evaluation.estimates.families import CLEAN, SWEPT
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import METRICS, PLR, RANK1
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
-from evaluation.estimates.strongest import against_each, by_task
+from evaluation.estimates.strongest import by_task, strongest_by_mechanism
 from evaluation.plan.world import OWN_WORLD
 from evaluation.reporting.headline import (
     Headline,
@@ -87,7 +87,7 @@ def read(out: Path) -> Run:
         (task, mechanism): source
         for metric in (PLR, RANK1)
         for task, levels in by_task(results, metric=metric).items()
-        for mechanism, source in against_each(levels).items()
+        for mechanism, source in strongest_by_mechanism(levels).items()
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {

@@ -29,7 +29,7 @@ from evaluation.estimates.interpolation import (
 )
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.metrics import DESCRIPTORS
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.estimates.summary import scene_numbers
 from evaluation.estimates.sweeps import CRITERIA, FUTURE, Sweeps
 from evaluation.plan.address import parse_consumer
@@ -79,7 +79,7 @@ def read_run(out: Path) -> Readings:
     robots = decisions(ahead, manifest, dataset=manifest["dataset"]["name"])
     links = link_estimates(out, manifest)
     estimates = {**now.estimates, **links.estimates}
-    attacks = strongest_on_each(estimates, {**links.sums, **now.attacked}, families)
+    attacks = strongest_attacks(estimates, {**links.sums, **now.attacked}, families)
     quantities, crossed = frontier_quantities(Sweeps(estimates, families), attacks)
     at_horizon = judged_at(
         {**estimates, **crossed}, {**ahead.estimates, **robots.at_raw_alarms}

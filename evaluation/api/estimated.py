@@ -27,9 +27,9 @@ from evaluation.estimates.strongest import (
     HEADLINE,
     CrossFitted,
     cross_fitted,
-    strongest,
+    strongest_by_task,
 )
-from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.strongest_table import StrongestAttack, strongest_attacks
 from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
@@ -160,7 +160,7 @@ class Compared:
     sums: Mapping[Address, ClusterSums]  # Of attacks.
     best: Mapping[str, Address]  # The strongest linker by task; a reconstruction as "".
     crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
-    by_mechanism: tuple[Strongest, ...]
+    by_mechanism: tuple[StrongestAttack, ...]
 
     @property
     def choices(self) -> dict[tuple[str, str], Choices]:
@@ -204,12 +204,12 @@ def compare_attacks(
         **links.estimates,
     }
     sweeps = Sweeps(estimates, families)
-    best = strongest(sweeps.estimates, families)
+    best = strongest_by_task(sweeps.estimates, families)
     crossed = {
         task: cross_fitted(sums, families, source, by=RANK1 if task else PLR)
         for task, source in best.items()
     }
-    by_mechanism = strongest_on_each(sweeps.estimates, sums, families)
+    by_mechanism = strongest_attacks(sweeps.estimates, sums, families)
     return Compared(sweeps, families, sums, best, crossed, by_mechanism)
 
 
@@ -218,7 +218,7 @@ def level_table(
     scenes: SceneEstimates,
     links: LinkEstimates,
     *,
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
 ) -> pd.DataFrame:
     """Return privacy and utility of a site at each level: `levels.csv`."""
     later = {

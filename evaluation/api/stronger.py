@@ -6,7 +6,7 @@ from typing import Any
 
 from evaluation.api.estimated import level_table, link_estimates, scene_estimates
 from evaluation.estimates.families import CLEAN, RAW, entry_families
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.plan.address import Address
 from evaluation.plan.fingerprint import changed_modules
 from evaluation.plan.plan import Plan, plan_stronger
@@ -69,7 +69,7 @@ def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Any]:
     """Return mechanism and level of each level that would be proposed now."""
     families = entry_families(manifest["cells"])
     scenes, links = scene_estimates(out, manifest), link_estimates(out, manifest)
-    attacks = strongest_on_each(
+    attacks = strongest_attacks(
         {**scenes.estimates, **links.estimates}, links.sums | scenes.attacked, families
     )
     table = level_table(manifest, scenes, links, attacks=attacks)

@@ -38,7 +38,7 @@ from evaluation.estimates.run_settings import (
     only_in,
     pairing,
 )
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address, Where, parse_row
@@ -352,7 +352,7 @@ def _lead(
     rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Entry]
 ) -> pd.DataFrame:
     """Return the leading rows, at the levels of the smoke preset, or the first."""
-    best = strongest(estimates, entry_families(cells))
+    best = strongest_by_task(estimates, entry_families(cells))
     known = dict.fromkeys(
         key.measure for key, number in estimates.items() if np.isfinite(number.value)
     )

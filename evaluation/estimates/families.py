@@ -43,8 +43,9 @@ class Family:
         return (self.adding,) if self.adding else ADDING_RULES
 
     @property
-    def has_one_rule(self) -> bool:
+    def has_fixed_rule(self) -> bool:
         """Whether its adding rule is fixed: no parameter can set another."""
+        # A parameter `adding` is in the name, unless `independent` is its default.
         return (
             self.adding == "independent"
             and f"adding={self.adding}" not in self.mechanism

@@ -30,7 +30,7 @@ from evaluation.estimates.metrics import (
     ROBOTS_OWN,
 )
 from evaluation.estimates.strongest import success_metric
-from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.strongest_table import StrongestAttack, strongest_attacks
 from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, CRITERIA, FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_dataset
 from evaluation.plan.world import OWN_WORLD, World
@@ -46,7 +46,7 @@ ENOUGH_LEVELS: Final = 4  # Levels within `NEAR` of a target for an interval the
 MARGIN: Final = 0.02  # Difference by which a mechanism is beaten.
 LEVEL_READ: Final = ("level", "level_low", "level_high")
 VALUE: Final = ("value", "ci_low", "ci_high")
-GAP: Final = ("vs_white", "vs_white_low", "vs_white_high")
+VS_WHITE: Final = ("vs_white", "vs_white_low", "vs_white_high")
 COLUMNS: Final = [
     "dataset",
     "mechanism",
@@ -60,7 +60,7 @@ COLUMNS: Final = [
     "knowledge",
     "metric",
     *VALUE,
-    *GAP,
+    *VS_WHITE,
     "dominated",
     "n",
 ]
@@ -78,7 +78,7 @@ class Quantity(NamedTuple):
 
 
 def frontier_quantities(
-    sweeps: Sweeps, attacks: Sequence[Strongest]
+    sweeps: Sweeps, attacks: Sequence[StrongestAttack]
 ) -> tuple[list[Quantity], dict[Address, Estimate]]:
     """Return the quantities of every mechanism, and cross-fitted estimates of attacks.
 
@@ -118,7 +118,7 @@ def frontier(
     dataset: str,
     world: World = OWN_WORLD,
     sums: Mapping[Address, ClusterSums] | None = None,
-    attacks: Sequence[Strongest] | None = None,
+    attacks: Sequence[StrongestAttack] | None = None,
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
@@ -128,10 +128,10 @@ def frontier(
     against another: fewer than `ENOUGH_LEVELS` levels (raw is one of them) have a
     missed rate within `NEAR` of the target; less than `MIN_DEFINED` of the replicates
     are in reach; or there are too few people. `attacks` are the strongest, by
-    default those of `sweeps` with the `sums` of `strongest_on_each`.
+    default those of `sweeps` with the `sums` of `strongest_attacks`.
     """
     if attacks is None:
-        attacks = strongest_on_each(sweeps.estimates, sums or {}, sweeps.families)
+        attacks = strongest_attacks(sweeps.estimates, sums or {}, sweeps.families)
     quantities, crossed = frontier_quantities(sweeps, attacks)
     sweeps = Sweeps({**sweeps.estimates, **crossed}, sweeps.families)
     shared = [(quantity, _curves(sweeps, quantity)) for quantity in quantities]
@@ -239,7 +239,7 @@ def _columns(
     if WHITE in left:
         n_rows = min(len(values), len(left[WHITE]))
         gap = values[:n_rows] - left[WHITE][:n_rows]
-        columns |= with_ends(GAP, gap, can_say & price.is_dense[WHITE])
+        columns |= with_ends(VS_WHITE, gap, can_say & price.is_dense[WHITE])
     return columns
 
 

@@ -33,11 +33,11 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import (
     HEADLINE,
-    against_each,
     by_task,
+    strongest_by_mechanism,
     success_metric,
 )
-from evaluation.estimates.strongest_table import SINGLE_RELEASE, Strongest
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, StrongestAttack
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_row
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, estimate_from_replicates
@@ -96,7 +96,7 @@ def linkage_share(
 def levels(
     estimates: EstimatesByAddress,
     *,
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     horizons: Mapping[World, EstimatesByAddress],
     best: Mapping[World, BestRobots],
     linked: pd.DataFrame,
@@ -142,7 +142,7 @@ def _select(
 
 
 def _reconstruction_rows(
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     estimates: EstimatesByAddress,
     families: Mapping[str, Family],
     dataset: str,
@@ -153,7 +153,7 @@ def _reconstruction_rows(
         if attack.source.task:
             continue
         # At the wider epsilon another attack may be stronger.
-        at_wide = against_each(success_at_wide, among=attack.among).get(
+        at_wide = strongest_by_mechanism(success_at_wide, among=attack.among).get(
             attack.mechanism, attack.source
         )
         for where in attack.wheres:
@@ -196,7 +196,7 @@ def _best_robot_rows(
 
 
 def _linker_rows(
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     estimates: EstimatesByAddress,
     linked: pd.DataFrame,
     families: Mapping[str, Family],
@@ -244,7 +244,7 @@ def _linkage_rows(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
     return {parse_row(row).within(): row for row in rows}
 
 
-def _choices(attack: Strongest, metric: str) -> dict[str, str]:
+def _choices(attack: StrongestAttack, metric: str) -> dict[str, str]:
     """Return the attack that either half chose, where the number is cross-fitted."""
     ranked = metric if metric in (PLR_WIDE, *_LINKER_METRICS) else PLR
     labels = [measure.label for measure in attack.crossed.choices.get(ranked, ())]

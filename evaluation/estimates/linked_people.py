@@ -26,7 +26,7 @@ from evaluation.estimates.metrics import (
     RANK1_AMONG_100,
     RANK1_JOINT,
 )
-from evaluation.estimates.strongest import against_each, by_task, first_half
+from evaluation.estimates.strongest import by_task, first_half, strongest_by_mechanism
 from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.constants import WINDOWS
@@ -156,7 +156,7 @@ def read_probes(
     probes: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
     for task, probes_of_task in probes.items():
         usual = strongest[task]
-        linkers = against_each(levels[task])
+        linkers = strongest_by_mechanism(levels[task])
         for where in levels[task]:
             mechanism, _ = where
             is_paper = mechanism in papers

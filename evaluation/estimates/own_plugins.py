@@ -28,7 +28,7 @@ from evaluation.estimates.strongest import (
     cross_fitted,
     ranking_levels,
 )
-from evaluation.estimates.strongest_table import Strongest
+from evaluation.estimates.strongest_table import StrongestAttack
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import IDENTITY, ORACLE
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -52,7 +52,7 @@ class Estimates:
     ]  # Of predictors at further horizons, s, ascending.
     sums: Mapping[Address, ClusterSums]  # Of attacks, by cluster.
     families: Mapping[str, Family]  # Mechanisms of the run.
-    attacks: Sequence[Strongest]  # The strongest attack against each mechanism.
+    attacks: Sequence[StrongestAttack]  # The strongest attack against each mechanism.
     leading: str  # Linkage task that linkers are compared in; empty if none leads.
 
 
@@ -122,7 +122,9 @@ def _attack_record(
     }
 
 
-def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | None:
+def _strongest(
+    sources: Collection[Address], *, run: Estimates
+) -> StrongestAttack | None:
     """Return the strongest of a task's attacks, cross-fitted; None without any."""
     if not sources:
         return None
@@ -137,7 +139,7 @@ def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | N
                 key: summed for key, summed in run.sums.items() if key.source in sources
             }
             crossed = cross_fitted(sums, run.families, source, by=metric)
-            return Strongest("", among, source, tuple(levels), crossed)
+            return StrongestAttack("", among, source, tuple(levels), crossed)
     return None
 
 
@@ -237,7 +239,7 @@ def _mechanism_records(
         }
 
 
-def _leads(attack: Strongest, *, task: str) -> bool:
+def _leads(attack: StrongestAttack, *, task: str) -> bool:
     return attack.among == HEADLINE and attack.source.task == task
 
 

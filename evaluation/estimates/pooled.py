@@ -30,7 +30,7 @@ from evaluation.estimates.metrics import (
     RANK1_AMONG_100,
 )
 from evaluation.estimates.seeds import by_intervals
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, Where
@@ -128,7 +128,7 @@ def run_answers(
     outcomes = linkage_outcomes(out, manifest, drawn=(RANK1, RANK1_AMONG_100))
     scenes = scene_numbers(out, manifest).estimates
     sweeps = Sweeps({**scenes, **linkage_estimates(outcomes)}, families)
-    best = strongest(sweeps.estimates, families)
+    best = strongest_by_task(sweeps.estimates, families)
     ahead = _ahead(out, manifest)
     items = verdict.get("items", [])
     about = {

@@ -86,7 +86,7 @@ def choose_strongest(
     return max(finite, key=means.__getitem__, default=None)
 
 
-def strongest(
+def strongest_by_task(
     estimates: EstimatesByAddress, families: Mapping[str, Family]
 ) -> dict[str, Address]:
     """Return the strongest linker by task, and the strongest reconstruction as "".
@@ -304,7 +304,7 @@ def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
     return values
 
 
-def against_each(
+def strongest_by_mechanism(
     levels: Levels, *, among: Collection[str] = HEADLINE
 ) -> dict[str, Address]:
     """Return the strongest attack against each mechanism over its levels, if any."""
@@ -319,9 +319,10 @@ def against_each(
 
 
 def most_knowing(sources: Iterable[Address]) -> list[Address]:
-    """Return the source as shared, and each attack with the adversary that knows most.
+    """Return the source as shared, and each attack with one of its adversaries.
 
-    The oracle, a reference, stands only for an attack that no other adversary can run.
+    It is the informed one, else the blind; another stands only for an attack that
+    neither can run.
     """
     rank = {name: place for place, name in enumerate(("", *HEADLINE))}
     best: dict[str, Address] = {}

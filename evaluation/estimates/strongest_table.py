@@ -25,9 +25,9 @@ from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,
     CrossFitted,
-    against_each,
     by_task,
     cross_fitted,
+    strongest_by_mechanism,
 )
 from evaluation.plan.address import Address, Where
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -55,7 +55,7 @@ _LINKER_METRICS: Final = (RANK1, RANK1_AMONG_100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Strongest:
+class StrongestAttack:
     """The strongest attack of a group of adversaries against one mechanism."""
 
     mechanism: str
@@ -80,11 +80,11 @@ class Strongest:
         return max(known, key=lambda estimate: estimate.value, default=None)
 
 
-def strongest_on_each(
+def strongest_attacks(
     estimates: EstimatesByAddress,
     sums: Mapping[Address, ClusterSums],
     families: Mapping[str, Family],
-) -> tuple[Strongest, ...]:
+) -> tuple[StrongestAttack, ...]:
     """Return the strongest attacks against every mechanism of a run.
 
     `estimates` are all those of the run, `sums` those of attacks by cluster, `families`
@@ -98,20 +98,22 @@ def strongest_on_each(
     for ranked_by in (PLR, RANK1):
         for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
-                for mechanism, source in against_each(levels, among=among).items():
+                for mechanism, source in strongest_by_mechanism(
+                    levels, among=among
+                ).items():
                     wheres = tuple(
                         where for where in levels if where.mechanism == mechanism
                     )
                     known = own_sums.get((mechanism, task), {})
                     crossed = cross_fitted(known, families, source, by=ranked_by)
                     strongest.append(
-                        Strongest(mechanism, among, source, wheres, crossed)
+                        StrongestAttack(mechanism, among, source, wheres, crossed)
                     )
     return tuple(strongest)
 
 
 def strongest_table(
-    strongest: Sequence[Strongest], estimates: EstimatesByAddress, *, dataset: str
+    strongest: Sequence[StrongestAttack], estimates: EstimatesByAddress, *, dataset: str
 ) -> pd.DataFrame:
     """Return a row for each number of the strongest attacks: `COLUMNS`."""
     rows = [row for attack in strongest for row in _rows(attack, estimates, dataset)]
@@ -119,7 +121,7 @@ def strongest_table(
 
 
 def _rows(
-    attack: Strongest, estimates: EstimatesByAddress, dataset: str
+    attack: StrongestAttack, estimates: EstimatesByAddress, dataset: str
 ) -> Iterable[dict[str, Any]]:
     source, task = attack.source, attack.source.task
     for where in attack.wheres:

@@ -91,7 +91,7 @@ _DECIDED = (
 )
 
 
-class Scored(NamedTuple):
+class PredictorAnswers(NamedTuple):
     """A predictor's answers for every scene of one mechanism level."""
 
     entry: Entry  # Of the cell in the manifest.
@@ -105,7 +105,7 @@ class SceneNumbers:
 
     # Of every metric, with intervals and replicates.
     estimates: dict[Address, Estimate]
-    scored: tuple[Scored, ...]  # Of every predictor at every level.
+    scored: tuple[PredictorAnswers, ...]  # Of every predictor at every level.
     attacked: dict[Address, ClusterSums]  # Descriptors after each attack.
 
 
@@ -119,7 +119,7 @@ def scene_numbers(
     weights = bootstrap_weights(manifest)
     n, names = weights.shape[1], tuple(manifest["groups"])
     numbers: dict[Address, Estimate] = {}
-    scored: list[Scored] = []
+    scored: list[PredictorAnswers] = []
     attacked: dict[Address, ClusterSums] = {}
     entries = entries_in(manifest["cells"], world, kinds=_CELL_COLUMNS)
     gap = [PLR_GAP] if world.is_model else []
@@ -135,7 +135,7 @@ def scene_numbers(
             cluster = clusters(table, manifest)
             if kind == "predictor":
                 decided = {name: table[name].to_numpy() for name in _DECIDED}
-                scored.append(Scored(entry, cluster, decided))
+                scored.append(PredictorAnswers(entry, cluster, decided))
             elif kind != "bound":
                 worst = _worst_tenth(table, cluster, weights)
                 numbers[address.measured(WORST_TENTH)] = worst

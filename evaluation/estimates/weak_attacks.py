@@ -72,7 +72,7 @@ _ABOUT = {
         " the optimum is known."
     ),
 }
-_FAR: Final = 0.05
+_LARGEST_GAP: Final = 0.05
 
 
 class _Pair(NamedTuple):
@@ -144,7 +144,7 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
     exact = [gap for gap in gaps if gap.is_exact]
     rows = []
     for gap in exact:
-        if not gap.gap.ci_low > _FAR:
+        if not gap.gap.ci_low > _LARGEST_GAP:
             continue
         interval = gap.gap.value, gap.gap.ci_low, gap.gap.ci_high
         mechanism, level = gap.where

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates import paper
-from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
+from evaluation.estimates.frontier import LEVEL_READ, VALUE, VS_WHITE, usual_price
 from evaluation.estimates.keys import row_dicts, where_text
 from evaluation.estimates.metrics import (
     METRICS,
@@ -176,7 +176,7 @@ def frontier_table(run: Results) -> Table:
         head = _frontier_head(row)
         ends_of_heads = {head: VALUE}
         if head == f"{METRICS[PLR].head}, attacked":
-            ends_of_heads[f"{head}, less white"] = GAP
+            ends_of_heads[f"{head}, less white"] = VS_WHITE
         for name, ends in ends_of_heads.items():
             record[name] = make.number_cell(*(row[end] for end in ends), scale=100.0)
             heads[name] = None

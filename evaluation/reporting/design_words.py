@@ -46,12 +46,12 @@ from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
 from evaluation.verdict.what_to_share import (
     LIMITS,
     MISSED,
-    Attacked,
+    AttackNumbers,
     Check,
-    Linked,
     Offer,
     Question,
     Recommendation,
+    TaskLinkage,
     recommend,
 )
 from isac_track.errors import SettingsError
@@ -169,7 +169,7 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
+def _side(side: AttackNumbers, limit: float | None = None) -> dict[str, Any]:
     """Return the positions that an adversary knows as plain values."""
     values: dict[str, Any] = {
         "adversary": side.adversary or None,
@@ -181,7 +181,7 @@ def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
     return values | {name: _number(side.value(name)) for name in _NUMBERS}
 
 
-def _linked(linked: Linked) -> dict[str, Any]:
+def _linked(linked: TaskLinkage) -> dict[str, Any]:
     """Return the linkage of a task as plain values."""
     return {
         "task": linked.task,
@@ -328,7 +328,7 @@ def _level_lines(
     return grid_lines(rows, groups, corner=("± half of a 95 % interval", corner))
 
 
-def _limited_side(offer: Offer, advice: Recommendation) -> Attacked:
+def _limited_side(offer: Offer, advice: Recommendation) -> AttackNumbers:
     """Return the positions under limits: as sent, or after the strongest attack."""
     if advice.question.as_shared or offer.attacked.source is None:
         return offer.shared

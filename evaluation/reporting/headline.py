@@ -23,10 +23,10 @@ from evaluation.estimates.metrics import (
     WORST_TENTH,
 )
 from evaluation.estimates.strongest import (
-    against_each,
     by_task,
     naming_rules,
-    strongest,
+    strongest_by_mechanism,
+    strongest_by_task,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
@@ -179,7 +179,7 @@ def headline(
     own = rows[world == OWN_WORLD]
     numbers, known = estimates(own), families_in(own)
     if attacks is None:
-        best = strongest(numbers, known)
+        best = strongest_by_task(numbers, known)
         attacks = {task: source.without_task for task, source in best.items()}
     horizons_s = {other.horizon_s for other in world.unique()} - {None}
     horizon_s = max(horizons_s, default=None)
@@ -276,7 +276,10 @@ def _own_strongest(
         for task, blocks in by_task(numbers, metric=criterion).items():
             if task not in attacks:
                 continue
-            best, headline = against_each(blocks), replace(attacks[task], task=task)
+            best, headline = (
+                strongest_by_mechanism(blocks),
+                replace(attacks[task], task=task),
+            )
             for where, metric in product(blocks, metrics):
                 is_usual = known[where.mechanism].family in (*SWEPT, CLEAN)
                 source = headline if is_usual else best.get(where.mechanism, headline)

@@ -32,7 +32,7 @@ from evaluation.verdict.what_to_share import (
     LIMITS,
     LINKED,
     MISSED,
-    Attacked,
+    AttackNumbers,
     Check,
     Criterion,
     Offer,
@@ -315,7 +315,7 @@ def _plr_limit(answer: Recommendation) -> float:
     return answer.question.limits.get(PLR, 1.0)
 
 
-def _worse(side: Attacked, limit: float) -> Estimate:
+def _worse(side: AttackNumbers, limit: float) -> Estimate:
     """Return the share of positions that an adversary knows.
 
     It is the share at 4/3 epsilon if only that exceeds the limit.

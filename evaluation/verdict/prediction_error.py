@@ -26,7 +26,7 @@ WHITE: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Squared:
+class SquaredError:
     """A squared error; errors of the same task share their draws of people."""
 
     # (1 + B,) estimate and replicates; below 0 where sampling alone explains more
@@ -47,14 +47,14 @@ class Squared:
         ).tolist()
         return value, low, high
 
-    def less(self, other: "Squared") -> "Squared":
+    def less(self, other: "SquaredError") -> "SquaredError":
         """Return this error less another."""
-        return Squared(self.drawn - other.drawn, self.centre - other.centre)
+        return SquaredError(self.drawn - other.drawn, self.centre - other.centre)
 
 
 def prediction_errors(
     descriptor: Floats, success: Floats, kinds: Sequence[str]
-) -> tuple[Squared, Squared] | None:
+) -> tuple[SquaredError, SquaredError] | None:
     """Return the squared error of a descriptor, and that of the mean of other kinds.
 
     None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and
@@ -82,8 +82,8 @@ def prediction_errors(
         rows.append([_squares(truth - predicted), _squares(truth - null)])
     ours, null_error = np.mean(rows, axis=0)
     return (
-        Squared(ours[1:], float(ours[0])),
-        Squared(null_error[1:], float(null_error[0])),
+        SquaredError(ours[1:], float(ours[0])),
+        SquaredError(null_error[1:], float(null_error[0])),
     )
 
 

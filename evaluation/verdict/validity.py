@@ -27,7 +27,7 @@ from evaluation.verdict.panel import (
     contrasts,
     drawn_weights,
 )
-from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
+from evaluation.verdict.prediction_error import WHITE, SquaredError, prediction_errors
 from evaluation.verdict.rules import BETWEEN, NAME, with_interval
 from evaluation.verdict.spread import (
     BOTH,
@@ -44,8 +44,8 @@ from isac_track.types import Floats
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides the mechanism's change; more people are linked;
 fewer people are linked, as far as these attacks go."""
-# Descriptors that are larger the less is left of a track.
-FALLING: Final = ("alignment_error", "posterior_std")
+# Descriptors that rise with noise, as PLR, AEL and MEL fall.
+RISING_WITH_NOISE: Final = ("alignment_error", "posterior_std")
 _N_FOR_ERRORS: Final = 200  # Replicates of a prediction error.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
 """The positive control: no descriptor could tell more about how linkable people are."""
@@ -55,12 +55,13 @@ _WHY_ONE_SIDED: Final = {
     ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
     NEITHER: "has a {} of too few people",
 }
-Errors: TypeAlias = "tuple[Squared, Squared] | None"  # With a descriptor, and without.
+Errors: TypeAlias = "tuple[SquaredError, SquaredError] | None"
+"""Prediction errors with a descriptor, and without."""
 _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Tested:
+class ValidityTest:
     """A descriptor in a task under an adding rule, before its section is decided."""
 
     panel: Panel
@@ -88,8 +89,8 @@ def validity(
 
     `families` are by mechanism.
     """
-    tested: list[Tested] = []
-    halves: list[Tested] = []
+    tested: list[ValidityTest] = []
+    halves: list[ValidityTest] = []
     on_trial: list[dict[str, Any]] = []
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
@@ -110,7 +111,7 @@ def validity(
             half_contrasts = contrasts(
                 half, half.drawn(weights), panel, others=panel.others, fid=panel.fid
             )
-            halves.append(Tested(panel, "", half_contrasts))
+            halves.append(ValidityTest(panel, "", half_contrasts))
     section = spread.furthest_together([item.contrasts for item in tested])
     control_section = spread.furthest_together([item.contrasts for item in halves])
     return {
@@ -127,13 +128,13 @@ def _tested(
     rates: Rates,
     *,
     errors: Errors,
-) -> Tested:
+) -> ValidityTest:
     """Return a descriptor with its contrasts, those beside the panel included."""
     own = contrasts(sums, rates, panel, others=panel.others, fid=panel.fid)
     beside = None
     if panel.beside:
         beside = contrasts(sums, rates, panel, others=panel.beside)
-    return Tested(panel, name, own, beside, errors)
+    return ValidityTest(panel, name, own, beside, errors)
 
 
 def _sums(task: TaskSums, name: str) -> Sums:
@@ -168,7 +169,7 @@ def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
     families = [panel.families[place] for place in levels]
     kinds = ["white" if family in WHITE else family for family in families]
     return prediction_errors(
-        -descriptor if name in FALLING else descriptor, success, kinds
+        -descriptor if name in RISING_WITH_NOISE else descriptor, success, kinds
     )
 
 
@@ -199,7 +200,7 @@ def _error_numbers(pair: Errors) -> dict[str, float | None]:
     return {**dict(zip(keys, values, strict=True)), "prediction_error_null": null}
 
 
-def _item(tested: Tested, section: Floats) -> dict[str, Any]:
+def _item(tested: ValidityTest, section: Floats) -> dict[str, Any]:
     """Return an item as in `verdict.json`."""
     panel, own = tested.panel, tested.contrasts
     wide = spread.widths(own, section)
@@ -251,7 +252,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     return {**item, "sentence": _sentence(tested, item)}
 
 
-def _control(tested: Tested, section: Floats) -> dict[str, Any]:
+def _control(tested: ValidityTest, section: Floats) -> dict[str, Any]:
     """Return the record of a positive control, which must not fail."""
     wide = spread.widths(tested.contrasts, section)
     # Linkage itself as the descriptor: any span will do.
@@ -320,7 +321,7 @@ def _mechanism_name(gap: Mapping[str, Any]) -> str:
     return where_text(gap["mechanism"], gap["level"])
 
 
-def _why_not(tested: Tested, wide: Widths) -> str:
+def _why_not(tested: ValidityTest, wide: Widths) -> str:
     """Return why it cannot be tested whether a descriptor tracks."""
     panel, own = tested.panel, tested.contrasts
     effective = own.fall_degrees + 1
@@ -351,7 +352,7 @@ def _why_not(tested: Tested, wide: Widths) -> str:
     return panel.missing or "; ".join(_untestable_sides(tested))
 
 
-def _untestable_sides(tested: Tested) -> list[str]:
+def _untestable_sides(tested: ValidityTest) -> list[str]:
     """Return the mechanisms with an untestable side, each with the reason."""
     name, levels = NAME[tested.descriptor], tested.panel.task.levels
     reasons: dict[str, None] = {}
@@ -364,7 +365,7 @@ def _untestable_sides(tested: Tested) -> list[str]:
     return list(reasons)
 
 
-def _sentence(tested: Tested, item: Mapping[str, Any]) -> str:
+def _sentence(tested: ValidityTest, item: Mapping[str, Any]) -> str:
     """Return the sentence of an item."""
     name, decision, low = NAME[tested.descriptor], item["decision"], item["spread_low"]
     task = tested.panel.task

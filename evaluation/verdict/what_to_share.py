@@ -207,7 +207,7 @@ class Check:
 
 
 @dataclass(frozen=True, slots=True)
-class Attacked:
+class AttackNumbers:
     """Numbers after the strongest attack of an adversary at a level."""
 
     adversary: str  # `SINGLE_RELEASE`, or a name.
@@ -232,7 +232,7 @@ class Attacked:
 
 
 @dataclass(frozen=True, slots=True)
-class Linked:
+class TaskLinkage:
     """Success of the strongest linker in a task."""
 
     task: str
@@ -252,11 +252,13 @@ class Offer:
     family: Family
     cost: Estimate  # Missed conflicts of the robot, by the criterion.
     robots: Mapping[str, Estimate]  # Cost of every robot of the run by its name.
-    shared: Attacked
-    attacked: Attacked  # After one release.
-    beyond: tuple[Attacked, ...]  # After each adversary that knows more, tried or not.
-    linked: Linked | None  # In the leading handover; None: the run has none.
-    tasks: tuple[Linked, ...]
+    shared: AttackNumbers
+    attacked: AttackNumbers  # After one release.
+    beyond: tuple[
+        AttackNumbers, ...
+    ]  # After each adversary that knows more, tried or not.
+    linked: TaskLinkage | None  # In the leading handover; None: the run has none.
+    tasks: tuple[TaskLinkage, ...]
     checks: tuple[Check, ...] = ()
     lacks_rule: str = ""  # Adding rule under which its mechanism does not hold.
 
@@ -431,7 +433,9 @@ def _under_all_rules(offers: Sequence[Offer], adding: Sequence[str]) -> list[Off
             rules_met.setdefault(offer.family.name, set()).update(offer.family.rules)
     marked = []
     for offer in offers:
-        needed = () if offer.family.has_one_rule or not offer.family.adding else adding
+        needed = (
+            () if offer.family.has_fixed_rule or not offer.family.adding else adding
+        )
         lacking = [
             rule
             for rule in needed
@@ -672,13 +676,13 @@ class _Frame:
     def _linkage(self, offer: Offer) -> list[Check]:
         question, checks = self.question, list[Check]()
         if question.asks_linkage:
-            linked = offer.linked or Linked("", missing="no handover")
+            linked = offer.linked or TaskLinkage("", missing="no handover")
             limit = question.limits[LINKED]
             source, missing = linked.source, linked.missing
             checks.append(Check(LINKED, limit, linked.share, source, missing=missing))
         if RANK1 in question.limits:
             limit = question.limits[RANK1]
-            for task in offer.tasks or (Linked("", missing="no task"),):
+            for task in offer.tasks or (TaskLinkage("", missing="no task"),):
                 name = f"{RANK1}/{task.task}"
                 checks.append(
                     Check(name, limit, task.rank1, task.source, missing=task.missing)
@@ -692,7 +696,7 @@ def _tasks(level: _Level) -> list[str]:
 
 def _attacked(
     level: _Level, adversary: str, *, source: Address | None = None
-) -> Attacked:
+) -> AttackNumbers:
     """Return the numbers after an adversary's attack, the strongest by PLR."""
     rows = [
         row
@@ -703,15 +707,15 @@ def _attacked(
         and row.metric in {*DESCRIPTORS, PLR_WIDE, MEDIAN_ERROR}
     ]
     by_plr = next((row.source for row in rows if row.metric == PLR), None)
-    return Attacked(adversary, by_plr, {row.metric: row.measured for row in rows})
+    return AttackNumbers(adversary, by_plr, {row.metric: row.measured for row in rows})
 
 
-def _linked(level: _Level, task: str) -> Linked:
+def _linked(level: _Level, task: str) -> TaskLinkage:
     """Return the success of a task's strongest linker at a level."""
     rows = {row.metric: row for row in level.rows if row.source.task == task}
     metric = RANK1_AMONG_100 if RANK1_AMONG_100 in rows else RANK1
     if metric not in rows:
-        return Linked(task, missing="no attack")
+        return TaskLinkage(task, missing="no attack")
     rank1 = rows[metric]
     missing: Unknown | None = None
     if rank1.invalid:
@@ -721,4 +725,6 @@ def _linked(level: _Level, task: str) -> Linked:
     numbers = {name: row.measured for name, row in rows.items()}
     share = numbers.get(LINKAGE_SHARE, UNKNOWN)
     chance = numbers.get(CHANCE, UNKNOWN).value
-    return Linked(task, rank1.source, metric, rank1.measured, chance, share, missing)
+    return TaskLinkage(
+        task, rank1.source, metric, rank1.measured, chance, share, missing
+    )

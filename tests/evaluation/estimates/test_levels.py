@@ -12,7 +12,7 @@ from evaluation.estimates.cross_fit import cross_fit
 from evaluation.estimates.families import Family
 from evaluation.estimates.levels import COLUMNS, levels, linkage_share
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
-from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_on_each
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_attacks
 from evaluation.plan.world import World
 from isac_track.intervals import (
     LEAST_CLUSTERS,
@@ -151,7 +151,7 @@ def run():
         },
         {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
     )
-    attacks = strongest_on_each(estimates, {}, known)
+    attacks = strongest_attacks(estimates, {}, known)
     about = {
         "attacks": attacks,
         "horizons": {World(horizon_s=3.0): horizon},

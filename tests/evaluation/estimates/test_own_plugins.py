@@ -5,7 +5,7 @@ import pytest
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.own_plugins import Estimates, plugin_records
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
@@ -49,7 +49,7 @@ def make_run(rates, *, knowledge="blind", task="", metric="plr", more=(), later=
         more
     )
     return Estimates(
-        own, dict(later), sums, KNOWN, strongest_on_each(own, sums, KNOWN), task
+        own, dict(later), sums, KNOWN, strongest_attacks(own, sums, KNOWN), task
     )
 
 

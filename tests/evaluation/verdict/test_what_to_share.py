@@ -23,7 +23,7 @@ from helpers.summaries import (
 from evaluation.plan.address import parse_consumer
 from evaluation.verdict.what_to_share import (
     MOST_PROPOSALS,
-    Attacked,
+    AttackNumbers,
     Check,
     Criterion,
     Question,
@@ -136,9 +136,9 @@ class TestEachLimit:
         self, plr, wide, breaks
     ):
         source = parse_consumer("ou_rts", "insider")
-        side = Attacked("insider", source, {"plr": plr, "plr_wide": wide})
+        side = AttackNumbers("insider", source, {"plr": plr, "plr_wide": wide})
         assert side.breaks(0.5) is breaks
-        assert Attacked("insider").breaks(0.5) is None
+        assert AttackNumbers("insider").breaks(0.5) is None
 
     def test_beyond_epsilon_counts_for_an_adversary_too(self):
         near = changed(
