@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
         card_checks,
         card_entries,
     )
-    from evaluation.estimates.cards import world_key  # noqa: PLC0415 - as above
+    from evaluation.estimates.board_places import world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import gap_line  # noqa: PLC0415 - as above
 
     seeds = [card_entries.read_secret_seed(Path(name)) for name in options.secret_seed]
@@ -116,7 +116,7 @@ def _join(
 ) -> list["Card"]:
     """Run all attacks against new mechanisms; return all cards, and print places."""
     from evaluation.api import boarding  # noqa: PLC0415 - --help answers at once
-    from evaluation.estimates.cards import places, world_key  # noqa: PLC0415 - as above
+    from evaluation.estimates.board_places import standings, world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import card_line, place_line  # noqa: PLC0415 - as above
     from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
 
@@ -138,7 +138,7 @@ def _join(
     together = [*({card.file_name: card for card in cards} | joined).values()]
     for world in dict.fromkeys(map(world_key, joined.values())):
         own = [card for card in together if world_key(card) == world]
-        for card, place in zip(own, places(own), strict=True):
+        for card, place in zip(own, standings(own), strict=True):
             if card.file_name in joined:
                 print(place_line(card, place))
     return together

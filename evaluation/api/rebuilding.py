@@ -48,6 +48,7 @@ from evaluation.store.entries import FAILED_COLUMNS
 from evaluation.store.files import FRAMES, check_sound, locked, to_csv, write_whole
 from evaluation.store.manifest import file_names, read_manifest
 from evaluation.verdict import sections as verdict
+from evaluation.verdict.level_rows import leading_handover
 from evaluation.verdict.patrols import (
     USUAL_LIMITS,
     built_in,
@@ -57,7 +58,6 @@ from evaluation.verdict.patrols import (
     patrol_options,
 )
 from evaluation.verdict.returns import return_verdict
-from evaluation.verdict.what_to_share import leading_handover
 
 limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: for small matrices others would only spin."""

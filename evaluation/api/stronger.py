@@ -13,11 +13,9 @@ from evaluation.plan.plan import Plan, plan_stronger
 from evaluation.pool.execute import execute_stronger
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import read_manifest, write_manifest
-from evaluation.verdict.what_to_share import (
-    default_question,
-    leading_handover,
-    recommend,
-)
+from evaluation.verdict.level_rows import leading_handover
+from evaluation.verdict.question import default_question
+from evaluation.verdict.what_to_share import recommend
 
 
 def try_stronger(plan: Plan, update: Callable[[int, int, str], None]) -> None:

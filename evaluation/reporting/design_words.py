@@ -42,18 +42,10 @@ from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
 from evaluation.store.files import read_report_file
 from evaluation.store.manifest import read_manifest
+from evaluation.verdict.offers import AttackNumbers, Check, Offer, TaskLinkage
 from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
-from evaluation.verdict.what_to_share import (
-    LIMITS,
-    MISSED,
-    AttackNumbers,
-    Check,
-    Offer,
-    Question,
-    Recommendation,
-    TaskLinkage,
-    recommend,
-)
+from evaluation.verdict.question import LIMITS, MISSED, Question
+from evaluation.verdict.what_to_share import Recommendation, recommend
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady

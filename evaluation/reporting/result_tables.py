@@ -40,7 +40,7 @@ from evaluation.reporting.rows import (
     source_rows,
 )
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict.what_to_share import WEAK
+from evaluation.verdict.offers import WEAK
 from isac_track.intervals import Estimate
 from isac_track.linkability import LEVEL
 from isac_track.mechanisms.protections import Laplace

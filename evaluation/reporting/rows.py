@@ -48,7 +48,8 @@ if TYPE_CHECKING:
     from evaluation.reporting.charts import Look
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
-    from evaluation.verdict.what_to_share import Question, Recommendation
+    from evaluation.verdict.question import Question
+    from evaluation.verdict.what_to_share import Recommendation
     from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(map(plugin_name, DISSOCIATION))
@@ -272,9 +273,7 @@ class Results:
         Cached, as a report reads it about twenty times. It lives as long as these
         results do, like the other cached properties.
         """
-        from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
-            default_question,
-        )
+        from evaluation.verdict.question import default_question  # noqa: PLC0415 - see `load`
 
         return self.recommendation(default_question(self.families))
 

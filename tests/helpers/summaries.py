@@ -15,7 +15,8 @@ from evaluation.plan.fingerprint import code_hash
 from evaluation.plan.presets import PRESETS
 from evaluation.store.files import from_csv, to_csv
 from evaluation.store.manifest import read_manifest, write_manifest
-from evaluation.verdict.what_to_share import Question, recommend
+from evaluation.verdict.question import Question
+from evaluation.verdict.what_to_share import recommend
 from isac_track.config import StageSettings
 
 WALKS = "walks"

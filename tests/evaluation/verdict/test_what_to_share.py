@@ -21,17 +21,15 @@ from helpers.summaries import (
 )
 
 from evaluation.plan.address import parse_consumer
+from evaluation.verdict.offers import AttackNumbers, Check
+from evaluation.verdict.question import USUAL as LIMITS
+from evaluation.verdict.question import Criterion, Question
 from evaluation.verdict.what_to_share import (
     MOST_PROPOSALS,
-    AttackNumbers,
-    Check,
-    Criterion,
-    Question,
     cheapest,
     non_dominated,
     recommend,
 )
-from evaluation.verdict.what_to_share import USUAL as LIMITS
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 
