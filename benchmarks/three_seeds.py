@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from evaluation.estimates.families import CLEAN, SWEPT
+from evaluation.estimates.families import CLEAN, PAPER_FAMILIES
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import METRICS, PLR, RANK1
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
@@ -63,7 +63,7 @@ class Run:
         source = column.measure.source
         is_attack = bool(source.adversary)
         if is_attack and self.table.known[where.mechanism].family not in (
-            *SWEPT,
+            *PAPER_FAMILIES,
             CLEAN,
         ):
             source = self.strongest.get((source.task, where.mechanism), source)

@@ -10,7 +10,7 @@ import pandas as pd
 
 from evaluation.estimates import linkability, summary
 from evaluation.estimates.best_robot import BestRobots, best_robots
-from evaluation.estimates.bounds import linked_gaps
+from evaluation.estimates.bounds import with_linkage_gaps
 from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, Family, entry_families
 from evaluation.estimates.galleries import TPR
@@ -126,7 +126,7 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
             out, manifest, drawn=_DRAWN, world=world
         )
         in_world = summary.scene_numbers(out, manifest, world=world).estimates
-        in_world |= linked_gaps(summary.linkage_estimates(outcomes))
+        in_world |= with_linkage_gaps(summary.linkage_estimates(outcomes))
         # Without replicates, as large as a run's own: no comparison pairs with them.
         worlds[world] = {
             key: replace(estimate, replicates=np.zeros(0))

@@ -26,7 +26,7 @@ from evaluation.estimates.galleries import galleries
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.linked_people import Choices, read_probes
 from evaluation.estimates.matching import matched
-from evaluation.estimates.own_plugins import Estimates, plugin_records
+from evaluation.estimates.own_plugins import RunNumbers, plugin_records
 from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
 from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
@@ -296,7 +296,7 @@ def _verdict(
         manifest=manifest,
     )
     if own_plugins := manifest.get("own_plugins"):
-        estimates = Estimates(
+        estimates = RunNumbers(
             compared.sweeps.estimates,
             scenes.estimates_later,
             compared.sums,

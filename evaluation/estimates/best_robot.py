@@ -19,7 +19,7 @@ from evaluation.estimates.cross_fit import (
     is_few,
     ratio_of_sums,
 )
-from evaluation.estimates.decisions import curve
+from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
@@ -242,8 +242,8 @@ def _misses(
         in_question &= ~(columns["conflict"] & columns["inside_now"])
     conflict = columns["conflict"][in_question]
     score = -columns["predicted_separation_m"][in_question]
-    # `curve` itself puts the row of the people before the weights.
-    rates = curve(
+    # `decision_curve` itself puts the row of the people before the weights.
+    rates = decision_curve(
         score=score, conflict=conflict, cluster=cluster[in_question], weights=rows[1:]
     )
     if rates is None:
@@ -283,7 +283,7 @@ def _choices(sums: Floats) -> Ints:
     )
 
 
-def _joined(sums: Floats, choice: Ints) -> Floats:
+def _cross_scored_rate(sums: Floats, choice: Ints) -> Floats:
     """Return a rate, (R,), each half scored by the other's choice of K robots.
 
     `sums`, (K, 2, 2, R), are those of the robots.
@@ -295,9 +295,9 @@ def _joined(sums: Floats, choice: Ints) -> Floats:
 def _estimate(
     sums: Floats, choice: Ints, people: _People, trials: _Trials, *, number: str
 ) -> Estimate:
-    values = _joined(sums, choice)
+    values = _cross_scored_rate(sums, choice)
     drawn, deleted = values[: people.n_drawn], values[people.n_drawn :]
-    fixed = _joined(sums, np.broadcast_to(choice[:, :1], choice.shape))
+    fixed = _cross_scored_rate(sums, np.broadcast_to(choice[:, :1], choice.shape))
     return interval_of_choice(
         trials.estimate(number, float(values[0])),
         drawn=drawn,

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from evaluation.estimates.families import AT_RAW, FID, FIXED, SWEPT, Family
+from evaluation.estimates.families import AT_RAW, FID, FIXED, PAPER_FAMILIES, Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import METRICS, PLR
 from evaluation.estimates.strongest import by_task, strongest_by_mechanism
@@ -81,7 +81,7 @@ def by_speed(
     for where in shown:
         attack = (
             best.get("")
-            if families[where.mechanism].family in SWEPT
+            if families[where.mechanism].family in PAPER_FAMILIES
             else attacks_by_mechanism.get(where.mechanism)
         )
         for source in filter(None, (AS_SHARED, attack)):

@@ -90,7 +90,7 @@ class Curve:
         return estimate.missed_at(np.linspace(0.0, 1.0, N_POINTS))
 
 
-def curve(
+def decision_curve(
     *, score: Floats, conflict: Bools, cluster: Ints, weights: Floats
 ) -> Curve | None:
     """Return the curve of a score with its replicates; None without both labels.
@@ -137,10 +137,10 @@ def _curves(
     """
     conflict = columns["conflict"]
     ahead = ~(conflict & columns["inside_now"])
-    all_conflicts = curve(
+    all_conflicts = decision_curve(
         score=score, conflict=conflict, cluster=cluster, weights=weights
     )
-    future = curve(
+    future = decision_curve(
         score=score[ahead],
         conflict=conflict[ahead],
         cluster=cluster[ahead],
@@ -216,7 +216,9 @@ def decisions(
             row: dict[str, Any] = dict(zip(_ABOUT, about, strict=True))
             row |= {"place": place}
             few = all_conflicts.effective
-            row |= _with_ends("area", "area", all_conflicts.areas(), effective=few)
+            row |= _interval_columns(
+                "area", "area", all_conflicts.areas(), effective=few
+            )
             if where in at_reference:
                 row |= {"reference": reference}
                 row |= _beside_reference(all_conflicts, future, *at_reference[where])
@@ -269,17 +271,17 @@ def _beside_reference(
     missed = all_conflicts.missed_at(false_alarm)
     row: dict[str, float] = {"false_alarm_rate": false_alarm[0]}
     few = all_conflicts.effective
-    row |= _with_ends("missed_conflict_rate", "missed", missed, effective=few)
+    row |= _interval_columns("missed_conflict_rate", "missed", missed, effective=few)
     gap = missed - reference_missed
-    row |= _with_ends("difference", "ci", gap, effective=few)
+    row |= _interval_columns("difference", "ci", gap, effective=few)
     if future:
         to_come = future.missed_at(false_alarm)
         few = future.effective
-        row |= _with_ends("missed_future_rate", "future", to_come, effective=few)
+        row |= _interval_columns("missed_future_rate", "future", to_come, effective=few)
     return row
 
 
-def _with_ends(
+def _interval_columns(
     name: str, ends: str, values: Floats, *, effective: float
 ) -> dict[str, float]:
     """Return columns of a number and its interval; `values` are (1 + B,).

@@ -40,7 +40,7 @@ from isac_track.types import Bools, Floats
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
 # White noise: other mechanisms are compared with it.
-WHITE: Final = "fixed:adding=independent,law=isotropic"
+WHITE_NOISE: Final = "fixed:adding=independent,law=isotropic"
 NEAR: Final = 0.03 + 1e-9  # The second term allows for rounding.
 ENOUGH_LEVELS: Final = 4  # Levels within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # Difference by which a mechanism is beaten.
@@ -147,20 +147,20 @@ def frontier(
             *((quantity, _curves(sweeps, quantity)) for quantity in own),
         ]:
             log = quantity.metric in DESCRIPTORS
-            left = {
+            values_by_mechanism = {
                 name: interpolated(price.reached[name], curve, log=log)
                 for name, curve in curves.items()
                 if name in price.reached
             }
             if quantity.is_axis:
-                axes.append(_axis(sweeps, price, quantity, left))
+                axes.append(_axis(sweeps, price, quantity, values_by_mechanism))
             robot_rows += [
                 {
                     **row,
                     "robot": robot,
                     "criterion": criterion,
                 }
-                for row in _rows(sweeps, price, quantity, left, locate)
+                for row in _rows(sweeps, price, quantity, values_by_mechanism, locate)
             ]
         beaten = _surely_beaten(axes)
         for row in robot_rows:
@@ -203,22 +203,22 @@ def _rows(
     sweeps: Sweeps,
     price: _Price,
     quantity: Quantity,
-    left: Mapping[str, Floats],
+    values_by_mechanism: Mapping[str, Floats],
     locate: Callable[[Address], Address],
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a quantity at a price: every mechanism at every target.
 
-    `left`, (1 + B, P), are the values of the quantity by mechanism; `locate` gives an
+    `values_by_mechanism`, (1 + B, P), are those of the quantity; `locate` gives an
     address its recording and world.
     """
-    for name in left:
+    for name in values_by_mechanism:
         measure = quantity.source_by_mechanism[name].measured(quantity.metric)
         about = {
             **locate(measure).to_columns(),
             **asdict(sweeps.families[name]),
             "n": sweeps.n(name, measure),
         }
-        columns = _columns(sweeps, price, measure, left, name=name)
+        columns = _columns(sweeps, price, measure, values_by_mechanism, name=name)
         for place, target in enumerate(TARGETS):
             numbers = {column: values[place] for column, values in columns.items()}
             yield {**about, "target": target, **numbers}
@@ -228,18 +228,19 @@ def _columns(
     sweeps: Sweeps,
     price: _Price,
     measure: Address,
-    left: Mapping[str, Floats],
+    values_by_mechanism: Mapping[str, Floats],
     *,
     name: str,
 ) -> dict[str, Floats]:
     """Return the columns of a mechanism at a price, (P,) each: level, value and gap."""
-    values = left[name]
+    values = values_by_mechanism[name]
     can_say = _can_say(sweeps, price, measure, name=name)
     columns = {**price.level[name], **with_ends(VALUE, values, can_say)}
-    if WHITE in left:
-        n_rows = min(len(values), len(left[WHITE]))
-        gap = values[:n_rows] - left[WHITE][:n_rows]
-        columns |= with_ends(VS_WHITE, gap, can_say & price.is_dense[WHITE])
+    white = values_by_mechanism.get(WHITE_NOISE)
+    if white is not None:
+        n_rows = min(len(values), len(white))
+        gap = values[:n_rows] - white[:n_rows]
+        columns |= with_ends(VS_WHITE, gap, can_say & price.is_dense[WHITE_NOISE])
     return columns
 
 

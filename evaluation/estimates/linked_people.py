@@ -275,7 +275,9 @@ def _row_names(rows: pa.Table) -> pa.ChunkedArray:
     return pc.binary_join_element_wise(search, source, "\n")
 
 
-def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[TaskSums, ...]:
+def sum_by_cluster(
+    probes: Mapping[str, Sequence[LinkedProbes]],
+) -> tuple[TaskSums, ...]:
     """Return the tasks of a run summed by cluster, from the result of `read_probes`."""
     tasks = []
     for task, levels in probes.items():

@@ -43,7 +43,7 @@ _interval = partial(json_interval, "value", ends="ci")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Estimates:
+class RunNumbers:
     """Estimates of a run for comparing plug-ins, with the same bootstrap weights."""
 
     own: EstimatesByAddress  # Of scenes at the run's own horizon, and of linkage.
@@ -57,7 +57,7 @@ class Estimates:
 
 
 def plugin_records(
-    own: Mapping[str, Sequence[str]], run: Estimates
+    own: Mapping[str, Sequence[str]], run: RunNumbers
 ) -> list[dict[str, Any]]:
     """Return a record for each plug-in of a user, and for each level of a mechanism.
 
@@ -80,7 +80,7 @@ def plugin_records(
 
 
 def _attack_record(
-    spec: str, *, own_attacks: Collection[str], run: Estimates
+    spec: str, *, own_attacks: Collection[str], run: RunNumbers
 ) -> dict[str, Any] | None:
     """Return the comparison of an attack or a linker; None if the run has no number."""
     attacks = {key.source for key in run.sums if key.adversary}
@@ -123,7 +123,7 @@ def _attack_record(
 
 
 def _strongest(
-    sources: Collection[Address], *, run: Estimates
+    sources: Collection[Address], *, run: RunNumbers
 ) -> StrongestAttack | None:
     """Return the strongest of a task's attacks, cross-fitted; None without any."""
     if not sources:
@@ -144,7 +144,7 @@ def _strongest(
 
 
 def _predictor_record(
-    spec: str, *, own_predictors: Collection[str], run: Estimates
+    spec: str, *, own_predictors: Collection[str], run: RunNumbers
 ) -> dict[str, Any] | None:
     """Return the comparison of a predictor at its first horizon, if any."""
     for horizon_s, estimates in (*run.later.items(), (None, run.own)):
@@ -199,7 +199,7 @@ def _at_levels(
 
 
 def _mechanism_records(
-    specs: Sequence[str], *, run: Estimates
+    specs: Sequence[str], *, run: RunNumbers
 ) -> Iterator[dict[str, Any]]:
     """Yield a robot's misses and the leaks at each level of a user's own mechanisms."""
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))

@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from evaluation.estimates.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
+from evaluation.estimates.families import CLEAN, FID, FIXED, PAPER_FAMILIES, RAW, Family
 from evaluation.estimates.keys import INFORMED, EstimatesByAddress
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
@@ -48,17 +48,17 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 # Success of every attack at each level.
-Levels: TypeAlias = "dict[Where, dict[Address, float]]"
+SuccessByLevel: TypeAlias = "dict[Where, dict[Address, float]]"
 # Adversaries of which the strongest is the headline.
 HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
-RULES: Final = (RANK1, RANK1_JOINT)
+NAMING_RULES: Final = (RANK1, RANK1_JOINT)
 """Rules by which a linker names mates: each best candidate, or a matching of all."""
 _CHOICES: Final = {
     PLR: (((PLR,), (*DESCRIPTORS, MEDIAN_ERROR)), ((PLR_WIDE,), (PLR_WIDE,))),
-    RANK1: ((RULES, (RANK1,)), ((RANK1_AMONG_100,), (RANK1_AMONG_100,))),
+    RANK1: ((NAMING_RULES, (RANK1,)), ((RANK1_AMONG_100,), (RANK1_AMONG_100,))),
 }
 """Choices of a strongest by ranking metric: metrics that rank, and metrics scored."""
 
@@ -113,17 +113,19 @@ def ranking_levels(
     """Return the distinct levels over which a run's strongest attack is chosen."""
     distinct = dict.fromkeys(wheres)
     family_names = {families[name].family for name, _ in distinct}
-    return [where for where in distinct if _chooses(where, families, family_names)]
+    return [
+        where for where in distinct if _is_ranking_level(where, families, family_names)
+    ]
 
 
 def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
-    """Return the rule, of `RULES`, by which each linker names more mates on average.
+    """Return the rule, of `NAMING_RULES`, by which each linker names more mates on average.
 
     A linker without a known rate at any level is left out.
     """
     rates: dict[Address, dict[str, list[float]]] = {}
     for key, estimate in estimates.items():
-        if key.metric in RULES and np.isfinite(estimate.value):
+        if key.metric in NAMING_RULES and np.isfinite(estimate.value):
             rates_of_linker = rates.setdefault(key.source, {})
             rates_of_linker.setdefault(key.metric, []).append(estimate.value)
     means = {
@@ -131,7 +133,7 @@ def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
         for linker, by_rule in rates.items()
     }
     return {
-        linker: max(RULES, key=lambda rule: by_rule.get(rule, -1.0))
+        linker: max(NAMING_RULES, key=lambda rule: by_rule.get(rule, -1.0))
         for linker, by_rule in means.items()
     }
 
@@ -144,21 +146,25 @@ def success_metric(estimates: EstimatesByAddress, linker: Address) -> str:
 
 
 def _choosing(
-    by_where: Levels, families: Mapping[str, Family], family_names: Collection[str]
+    by_where: SuccessByLevel,
+    families: Mapping[str, Family],
+    family_names: Collection[str],
 ) -> Iterator[Mapping[Address, float]]:
     return (
         block
         for where, block in by_where.items()
-        if _chooses(where, families, family_names)
+        if _is_ranking_level(where, families, family_names)
     )
 
 
-def _chooses(
+def _is_ranking_level(
     where: Where, families: Mapping[str, Family], family_names: Collection[str]
 ) -> bool:
     """Whether the strongest is chosen at a level, in a run with some families."""
     wanted = (
-        SWEPT if {FIXED, FID}.intersection(family_names) else {*family_names} - {CLEAN}
+        PAPER_FAMILIES
+        if {FIXED, FID}.intersection(family_names)
+        else {*family_names} - {CLEAN}
     )
     return families[where.mechanism].family in wanted
 
@@ -192,7 +198,7 @@ def cross_fitted(
 
     `sums` are of every attack, all with the same weights; attacks are ranked by the
     metric `by`. Ranked by rank 1, a linker may name mates probe by probe or all at once
-    (`RULES`); rank 1 of 100 has a choice of its own.
+    (`NAMING_RULES`); rank 1 of 100 has a choice of its own.
     """
     among = HEADLINE if headline.adversary in HEADLINE else (headline.adversary,)
     eligible = {
@@ -208,7 +214,7 @@ def cross_fitted(
     wheres = {
         key.where
         for key in eligible
-        if is_ceiling or _chooses(key.where, families, family_names)
+        if is_ceiling or _is_ranking_level(key.where, families, family_names)
     }
     crossed = CrossFitted()
     for ranked, metrics in _CHOICES[by]:
@@ -252,7 +258,7 @@ def _scored(
     for where, metric in product(dict.fromkeys(key.where for key in sums), metrics):
         # A linker that names all mates at once is scored by that, too.
         measures = [
-            rival if metric in RULES else rival.source.measured(metric)
+            rival if metric in NAMING_RULES else rival.source.measured(metric)
             for rival in rivals
         ]
         candidates = [sums.get(measure.at(*where)) for measure in measures]
@@ -287,13 +293,13 @@ def first_half(clusters: tuple[str, ...]) -> Bools:
     return read_only(np.array([in_first_half(name) for name in clusters], dtype=bool))
 
 
-def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
+def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, SuccessByLevel]:
     """Return the success of every attack by task, level, and attack.
 
-    A linker's rank 1 is that by the better of `RULES`.
+    A linker's rank 1 is that by the better of `NAMING_RULES`.
     """
-    values: dict[str, Levels] = {}
-    ranked = RULES if metric == RANK1 else (metric,)
+    values: dict[str, SuccessByLevel] = {}
+    ranked = NAMING_RULES if metric == RANK1 else (metric,)
     for key, estimate in estimates.items():
         if key.metric in ranked:
             source = key.source
@@ -305,7 +311,7 @@ def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
 
 
 def strongest_by_mechanism(
-    levels: Levels, *, among: Collection[str] = HEADLINE
+    levels: SuccessByLevel, *, among: Collection[str] = HEADLINE
 ) -> dict[str, Address]:
     """Return the strongest attack against each mechanism over its levels, if any."""
     levels_of_mechanism: dict[str, list[Mapping[Address, float]]] = {}

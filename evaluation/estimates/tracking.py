@@ -74,7 +74,7 @@ _BESIDE: Final = (
 LINKABLE: Final = "linkable_share"
 REJOINED: Final = "rejoined_share"
 BLIND: Final = "blind"  # The adversary that joins tracks without identities.
-_FALSE_ALARMS: Final = "false_alarms_per_min"
+_FALSE_ALARMS_PER_MIN: Final = "false_alarms_per_min"
 
 
 def track_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]:
@@ -214,7 +214,7 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
         allowed=by_seed(rows, "allowed"),
         seed=seed,
     )
-    metrics[robot, _FALSE_ALARMS] = block_ratio(
+    metrics[robot, _FALSE_ALARMS_PER_MIN] = block_ratio(
         numerator=by_seed(rows, "false_alarms_sum"),
         denominator=by_seed(rows, "false_alarms_over"),
         seed=seed,

@@ -17,7 +17,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.bounds import Gap
+from evaluation.estimates.bounds import ClosestAttack
 from evaluation.estimates.families import CLEAN, RAW
 from evaluation.estimates.keys import EstimatesByAddress, where_text
 from evaluation.estimates.metrics import PLR, RANK1
@@ -82,8 +82,8 @@ class _Pair(NamedTuple):
     where: Where
     attack: Address
     by: Address  # The rival that beats it; without a name if there is none.
-    minus: Estimate
-    plus: Estimate
+    attack_plr: Estimate
+    rival_plr: Estimate  # Or the attack's own, where the noise is strongest.
     text: str
 
 
@@ -106,7 +106,8 @@ def flags(
     enough = [
         pair
         for pair in pairs
-        if min(pair.minus.n_effective, pair.plus.n_effective) >= FEWEST_EFFECTIVE
+        if min(pair.attack_plr.n_effective, pair.rival_plr.n_effective)
+        >= FEWEST_EFFECTIVE
     ]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
@@ -114,7 +115,7 @@ def flags(
     rows = []
     for pair in enough:
         kind, attack, by = pair.kind, pair.attack, pair.by
-        gap = difference(pair.plus, pair.minus)
+        gap = difference(pair.rival_plr, pair.attack_plr)
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
         interval = gap.value, gap.ci_low, gap.ci_high
@@ -139,7 +140,7 @@ def flags(
     return pd.DataFrame(rows, columns=COLUMNS), extent
 
 
-def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
+def far_from_optimum(gaps: Sequence[ClosestAttack]) -> pd.DataFrame:
     """Return the flags of levels where the closest attack is far from the optimum."""
     exact = [gap for gap in gaps if gap.is_exact]
     rows = []
@@ -169,7 +170,7 @@ def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     }
 
 
-def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
+def to_json(rows: pd.DataFrame, extent: Mapping[str, Any]) -> bytes:
     """Return the content of `flags.json`, from what `flags` returns."""
     known = rows.astype(object)
     content = {
@@ -185,7 +186,7 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
             " adjusted for the number of comparisons: of two equally good attacks one"
             " is flagged at about one level in 40"
         ),
-        **looked,
+        **extent,
         "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
     }
@@ -238,7 +239,7 @@ def _beaten_pairs(
         shared = estimates.get(AS_SHARED.at(*where, PLR))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
-            minus, plus = plr[attack], plr[by]
+            attack_plr, rival_plr = plr[attack], plr[by]
             if (attack.consumer in slow) != (by.consumer in slow):
                 left_out["a slow attack, without the others on the same tracks"] += 1
             elif nothing_to_gain:
@@ -246,9 +247,9 @@ def _beaten_pairs(
             else:
                 text = (
                     f"is beaten by {by.label} at {where_text(*where)}: PLR"
-                    f" {100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
+                    f" {100 * attack_plr.value:.1f} % against {100 * rival_plr.value:.1f} %"
                 )
-                yield _Pair(BEATEN, where, attack, by, minus, plus, text)
+                yield _Pair(BEATEN, where, attack, by, attack_plr, rival_plr, text)
 
 
 def _falling_pairs(
@@ -283,13 +284,15 @@ def _falling_pairs(
             left_out["PLR as shared does not fall either"] += len(attacks)
         else:
             for attack in attacks:
-                minus, plus = levels[least][attack], levels[most][attack]
+                at_least, at_most = levels[least][attack], levels[most][attack]
                 text = (
-                    f"does not fall with the noise: PLR {100 * minus.value:.1f} % at"
-                    f" {where_text(*least)}, {100 * plus.value:.1f} % at"
+                    f"does not fall with the noise: PLR {100 * at_least.value:.1f} % at"
+                    f" {where_text(*least)}, {100 * at_most.value:.1f} % at"
                     f" {where_text(*most)}"
                 )
-                yield _Pair(DOES_NOT_FALL, most, attack, Address(), minus, plus, text)
+                yield _Pair(
+                    DOES_NOT_FALL, most, attack, Address(), at_least, at_most, text
+                )
 
 
 def _should_win(attack: Address, by: Address) -> bool:

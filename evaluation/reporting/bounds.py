@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.estimates.bounds import Gap
+from evaluation.estimates.bounds import ClosestAttack
 from evaluation.estimates.metrics import (
     METRICS,
     PLR,
@@ -109,7 +109,7 @@ def _table(
     )
 
 
-def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
+def gap_text(known: Sequence[ClosestAttack], where: Where, task: str = "") -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
     lacks = [
         f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"

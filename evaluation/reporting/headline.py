@@ -10,8 +10,14 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.bounds import Gap, gaps
-from evaluation.estimates.families import CLEAN, FID, SWEPT, Family, families_in
+from evaluation.estimates.bounds import ClosestAttack, gaps
+from evaluation.estimates.families import (
+    CLEAN,
+    FID,
+    PAPER_FAMILIES,
+    Family,
+    families_in,
+)
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import (
     MISSED_FUTURE,
@@ -91,7 +97,7 @@ class Headline:
     numbers: Mapping[Address, Estimate]
     # The same under the other error law, where the run has it.
     other_law: Mapping[Address, Estimate]
-    gaps: Sequence[Gap]  # From the optimum, in model worlds.
+    gaps: Sequence[ClosestAttack]  # From the optimum, in model worlds.
     robots: Sequence[HeadlineColumn]
     shared: HeadlineColumn
     attacked: HeadlineColumn | None  # After the strongest reconstruction.
@@ -281,7 +287,7 @@ def _own_strongest(
                 replace(attacks[task], task=task),
             )
             for where, metric in product(blocks, metrics):
-                is_usual = known[where.mechanism].family in (*SWEPT, CLEAN)
+                is_usual = known[where.mechanism].family in (*PAPER_FAMILIES, CLEAN)
                 source = headline if is_usual else best.get(where.mechanism, headline)
                 rule = rules.get(source, RANK1) if metric == RANK1 else metric
                 if (key := source.at(*where, rule)) in numbers:

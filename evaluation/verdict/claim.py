@@ -77,7 +77,7 @@ def claims(
                 pairs = at_changes(curves, cost, compared, at=np.array(TARGETS))
                 for pair in pairs:
                     measure = pair.measure
-                    about = _About(
+                    about = _Subject(
                         adding=adding,
                         criterion=criterion,
                         compared=compared[measure],
@@ -90,7 +90,7 @@ def claims(
 
 
 @dataclass(frozen=True, slots=True)
-class _About:
+class _Subject:
     """Subject of an item."""
 
     adding: str
@@ -148,7 +148,7 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
     )
 
 
-def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
+def _claim(measure: Address, gap: _Gap, about: _Subject) -> Draft:
     """Return the item of a measure compared at the rises."""
     source, is_linkage = measure.source, about.compared == LINKED
     descriptor = "" if is_linkage else measure.metric
@@ -183,7 +183,7 @@ def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
     )
 
 
-def _sentences(measure: Address, relative: float, about: _About) -> dict[str, str]:
+def _sentences(measure: Address, relative: float, about: _Subject) -> dict[str, str]:
     """Return the sentences of an item by decision."""
     where, name = about.where, about.mechanism or "FID"
     head = NAME.get(measure.metric, "")

@@ -86,14 +86,14 @@ class Draft:
         return ""
 
 
-def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
+def decided_items(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
     """Return the items of a section as in `verdict.json`."""
     drafts = list(drafts)
-    q = critical([draft.effect for draft in drafts if not draft.why_not])
+    q = band_quantile([draft.effect for draft in drafts if not draft.why_not])
     return [_item(section, draft, q) for draft in drafts]
 
 
-def critical(
+def band_quantile(
     effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE
 ) -> float:
     """Return the quantile of the largest deviation over its scale; 0 without effects.

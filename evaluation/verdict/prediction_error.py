@@ -22,7 +22,7 @@ from evaluation.estimates.interpolation import (
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
-WHITE: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
+WHITE_FAMILIES: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -41,7 +41,7 @@ LEAST_FALL: Final = 0.20
 FEWEST_DISCORDANT: Final = 10
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates show nothing.
 MOST_PEOPLE: Final = 100_000  # More people than any recording has.
-_NOBODY_HAS: Final = "no realistic number of"
+_UNREALISTIC: Final = "no realistic number of"
 # Share of its span by which a point may lie beyond the fixed sweep.
 REACH: Final = 0.02
 
@@ -63,7 +63,7 @@ def is_realistic(n: float) -> bool:
 
 def people_amount(n: float) -> str:
     """Return a number of people in words, to two digits, for "... people"."""
-    return f"about {float(f'{n:.2g}'):,.0f}" if is_realistic(n) else _NOBODY_HAS
+    return f"about {float(f'{n:.2g}'):,.0f}" if is_realistic(n) else _UNREALISTIC
 
 
 def numbers(effect: Estimate) -> dict[str, Any]:

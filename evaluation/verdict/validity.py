@@ -27,7 +27,11 @@ from evaluation.verdict.panel import (
     contrasts,
     drawn_weights,
 )
-from evaluation.verdict.prediction_error import WHITE, SquaredError, prediction_errors
+from evaluation.verdict.prediction_error import (
+    WHITE_FAMILIES,
+    SquaredError,
+    prediction_errors,
+)
 from evaluation.verdict.rules import BETWEEN, NAME, with_interval
 from evaluation.verdict.spread import (
     BOTH,
@@ -167,7 +171,7 @@ def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
     families = [panel.families[place] for place in levels]
-    kinds = ["white" if family in WHITE else family for family in families]
+    kinds = ["white" if family in WHITE_FAMILIES else family for family in families]
     return prediction_errors(
         -descriptor if name in RISING_WITH_NOISE else descriptor, success, kinds
     )

@@ -29,7 +29,7 @@ from isac_track.types import Floats, Ints
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
-def within(
+def within_level_items(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,

@@ -5,7 +5,7 @@ import pytest
 from helpers.addresses import address_at, entry_at
 
 from evaluation.estimates.best_robot import BEST, best_robots
-from evaluation.estimates.decisions import curve
+from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import PredictorAnswers, bootstrap_weights
@@ -63,7 +63,7 @@ def missed_by_hand(scored, name, people, weight, where, *, future=False):
     in_question = people[cluster] & ~(
         columns["conflict"] & columns["inside_now"] & future
     )
-    rates = curve(
+    rates = decision_curve(
         score=-columns["predicted_separation_m"][in_question],
         conflict=columns["conflict"][in_question],
         cluster=cluster[in_question],

@@ -7,7 +7,7 @@ import pytest
 from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import PREDICTORS, run
 
-from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, frontier
+from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE_NOISE, frontier
 from evaluation.estimates.metrics import MISSED_RATE, RANK1_AMONG_100
 from evaluation.estimates.strongest import first_half
 from evaluation.plan.address import parse_consumer
@@ -59,7 +59,7 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
 def test_intervals_white_noise_and_who_is_beaten():
     estimates = run(advantage=0.1)
     estimates |= {
-        key.at(WHITE, key.level): estimate
+        key.at(WHITE_NOISE, key.level): estimate
         for key, estimate in estimates.items()
         if key.mechanism == f"fixed{RULE}"
     }
@@ -72,7 +72,7 @@ def test_intervals_white_noise_and_who_is_beaten():
     )
     assert list(frame.columns) == COLUMNS
     fid, white, fixed = (
-        rows(frame, mechanism=name) for name in ("fid", WHITE, "fixed")
+        rows(frame, mechanism=name) for name in ("fid", WHITE_NOISE, "fixed")
     )
     assert (fid["ci_low"] < fid["value"]).all()
     assert (fid["value"] < fid["ci_high"]).all()

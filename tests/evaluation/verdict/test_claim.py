@@ -8,7 +8,7 @@ from helpers.straight_lines import PREDICTORS, run
 
 from evaluation.plan.address import parse_consumer
 from evaluation.verdict.claim import claims
-from evaluation.verdict.items import decided
+from evaluation.verdict.items import decided_items
 
 
 @pytest.mark.parametrize(("n_effective", "has_ends"), [(8.0, False), (30.0, True)])
@@ -19,7 +19,7 @@ def test_an_item_and_its_points_have_an_interval_or_neither(n_effective, has_end
     }
     strongest = {"": parse_consumer("kalman_rts", "blind")}
     drafts = [*claims(make_sweeps(estimates), strongest, predictor=PREDICTORS[0])]
-    items = decided("c", drafts)
+    items = decided_items("c", drafts)
     assert items
     for item in items:
         assert (item["ci_low"] is not None) == has_ends

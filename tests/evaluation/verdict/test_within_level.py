@@ -12,7 +12,7 @@ from evaluation.verdict.within_level import (
     LinkedTracks,
     clustered_mean,
     partial_correlation,
-    within,
+    within_level_items,
 )
 
 
@@ -94,4 +94,8 @@ def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
 
 
 def test_a_task_whose_windows_failed_has_no_item():
-    assert not [*within({"split": []}, Sweeps({}, {}), success={"split": None}, seed=0)]
+    assert not [
+        *within_level_items(
+            {"split": []}, Sweeps({}, {}), success={"split": None}, seed=0
+        )
+    ]
