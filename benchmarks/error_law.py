@@ -18,7 +18,7 @@ import evaluation
 from attacks.reconstruction.kalman_rts import looks_radial
 from evaluation.compute import sharing
 from evaluation.compute.reconstruction import attacked_block
-from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.metrics import PLR
 from evaluation.estimates.summary import scene_numbers
 from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.axes import expand_axes
@@ -100,7 +100,7 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
     for level in expand_axes(settings).mechanisms:
 
         def plr(attack: str, knowledge: str, mechanism: Plugin = level) -> Address:
-            measure = parse_consumer(attack, knowledge).measured(EXPOSURE)
+            measure = parse_consumer(attack, knowledge).measured(PLR)
             return measure.at(mechanism.name, mechanism.level)
 
         sources = (

@@ -17,8 +17,8 @@ import pandas as pd
 from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.frontier import frontier
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.summary import scene_numbers
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate
 

@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from evaluation.estimates.keys import level_text
-from evaluation.estimates.linkability import cards
-from evaluation.estimates.metrics import SUCCESS_OF_100
+from evaluation.estimates.linkability import linkage_outcomes
+from evaluation.estimates.metrics import RANK1_AMONG_100
 from evaluation.estimates.summary import linkage_estimates
 from evaluation.plan.address import Address, plugin_name
 from evaluation.store.manifest import read_manifest
@@ -24,7 +24,7 @@ def paired(
     out: Path, linker: str, metric: str
 ) -> Iterator[tuple[Address, Address, Estimate]]:
     """Yield keys of a linker and of the strongest other, and their difference."""
-    read = cards(out, read_manifest(out), drawn=(metric,))
+    read = linkage_outcomes(out, read_manifest(out), drawn=(metric,))
     by_key = {
         key: estimate
         for key, estimate in linkage_estimates(read).items()
@@ -46,7 +46,7 @@ def paired(
 
 def main(arguments: Sequence[str]) -> None:
     """Print a line for each task and level."""
-    defaults = ("likelihood_ratio", SUCCESS_OF_100)
+    defaults = ("likelihood_ratio", RANK1_AMONG_100)
     out, linker, metric = (*arguments, *defaults[len(arguments) - 1 :])
     for key, best, gain in paired(Path(out), linker, metric):
         value, low, high = (

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from evaluation.estimates.families import CLEAN, SWEPT
+from evaluation.estimates.families import CLEAN, PAPER_FAMILIES
 from evaluation.estimates.keys import row_worlds
-from evaluation.estimates.metrics import EXPOSURE, METRICS, SUCCESS
+from evaluation.estimates.metrics import METRICS, PLR, RANK1
 from evaluation.estimates.seeds import by_intervals, over_seeds, read_sums, stacked_sums
-from evaluation.estimates.strongest import against_each, by_task
+from evaluation.estimates.strongest import by_task, strongest_by_mechanism
 from evaluation.plan.world import OWN_WORLD
 from evaluation.reporting.headline import (
     Headline,
@@ -63,7 +63,7 @@ class Run:
         source = column.measure.source
         is_attack = bool(source.adversary)
         if is_attack and self.table.known[where.mechanism].family not in (
-            *SWEPT,
+            *PAPER_FAMILIES,
             CLEAN,
         ):
             source = self.strongest.get((source.task, where.mechanism), source)
@@ -85,9 +85,9 @@ def read(out: Path) -> Run:
     results = estimates(summary[row_worlds(summary) == OWN_WORLD])
     strongest = {
         (task, mechanism): source
-        for metric in (EXPOSURE, SUCCESS)
+        for metric in (PLR, RANK1)
         for task, levels in by_task(results, metric=metric).items()
-        for mechanism, source in against_each(levels).items()
+        for mechanism, source in strongest_by_mechanism(levels).items()
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.linked_people import LinkedLevel, LinkedTask
+from evaluation.estimates.linked_people import LinkedLevel, TaskSums
 from evaluation.plan.address import Address
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
@@ -90,7 +90,7 @@ def noise_strength(mechanism: Plugin) -> float:
     return NOISE.get(mechanism.family, 0.5) + 0.45 * ("d_sigma" in mechanism.name)
 
 
-def linked_task(world: World, *, seed: int) -> LinkedTask:
+def linked_task(world: World, *, seed: int) -> TaskSums:
     """Return the linked people of a world, and the descriptors of their windows."""
     rng = stream(seed, "worlds", repr(world))
     sizes = rng.choice([1, 1, 1, 2, 3], world.people)
@@ -136,7 +136,7 @@ def linked_task(world: World, *, seed: int) -> LinkedTask:
             )
         )
     names = tuple(f"{name:05d}" for name in range(cluster[-1] + 1))
-    return LinkedTask(TASK, 100, names, tuple(levels))
+    return TaskSums(TASK, 100, names, tuple(levels))
 
 
 def judge(world: World, *, seed: int) -> dict[str, Any]:

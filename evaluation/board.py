@@ -64,7 +64,7 @@ def _run(options: argparse.Namespace) -> int:
         card_entries,
     )
     from evaluation.api.board import write_board  # noqa: PLC0415 - as above
-    from evaluation.estimates.cards import world_key  # noqa: PLC0415 - as above
+    from evaluation.estimates.board_places import world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import gap_line  # noqa: PLC0415 - as above
 
     seeds = [card_entries.read_secret_seed(Path(name)) for name in options.secret_seed]
@@ -119,7 +119,7 @@ def _join(
         join_mechanisms,
         n_joined,
     )
-    from evaluation.estimates.cards import places, world_key  # noqa: PLC0415 - as above
+    from evaluation.estimates.board_places import standings, world_key  # noqa: PLC0415 - as above
     from evaluation.reporting.cards import card_line, place_line  # noqa: PLC0415 - as above
     from evaluation.reporting.progress import counting  # noqa: PLC0415 - as above
 
@@ -141,7 +141,7 @@ def _join(
     together = [*({card.file_name: card for card in cards} | joined).values()]
     for world in dict.fromkeys(map(world_key, joined.values())):
         own = [card for card in together if world_key(card) == world]
-        for card, place in zip(own, places(own), strict=True):
+        for card, place in zip(own, standings(own), strict=True):
             if card.file_name in joined:
                 print(place_line(card, place))
     return together

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from evaluation.verdict.patrols import PatrolLimits
-    from evaluation.verdict.what_to_share import Question
+    from evaluation.verdict.question import Question
 
 _EPILOG = """\
 Each level of a mechanism that claims to protect must keep within every limit, after the strongest
@@ -124,11 +124,7 @@ def _answer_from_run(arguments: Sequence[str]) -> int:
 def _parser() -> Parser:
     from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
     from evaluation.estimates.metrics import METRICS  # noqa: PLC0415 - heavy
-    from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
-        HORIZON_S,
-        LIMITS,
-        USUAL,
-    )
+    from evaluation.verdict.question import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
 
     words = {
         "missed": (
@@ -228,11 +224,7 @@ def _patrol_limits(options: argparse.Namespace) -> PatrolLimits:
 def _question(options: argparse.Namespace) -> Question:
     """Return the question of a command line; SettingsError for impossible values."""
     from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - heavy
-        LIMITS,
-        Criterion,
-        Question,
-    )
+    from evaluation.verdict.question import LIMITS, Criterion, Question  # noqa: PLC0415 - heavy
 
     horizon_s = None
     if options.horizon != "run":

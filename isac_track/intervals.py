@@ -101,7 +101,8 @@ def estimate_from_replicates(
 def difference(a: Estimate, b: Estimate) -> Estimate:
     """Return a - b, paired: both have replicates from the same rows of weights.
 
-    The interval is that of percentiles; `n` is the smaller of both.
+    The interval is that of percentiles, as of `estimate_from_replicates`; `n` is the
+    smaller of both, and so are the effective clusters.
 
     Examples
     --------
@@ -114,10 +115,9 @@ def difference(a: Estimate, b: Estimate) -> Estimate:
     (0.2, 0.2, 0.2, 30)
     """
     n_drawn = min(a.replicates.size, b.replicates.size)
-    drawn = a.replicates[:n_drawn] - b.replicates[:n_drawn]
-    return Estimate(
-        a.value - b.value, *percentile_interval(drawn), min(a.n, b.n), drawn
-    )
+    values = a.drawn[: n_drawn + 1] - b.drawn[: n_drawn + 1]
+    effective = float(np.fmin(a.effective, b.effective))
+    return estimate_from_replicates(values, n=min(a.n, b.n), effective=effective)
 
 
 def wilson(*, hits: float, n: float) -> tuple[float, float]:

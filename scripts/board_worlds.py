@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, TypeAlias
 
 from evaluation.api.card_checks import load_cards
-from evaluation.estimates.cards import is_control, on_front
+from evaluation.estimates.board_places import is_control, on_front
 from evaluation.plan.protocol import read_protocol
 from evaluation.store.cards import Card
 from isac_track.command_line import DONE, Parser, exit_code

@@ -22,18 +22,16 @@ from evaluation.api.run_estimates import link_estimates
 from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, entry_families
 from evaluation.estimates.frontier import Quantity, frontier_quantities
-from evaluation.estimates.keys import judged_at
-from evaluation.estimates.matching import (
-    CRITERIA,
-    FUTURE,
-    Sweeps,
+from evaluation.estimates.interpolation import (
     interpolated,
-    places,
+    positions_at_change,
     with_ends,
 )
+from evaluation.estimates.keys import judged_at
 from evaluation.estimates.metrics import DESCRIPTORS
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.estimates.summary import scene_numbers
+from evaluation.estimates.sweeps import CRITERIA, FUTURE, Sweeps
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.world import World
 from evaluation.store.manifest import read_manifest
@@ -81,7 +79,7 @@ def read_run(out: Path) -> Readings:
     robots = decisions(ahead, manifest, dataset=manifest["dataset"]["name"])
     links = link_estimates(out, manifest)
     estimates = {**now.estimates, **links.estimates}
-    attacks = strongest_on_each(estimates, {**links.sums, **now.attacked}, families)
+    attacks = strongest_attacks(estimates, {**links.sums, **now.attacked}, families)
     quantities, crossed = frontier_quantities(Sweeps(estimates, families), attacks)
     at_horizon = judged_at(
         {**estimates, **crossed}, {**ahead.estimates, **robots.at_raw_alarms}
@@ -103,7 +101,7 @@ def readings(
         cost = parse_consumer(robot).measured(price)
         rises = sweeps.together(dict.fromkeys(sweeps.families, cost))
         reached = {
-            name: places(targets, np.abs(curve - curve[:, -1:]))
+            name: positions_at_change(targets, np.abs(curve - curve[:, -1:]))
             for name, curve in rises.items()
         }
         for quantity in quantities:

@@ -25,7 +25,7 @@ from helpers.summaries import BAD, GOOD, RAW, SHIFTED, changed, write_run
 from evaluation.reporting.answers import answers
 from evaluation.reporting.design_words import answer_question, to_json
 from evaluation.reporting.first_screen import first_screen
-from evaluation.verdict.what_to_share import Question
+from evaluation.verdict.question import Question
 
 ROOT = Path(__file__).parent.parent
 PAGES: tuple[str, ...] = ("README.md",)

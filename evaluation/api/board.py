@@ -10,12 +10,8 @@ from typing import Literal
 from evaluation.api.card_entries import CardEntry, Seed, card_entry, cross_entries
 from evaluation.api.card_maker import CardMaker, is_of_this_code, make_cards
 from evaluation.compute.board import KNOWN as KNOWN_SHARE
-from evaluation.estimates.cards import (
-    KNOWN,
-    has_own_primary,
-    primary_scores,
-    world_key,
-)
+from evaluation.estimates.board_places import world_key
+from evaluation.estimates.cards import KNOWN, has_own_primary, primary_scores
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.reporting import board_page
 from evaluation.reporting.figures.figure import write as write_figures

@@ -7,13 +7,9 @@ from pathlib import Path
 
 from evaluation.api.card_entries import Seed, card_entry
 from evaluation.api.card_maker import CardMaker, card_plugin
-from evaluation.estimates.cards import (
-    Agreement,
-    agreement,
-    cut_digests,
-    primary_fault,
-    same_board,
-)
+from evaluation.estimates.board_places import cut_digests, same_board
+from evaluation.estimates.card_agreement import Agreement, agreement
+from evaluation.estimates.cards import primary_fault
 from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.store.cards import Card, read_card

@@ -24,7 +24,8 @@ from evaluation.compute.board import (
 )
 from evaluation.compute.log_attacks import LogAttack, log_attack
 from evaluation.compute.patrols import PatrolSetup, SharedPatrol, share_level
-from evaluation.estimates.cards import card_score, cut_digests, primary_scores
+from evaluation.estimates.board_places import cut_digests
+from evaluation.estimates.cards import card_score, primary_scores
 from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.plan.source_digest import source_digest
 from evaluation.store.cards import (

@@ -10,36 +10,36 @@ import pandas as pd
 
 from evaluation.estimates import linkability, summary
 from evaluation.estimates.best_robot import BestRobots, best_robots
-from evaluation.estimates.bounds import linked_gaps
+from evaluation.estimates.bounds import with_linkage_gaps
 from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, Family, entry_families
 from evaluation.estimates.galleries import TPR
 from evaluation.estimates.levels import levels
 from evaluation.estimates.linked_people import Choices
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
-    ACHIEVED,
-    ASSIGNED,
-    EXPOSURE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    LINKAGE_COMPARED,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.estimates.strongest import (
     HEADLINE,
     CrossFitted,
     cross_fitted,
-    strongest,
+    strongest_by_task,
 )
-from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.strongest_table import StrongestAttack, strongest_attacks
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.entries import horizons_in
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
-_DRAWN: Final = (*ACHIEVED, ASSIGNED, SUCCESS_OF_100)
+_DRAWN: Final = (*LINKAGE_COMPARED, RANK1_JOINT, RANK1_AMONG_100)
 """Metrics of linkers that are compared, and so have replicates."""
-_PEOPLE_METRICS: Final = (EXPOSURE, SUCCESS, ASSIGNED, TPR)
+_PEOPLE_METRICS: Final = (PLR, RANK1, RANK1_JOINT, TPR)
 """Metrics of the tables about linked people."""
 
 
@@ -54,11 +54,11 @@ class LinkEstimates:
 
 def link_estimates(out: Path, manifest: Mapping[str, Any]) -> LinkEstimates:
     """Return the estimates of linkage; DataError if a cell cannot be read."""
-    cards = linkability.cards(out, manifest, drawn=_DRAWN)
+    outcomes = linkability.linkage_outcomes(out, manifest, drawn=_DRAWN)
     return LinkEstimates(
-        estimates=summary.linkage_estimates(cards),
-        sums=summary.linkage_sums(cards),
-        table=linkability.linkability(cards, dataset=manifest["dataset"]["name"]),
+        estimates=summary.linkage_estimates(outcomes),
+        sums=summary.linkage_sums(outcomes),
+        table=linkability.linkability(outcomes, dataset=manifest["dataset"]["name"]),
     )
 
 
@@ -124,9 +124,11 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
         name = Address(recording=dataset, world=world).dataset
         later[horizon_s] = _judged(ahead, manifest, dataset=name)
     for world in WORLDS:
-        cards = linkability.cards(out, manifest, drawn=_DRAWN, world=world)
+        outcomes = linkability.linkage_outcomes(
+            out, manifest, drawn=_DRAWN, world=world
+        )
         in_world = summary.scene_numbers(out, manifest, world=world).estimates
-        in_world |= linked_gaps(summary.linkage_estimates(cards))
+        in_world |= with_linkage_gaps(summary.linkage_estimates(outcomes))
         # Without replicates, as large as a run's own: no comparison pairs with them.
         worlds[world] = {
             key: replace(estimate, replicates=np.zeros(0))
@@ -160,7 +162,7 @@ class AttackComparison:
     sums: Mapping[Address, ClusterSums]  # Of attacks.
     best: Mapping[str, Address]  # The strongest linker by task; a reconstruction as "".
     crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
-    by_mechanism: tuple[Strongest, ...]
+    by_mechanism: tuple[StrongestAttack, ...]
 
     @property
     def choices(self) -> dict[tuple[str, str], Choices]:
@@ -204,12 +206,12 @@ def compare_attacks(
         **links.estimates,
     }
     sweeps = Sweeps(estimates, families)
-    best = strongest(sweeps.estimates, families)
+    best = strongest_by_task(sweeps.estimates, families)
     crossed = {
-        task: cross_fitted(sums, families, source, by=SUCCESS if task else EXPOSURE)
+        task: cross_fitted(sums, families, source, by=RANK1 if task else PLR)
         for task, source in best.items()
     }
-    by_mechanism = strongest_on_each(sweeps.estimates, sums, families)
+    by_mechanism = strongest_attacks(sweeps.estimates, sums, families)
     return AttackComparison(sweeps, families, sums, best, crossed, by_mechanism)
 
 
@@ -218,7 +220,7 @@ def level_table(
     scenes: SceneEstimates,
     links: LinkEstimates,
     *,
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
 ) -> pd.DataFrame:
     """Return privacy and utility of a site at each level: `levels.csv`."""
     later = {

@@ -25,11 +25,12 @@ from evaluation.estimates.frontier import frontier
 from evaluation.estimates.galleries import galleries
 from evaluation.estimates.keys import judged_at
 from evaluation.estimates.linked_people import Choices, read_probes
-from evaluation.estimates.matching import FUTURE, Sweeps, matched
-from evaluation.estimates.own_plugins import Estimates, plugin_records
+from evaluation.estimates.matching import matched
+from evaluation.estimates.own_plugins import RunNumbers, plugin_records
 from evaluation.estimates.patrols import PatrolNumber, patrol_frame, patrol_numbers
 from evaluation.estimates.returns import ReturnNumbers, return_numbers
 from evaluation.estimates.strongest_table import strongest_table
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.estimates.tracking import track_numbers
 from evaluation.plan.address import Address
 from evaluation.plan.environment import check_drawing
@@ -50,6 +51,7 @@ from evaluation.store.lock import locked
 from evaluation.store.manifest import file_names, read_manifest
 from evaluation.store.sample_tracks import read_sample_tracks
 from evaluation.verdict import sections as verdict
+from evaluation.verdict.level_rows import leading_handover
 from evaluation.verdict.patrols import (
     USUAL_LIMITS,
     built_in,
@@ -59,7 +61,6 @@ from evaluation.verdict.patrols import (
     patrol_options,
 )
 from evaluation.verdict.returns import return_verdict
-from evaluation.verdict.what_to_share import leading_handover
 
 limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: for small matrices others would only spin."""
@@ -300,7 +301,7 @@ def _verdict(
         manifest=manifest,
     )
     if own_plugins := manifest.get("own_plugins"):
-        estimates = Estimates(
+        estimates = RunNumbers(
             compared.sweeps.estimates,
             scenes.further_estimates,
             compared.sums,

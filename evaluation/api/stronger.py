@@ -6,18 +6,16 @@ from typing import Any
 
 from evaluation.api.run_estimates import level_table, link_estimates, scene_estimates
 from evaluation.estimates.families import CLEAN, RAW, entry_families
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.plan.address import Address, Where
 from evaluation.plan.plan import Plan, plan_stronger
 from evaluation.plan.source_digest import changed_modules
 from evaluation.pool.execute import execute_stronger
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import read_manifest, write_manifest
-from evaluation.verdict.what_to_share import (
-    default_question,
-    leading_handover,
-    recommend,
-)
+from evaluation.verdict.level_rows import leading_handover
+from evaluation.verdict.question import default_question
+from evaluation.verdict.what_to_share import recommend
 
 
 def try_stronger(plan: Plan, update: Callable[[int, int, str], None]) -> None:
@@ -69,7 +67,7 @@ def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Where]:
     """Return mechanism and level of each level that would be proposed now."""
     families = entry_families(manifest["cells"])
     scenes, links = scene_estimates(out, manifest), link_estimates(out, manifest)
-    attacks = strongest_on_each(
+    attacks = strongest_attacks(
         {**scenes.estimates, **links.estimates}, links.sums | scenes.attacked, families
     )
     table = level_table(manifest, scenes, links, attacks=attacks)

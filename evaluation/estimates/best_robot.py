@@ -19,12 +19,12 @@ from evaluation.estimates.cross_fit import (
     is_few,
     ratio_of_sums,
 )
-from evaluation.estimates.decisions import curve
+from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
-from evaluation.estimates.summary import Scored, bootstrap_weights
+from evaluation.estimates.summary import PredictorAnswers, bootstrap_weights
 from evaluation.plan.address import Address, Where, parse_consumer
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
@@ -86,7 +86,7 @@ class _Trials:
 
 
 def best_robots(
-    scored: Sequence[Scored],
+    scored: Sequence[PredictorAnswers],
     manifest: Mapping[str, Any],
     estimates: EstimatesByAddress,
     *,
@@ -99,7 +99,7 @@ def best_robots(
     `among`. Those robots compete that ran at the most of these levels. A single robot
     is the best without a choice, and keeps its estimates.
     """
-    robots: dict[str, dict[Where, Scored]] = {}
+    robots: dict[str, dict[Where, PredictorAnswers]] = {}
     for robot in scored:
         address = robot.entry.address
         if address.mechanism in among:
@@ -126,7 +126,7 @@ def _only_robot(name: str, estimates: EstimatesByAddress) -> BestRobots:
 
 
 def _chosen(
-    rivals: Mapping[str, Mapping[Where, Scored]], manifest: Mapping[str, Any]
+    rivals: Mapping[str, Mapping[Where, PredictorAnswers]], manifest: Mapping[str, Any]
 ) -> BestRobots:
     """Return the best of two robots or more."""
     names, wheres = list(rivals), list(next(iter(rivals.values())))
@@ -163,7 +163,7 @@ def _equally_weighted(sums: Floats) -> Floats:
     return np.asarray(sums * times[:, :, :, None])
 
 
-def _count_trials(robot: Scored, n_clusters: int) -> _Trials:
+def _count_trials(robot: PredictorAnswers, n_clusters: int) -> _Trials:
     """Return the trials of a robot within each cluster, the same at all levels."""
     _, cluster, columns = robot
     conflict = columns["conflict"]
@@ -194,7 +194,7 @@ def _people(weights: Floats, is_first: Bools, trials: Sequence[_Trials]) -> _Peo
 
 
 def _sums_of_robot(
-    levels: Mapping[Where, Scored], wheres: Sequence[Where], people: _People
+    levels: Mapping[Where, PredictorAnswers], wheres: Sequence[Where], people: _People
 ) -> Floats:
     """Return numerators and denominators of a robot's numbers, (L, 3, 2, 2, R).
 
@@ -215,7 +215,7 @@ def _sums_of_robot(
     return sums
 
 
-def _alarms(robot: Scored, in_half: Bools, rows: Floats) -> Floats:
+def _alarms(robot: PredictorAnswers, in_half: Bools, rows: Floats) -> Floats:
     """Return false alarms and conflict-free scenes of a half of the people, (2, R)."""
     _, cluster, columns = robot
     is_free = ~columns["conflict"] & in_half[cluster]
@@ -224,7 +224,12 @@ def _alarms(robot: Scored, in_half: Bools, rows: Floats) -> Floats:
 
 
 def _misses(
-    robot: Scored, in_half: Bools, rows: Floats, false_alarm: Floats, *, number: str
+    robot: PredictorAnswers,
+    in_half: Bools,
+    rows: Floats,
+    false_alarm: Floats,
+    *,
+    number: str,
 ) -> Floats:
     """Return missed conflicts of a half of the people, and all its conflicts, (2, R).
 
@@ -237,8 +242,8 @@ def _misses(
         in_question &= ~(columns["conflict"] & columns["inside_now"])
     conflict = columns["conflict"][in_question]
     score = -columns["predicted_separation_m"][in_question]
-    # `curve` itself puts the row of the people before the weights.
-    rates = curve(
+    # `decision_curve` itself puts the row of the people before the weights.
+    rates = decision_curve(
         score=score, conflict=conflict, cluster=cluster[in_question], weights=rows[1:]
     )
     if rates is None:
@@ -278,7 +283,7 @@ def _choices(sums: Floats) -> Ints:
     )
 
 
-def _joined(sums: Floats, choice: Ints) -> Floats:
+def _cross_scored_rate(sums: Floats, choice: Ints) -> Floats:
     """Return a rate, (R,), each half scored by the other's choice of K robots.
 
     `sums`, (K, 2, 2, R), are those of the robots.
@@ -290,9 +295,9 @@ def _joined(sums: Floats, choice: Ints) -> Floats:
 def _estimate(
     sums: Floats, choice: Ints, people: _People, trials: _Trials, *, number: str
 ) -> Estimate:
-    values = _joined(sums, choice)
+    values = _cross_scored_rate(sums, choice)
     drawn, deleted = values[: people.n_drawn], values[people.n_drawn :]
-    fixed = _joined(sums, np.broadcast_to(choice[:, :1], choice.shape))
+    fixed = _cross_scored_rate(sums, np.broadcast_to(choice[:, :1], choice.shape))
     return interval_of_choice(
         trials.estimate(number, float(values[0])),
         drawn=drawn,

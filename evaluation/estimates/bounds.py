@@ -1,7 +1,7 @@
 """Gaps between the attacks of a run and the bound on all attacks, where it is known.
 
 In a model world each walk follows the motion that was fitted to it. There `plr_gap` is
-the PLR that an attack with one release lacks. With Gaussian errors the bound is the
+the optimum's PLR less that of an attack with one release. With Gaussian errors the bound is the
 exact posterior. Otherwise it is a ceiling that only a genie reaches, which knows the
 scale of every error: the gap is then at most so large. Recorded walks follow no model:
 there the genie's value is no bound, and a gap would mix errors with motion.
@@ -16,11 +16,11 @@ import pandas as pd
 from evaluation.estimates.keys import EstimatesByAddress, row_worlds
 from evaluation.estimates.metrics import (
     BOUNDS,
-    EXPOSURE,
-    GAP,
-    RANK_GAP,
-    RANK_OPTIMUM,
-    SUCCESS,
+    PLR,
+    PLR_GAP,
+    RANK1,
+    RANK1_GAP,
+    RANK1_OPTIMUM,
 )
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import Address, Where, parse_consumer
@@ -32,23 +32,23 @@ _ENDS = ["value", "ci_low", "ci_high"]
 _PLACE = ["world", "mechanism", "level", "task"]
 
 
-def linked_gaps(estimates: EstimatesByAddress) -> dict[Address, Estimate]:
+def with_linkage_gaps(estimates: EstimatesByAddress) -> dict[Address, Estimate]:
     """Return linkage in a model world with its optimum, and each attack's gap to it."""
     numbers = dict[Address, Estimate]()
     for key, estimate in estimates.items():
         if key.plugin == BOUND:
-            if key.metric == SUCCESS:
-                numbers[key.measured(RANK_OPTIMUM)] = estimate
+            if key.metric == RANK1:
+                numbers[key.measured(RANK1_OPTIMUM)] = estimate
             continue
         numbers[key] = estimate
-        bound = Address(task=key.task, plugin=BOUND, metric=SUCCESS)
+        bound = Address(task=key.task, plugin=BOUND, metric=RANK1)
         best = estimates.get(bound.at(*key.where))
-        if key.metric == SUCCESS and key.adversary and best is not None:
-            numbers[key.measured(RANK_GAP)] = difference(best, estimate)
+        if key.metric == RANK1 and key.adversary and best is not None:
+            numbers[key.measured(RANK1_GAP)] = difference(best, estimate)
     return numbers
 
 
-class Gap(NamedTuple):
+class ClosestAttack(NamedTuple):
     """The attack that comes closest to the optimum at a level of a model world."""
 
     world: World
@@ -60,7 +60,7 @@ class Gap(NamedTuple):
     is_exact: bool  # Whether `bound` is the optimum; else it is a genie's ceiling.
 
 
-def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
+def gaps(summary: pd.DataFrame) -> Sequence[ClosestAttack]:
     """Return the closest attack, short of the oracle's, at each level of model worlds.
 
     Reconstructions come first, then linkers. With few tracks an attack may seem closer
@@ -74,8 +74,8 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
     rows["upper_end"] = rows["ci_high"].fillna(rows["value"])
     closest = []
     for gap_metric, metric, bound_metrics in (
-        (GAP, EXPOSURE, BOUNDS),
-        (RANK_GAP, SUCCESS, (RANK_OPTIMUM,)),
+        (PLR_GAP, PLR, BOUNDS),
+        (RANK1_GAP, RANK1, (RANK1_OPTIMUM,)),
     ):
         has_gap = (
             (rows["metric"] == gap_metric)
@@ -98,7 +98,7 @@ def gaps(summary: pd.DataFrame) -> Sequence[Gap]:
 
 def _closest_gap(
     gap: pd.Series, by_attack: pd.DataFrame, bounds: pd.DataFrame, optimum: str
-) -> Gap:
+) -> ClosestAttack:
     """Return the gap of a level from a row of the summary.
 
     `by_attack` has what each attack reaches there. Of the `bounds` the metric `optimum`
@@ -112,7 +112,7 @@ def _closest_gap(
     is_exact = bool(is_optimum.any())
     bound = bounds[is_optimum].iloc[0] if is_exact else bounds.iloc[0]
     level = gap["level"]
-    return Gap(
+    return ClosestAttack(
         world=gap["world"],
         where=Where(gap["mechanism"], None if np.isnan(level) else level),
         attack=attack,

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from evaluation.estimates.families import AT_RAW, FID, FIXED, SWEPT, Family
+from evaluation.estimates.families import AT_RAW, FID, FIXED, PAPER_FAMILIES, Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.metrics import EXPOSURE, METRICS
-from evaluation.estimates.strongest import against_each, by_task
+from evaluation.estimates.metrics import METRICS, PLR
+from evaluation.estimates.strongest import by_task, strongest_by_mechanism
 from evaluation.estimates.summary import bootstrap_weights, clusters
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import OWN_WORLD
@@ -74,15 +74,15 @@ def by_speed(
         return pd.DataFrame(columns=COLUMNS)
     at_raw = AT_RAW if AT_RAW in shown else shown[0]
     speed_by_source = _speeds(out, entries[AS_SHARED.at(*at_raw)])
-    strongest_by_mechanism = against_each(
-        by_task(estimates, metric=EXPOSURE).get("", {})
+    attacks_by_mechanism = strongest_by_mechanism(
+        by_task(estimates, metric=PLR).get("", {})
     )
     rows = []
     for where in shown:
         attack = (
             best.get("")
-            if families[where.mechanism].family in SWEPT
-            else strongest_by_mechanism.get(where.mechanism)
+            if families[where.mechanism].family in PAPER_FAMILIES
+            else attacks_by_mechanism.get(where.mechanism)
         )
         for source in filter(None, (AS_SHARED, attack)):
             if entry := entries.get(source.at(*where)):
@@ -119,8 +119,8 @@ def _bins(
     speed_by_source: Mapping[str, float],
 ) -> Iterator[tuple[float, ...]]:
     """Yield ends and mean speed of each bin with its PLR, interval, and people."""
-    table = read_rows(out, entry, columns=["source", "group", METRICS[EXPOSURE].column])
-    values = table[METRICS[EXPOSURE].column].to_numpy()
+    table = read_rows(out, entry, columns=["source", "group", METRICS[PLR].column])
+    values = table[METRICS[PLR].column].to_numpy()
     speed_mps = _row_speeds(table, speed_by_source)
     cluster, weights = clusters(table, manifest), bootstrap_weights(manifest)
     for low, high in pairwise(EDGES_MPS):

@@ -30,7 +30,7 @@ from isac_track.intervals import (
 )
 from isac_track.types import Bools, Floats, Ints
 
-_NONE: Final = np.zeros(0)
+_NO_VALUES: Final = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -133,10 +133,10 @@ def _deletions(contest: _Contest, joined: Floats) -> list[Floats]:
     """
     few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
     if not any(few):
-        return [_NONE for _ in few]
+        return [_NO_VALUES for _ in few]
     sums, _ = contest.joined(1.0 - np.eye(joined.shape[-1]))
     return [
-        ratio_of_sums(sums[place])[joined[place, 1] > 0.0] if is_needed else _NONE
+        ratio_of_sums(sums[place])[joined[place, 1] > 0.0] if is_needed else _NO_VALUES
         for place, is_needed in enumerate(few)
     ]
 

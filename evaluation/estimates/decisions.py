@@ -13,10 +13,16 @@ import numpy as np
 import pandas as pd
 from scipy.sparse import csr_array
 
-from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
+from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.summary import SceneNumbers, bootstrap_weights
 from evaluation.plan.address import Address, Where, parse_consumer
-from isac_track.intervals import Estimate, estimate_from_replicates, percentile_interval
+from isac_track.intervals import (
+    LEAST_CLUSTERS,
+    Estimate,
+    effective_clusters,
+    estimate_from_replicates,
+    percentile_interval,
+)
 from isac_track.types import Bools, Floats, Ints
 
 N_BINS = 100  # Quantiles of the score over all scenes, at most.
@@ -49,6 +55,7 @@ class Curve:
 
     missed: Floats  # (1 + B, K) missed-conflict rate, from 1 down to 0
     false_alarm: Floats  # (1 + B, K) false-alarm rate, from 0 up to 1
+    effective: float = np.nan  # Effective clusters behind both rates.
 
     def areas(self) -> Floats:
         """Return the areas under the curves, (1 + B,): 0 is perfect, 0.5 is chance."""
@@ -83,7 +90,7 @@ class Curve:
         return estimate.missed_at(np.linspace(0.0, 1.0, N_POINTS))
 
 
-def curve(
+def decision_curve(
     *, score: Floats, conflict: Bools, cluster: Ints, weights: Floats
 ) -> Curve | None:
     """Return the curve of a score with its replicates; None without both labels.
@@ -113,7 +120,12 @@ def curve(
     # A replicate that lacks a label has no rate: NaN.
     with np.errstate(invalid="ignore"):
         np.divide(drawn, drawn[:, :, -1:], out=rates[:, :, 1:])
-    return Curve(missed=1.0 - rates[1], false_alarm=rates[0])
+    sizes = (
+        np.bincount(cluster[is_label], minlength=weights.shape[1]).astype(np.float64)
+        for is_label in (conflict, ~conflict)
+    )
+    effective = min(map(effective_clusters, sizes))
+    return Curve(missed=1.0 - rates[1], false_alarm=rates[0], effective=effective)
 
 
 def _curves(
@@ -125,10 +137,10 @@ def _curves(
     """
     conflict = columns["conflict"]
     ahead = ~(conflict & columns["inside_now"])
-    all_conflicts = curve(
+    all_conflicts = decision_curve(
         score=score, conflict=conflict, cluster=cluster, weights=weights
     )
-    future = curve(
+    future = decision_curve(
         score=score[ahead],
         conflict=conflict[ahead],
         cluster=cluster[ahead],
@@ -139,9 +151,8 @@ def _curves(
 
 def _missed_at(rates: Curve, false_alarm: Estimate) -> Estimate:
     missed = rates.missed_at(false_alarm.drawn)
-    return estimate_from_replicates(
-        missed, n=false_alarm.n, effective=false_alarm.effective
-    )
+    effective = float(np.fmin(false_alarm.effective, rates.effective))
+    return estimate_from_replicates(missed, n=false_alarm.n, effective=effective)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -180,7 +191,7 @@ def decisions(
     )
     for place, (entry, cluster, columns) in order:
         where, consumer = entry.address.where, entry.address.consumer
-        alarms = parse_consumer(consumer).measured("false_alarm_rate")
+        alarms = parse_consumer(consumer).measured(FALSE_ALARMS)
         raw_alarm = numbers.estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():
             is_separation = name == _SEPARATION
@@ -204,7 +215,10 @@ def decisions(
             about = dataset, where.mechanism, level, consumer, name
             row: dict[str, Any] = dict(zip(_ABOUT, about, strict=True))
             row |= {"place": place}
-            row |= _with_ends("area", "area", all_conflicts.areas())
+            few = all_conflicts.effective
+            row |= _interval_columns(
+                "area", "area", all_conflicts.areas(), effective=few
+            )
             if where in at_reference:
                 row |= {"reference": reference}
                 row |= _beside_reference(all_conflicts, future, *at_reference[where])
@@ -256,14 +270,25 @@ def _beside_reference(
     """Return the missed rates at the reference's false-alarm rate, (1 + B,)."""
     missed = all_conflicts.missed_at(false_alarm)
     row: dict[str, float] = {"false_alarm_rate": false_alarm[0]}
-    row |= _with_ends("missed_conflict_rate", "missed", missed)
-    row |= _with_ends("difference", "ci", missed - reference_missed)
+    few = all_conflicts.effective
+    row |= _interval_columns("missed_conflict_rate", "missed", missed, effective=few)
+    gap = missed - reference_missed
+    row |= _interval_columns("difference", "ci", gap, effective=few)
     if future:
         to_come = future.missed_at(false_alarm)
-        row |= _with_ends("missed_future_rate", "future", to_come)
+        few = future.effective
+        row |= _interval_columns("missed_future_rate", "future", to_come, effective=few)
     return row
 
 
-def _with_ends(name: str, ends: str, values: Floats) -> dict[str, float]:
-    low, high = percentile_interval(values[1:])
+def _interval_columns(
+    name: str, ends: str, values: Floats, *, effective: float
+) -> dict[str, float]:
+    """Return columns of a number and its interval; `values` are (1 + B,).
+
+    Below `LEAST_CLUSTERS` effective clusters there is no interval.
+    """
+    low, high = np.nan, np.nan
+    if effective >= LEAST_CLUSTERS:
+        low, high = percentile_interval(values[1:])
     return {name: values[0], f"{ends}_low": low, f"{ends}_high": high}

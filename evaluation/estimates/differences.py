@@ -5,9 +5,8 @@ cells.
 """
 
 import math
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -17,34 +16,41 @@ from scipy.special import ndtri, stdtr
 
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.keys import EstimatesByAddress, row_dicts
-from evaluation.estimates.linkability import cards
+from evaluation.estimates.linkability import linkage_outcomes
 from evaluation.estimates.metrics import (
-    EXPOSURE,
+    CHANCE,
     METRICS,
     MISSED_FUTURE,
     MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
 )
 from evaluation.estimates.patrols import patrol_numbers
 from evaluation.estimates.returns import return_numbers
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.run_settings import (
+    NONE,
+    Apart,
+    Manifest,
+    about,
+    changed,
+    names_beside,
+    only_in,
+    pairing,
+)
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.estimates.tracking import track_numbers
-from evaluation.plan.address import Address, Where, parse_consumer, parse_row
+from evaluation.plan.address import Address, Where, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
-from evaluation.store.csv_files import read_report_file
 from evaluation.store.entries import Entry, horizons_in
 from evaluation.store.manifest import read_manifest
+from evaluation.store.verdict_file import VERDICT, load_verdict
 from isac_track.errors import DataError
 from isac_track.intervals import CONFIDENCE, Estimate, percentile_interval
 from isac_track.linkability.significance import holm
 from isac_track.types import Floats
-
-Manifest = Mapping[str, Any]
-Apart = dict[str, tuple[Any, Any]]
-"""Values in run A and in run B, by name."""
 
 # Findings of a row.
 IDENTICAL: Final = "identical"
@@ -52,20 +58,7 @@ DIFFERS: Final = "differs"
 BETWEEN: Final = "between"
 UNTESTED: Final = "untested"
 SIGNIFICANCE: Final = 0.05  # Of a family of tests, after Holm.
-DRAWS, PEOPLE, NONE = "people and draws", "people", "none"  # Pairing of a row.
-_VERDICT = "verdict.json"
 _MOST_NAMED, _MOST_LEVELS = 4, 5
-_ABOUT_DATA = frozenset(
-    {"dataset", "sha256", "format", "fps", "unit", "tracks", "tracks_used"}
-)
-_ABOUT_CODE = ("code version", "isac_track", "git_commit", "python", "machine")
-_DECIDED = ("conflict.decision", "conflict.probability_threshold")
-_KEEP_DRAWS = ("dataset", "privacy.", "sensing.", *_DECIDED)
-_CHANGE_DRAWS = ("sensing.n_paths", "sensing.law")
-# Settings of patrols and tracks, which a run may change without a new folder.
-_WALK_SETTINGS = ("patrol.", "tracking.")
-# What people and blocks of patrols and tracks depend on.
-_CHANGE_WALKS = ("sha256", "resample.", *_WALK_SETTINGS)
 COLUMNS = [
     "mechanism",
     "level",
@@ -198,7 +191,7 @@ def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
     """Return every number of a run: of scenes at all horizons, linkage, whole walks."""
     numbers = {
         **scene_numbers(out, manifest).estimates,
-        **linkage_estimates(cards(out, manifest)),
+        **linkage_estimates(linkage_outcomes(out, manifest)),
         **return_numbers(out, manifest).estimates,
     }
     walked_through = [*patrol_numbers(out, manifest), *track_numbers(out, manifest)]
@@ -212,7 +205,9 @@ def _numbers(out: Path, manifest: Manifest) -> dict[Address, Estimate]:
     return numbers
 
 
-def difference(a: Estimate, b: Estimate, *, paired: bool, metric: str) -> Difference:
+def run_difference(
+    a: Estimate, b: Estimate, *, paired: bool, metric: str
+) -> Difference:
     """Return B - A with its 95 % interval and a two-sided p-value.
 
     `paired` tells whether row k of both replicates is the same draw of people. If so,
@@ -290,9 +285,9 @@ def _rows(
     }
     # Plain rank 1 depends on how many candidates there are.
     same_size = {
-        key.measured(SUCCESS)
+        key.measured(RANK1)
         for key, (a, b) in pairs.items()
-        if key.metric == "chance" and a.value == b.value
+        if key.metric == CHANCE and a.value == b.value
     }
     rows = []
     for key, (a, b) in pairs.items():
@@ -303,13 +298,13 @@ def _rows(
         same = a.value == b.value and (
             not paired or np.array_equal(a.replicates, b.replicates, equal_nan=True)
         )
-        if metric.name == SUCCESS and key not in same_size:
+        if metric.name == RANK1 and key not in same_size:
             # Galleries of two sizes do not compare.
             change = Difference(math.nan)
         elif same and paired:
             change = Difference(0.0, 0.0, 0.0, 0.0, 1.0)
         else:
-            change = difference(a, b, paired=paired, metric=metric.name)
+            change = run_difference(a, b, paired=paired, metric=metric.name)
         rows.append(
             {
                 **key.to_columns(),
@@ -357,17 +352,17 @@ def _lead(
     rows: pd.DataFrame, estimates: EstimatesByAddress, cells: Sequence[Entry]
 ) -> pd.DataFrame:
     """Return the leading rows, at the levels of the smoke preset, or the first."""
-    best = strongest(estimates, entry_families(cells))
+    best = strongest_by_task(estimates, entry_families(cells))
     known = dict.fromkeys(
         key.measure for key, number in estimates.items() if np.isfinite(number.value)
     )
     missed = [measure for measure in known if measure.metric == MISSED_RATE][:1]
     measures = [*missed]
     if "" in best:
-        measures.append(best[""].measured(EXPOSURE))
+        measures.append(best[""].measured(PLR))
     for linker in [best[task] for task in best if task][:1]:
-        among_100 = linker.measured(SUCCESS_OF_100)
-        measures.append(among_100 if among_100 in known else linker.measured(SUCCESS))
+        among_100 = linker.measured(RANK1_AMONG_100)
+        measures.append(among_100 if among_100 in known else linker.measured(RANK1))
     levels = _lead_levels({key.where for key in estimates}, cells)
     # After the misses at the run's own horizon, the future misses at further horizons.
     ahead = [world for world in map(parse_world, rows["world"].unique()) if world]
@@ -391,7 +386,7 @@ def _lead(
     lead = rows.loc[
         [index_by_number[number] for number in wanted if number in index_by_number]
     ]
-    return lead[(lead["metric"] != SUCCESS) | lead["difference"].notna()]
+    return lead[(lead["metric"] != RANK1) | lead["difference"].notna()]
 
 
 def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:
@@ -413,126 +408,17 @@ def short_list(names: Sequence[str]) -> str:
     return ", ".join(names[:_MOST_NAMED]) + more
 
 
-def pairing(
-    first: Manifest, second: Manifest, *, consumer: str, policy: str = ""
-) -> str:
-    """Return how a consumer's numbers in two runs are paired.
-
-    Replicates of linkage were drawn with the cell: the same people cannot be drawn
-    again later. Those of patrols and tracks draw people or blocks of a recording by
-    their number, which settings of either may change.
-    """
-    moved = _unequal(*(_all_settings(run) for run in (first, second)))
-    task = parse_consumer(consumer).task
-    is_apart, aside = "sha256" in moved, ("linkage.", "crowd")
-    if policy:
-        is_apart = any(name.startswith(_CHANGE_WALKS) for name in moved)
-    else:
-        moved = {
-            name: ends
-            for name, ends in moved.items()
-            if not name.startswith(_WALK_SETTINGS)
-        }
-    if task:
-        people_a, people_b = (
-            run["linkage"]["tasks"].get(task) for run in (first, second)
-        )
-        same_people = people_a is not None and people_a == people_b
-        has_others = any(name.startswith(("sha256", "seed", *aside)) for name in moved)
-        is_apart = has_others or not same_people or first["groups"] != second["groups"]
-        aside = ("scenes", "conflict.")
-    if is_apart:
-        return NONE
-    # Whether the same people's random numbers are the same, too.
-    keep = (*_KEEP_DRAWS, *aside)
-    other = any(
-        name.startswith(_CHANGE_DRAWS) or not name.startswith(keep) for name in moved
-    )
-    return PEOPLE if other else DRAWS
-
-
-def _all_settings(manifest: Manifest) -> dict[str, Any]:
-    """Return the identity of a run, and the settings of its patrols and tracks."""
-    if not any(entry.address.policy for entry in manifest["cells"]):
-        return dict(manifest["identity"])
-    walks = {
-        name: value
-        for name, value in manifest["settings"].get("stages", {}).items()
-        if name.startswith(_WALK_SETTINGS)
-    }
-    return {**manifest["identity"], **walks}
-
-
-def _unequal(a: Manifest, b: Manifest) -> Apart:
-    values = {name: (a.get(name), b.get(name)) for name in (*a, *b)}
-    return {name: pair for name, pair in values.items() if pair[0] != pair[1]}
-
-
-def about(out: Path, manifest: Manifest) -> dict[str, Any]:
-    """Return the folder, data set, size, seed and preset of a run."""
-    wanted = ("scenes", "scenes_utility", "seed")
-    identity = manifest["identity"]
-    return {
-        "out": str(out),
-        "dataset": manifest["dataset"]["name"],
-        "people": len(manifest["groups"]),
-        **{name: value for name, value in identity.items() if name in wanted},
-        "preset": manifest["settings"]["preset"],
-    }
-
-
-def changed(first: Manifest, second: Manifest) -> dict[str, Apart]:
-    """Return the values that differ under data, settings and code."""
-    described, code = [], []
-    for run in (first, second):
-        tracks = {name: run["dataset"][name] for name in ("tracks", "tracks_used")}
-        preset = {"preset": run["settings"]["preset"]}
-        described.append(_all_settings(run) | tracks | preset)
-        environment = {"code version": run["code"], **run["environment"]}
-        versions = {name: environment[name] for name in _ABOUT_CODE}
-        code.append(versions | environment["libraries"])
-    settings = _unequal(*described)
-    data = {name: settings.pop(name) for name in [*settings] if name in _ABOUT_DATA}
-    return {"data": data, "settings": settings, "code": _unequal(*code)}
-
-
-def only_in(first: Manifest, second: Manifest) -> Apart:
-    """Return by axis the names that only the first run has, and only the second."""
-    a, b = _axes(first), _axes(second)
-    apart = {axis: (_beside(a[axis], b[axis]), _beside(b[axis], a[axis])) for axis in a}
-    return {axis: names for axis, names in apart.items() if any(names)}
-
-
-def _beside(names: Iterable[str], others: Iterable[str]) -> list[str]:
-    return [name for name in dict.fromkeys(names) if name not in others]
-
-
-def _axes(manifest: Manifest) -> dict[str, list[str]]:
-    """Return the names on each axis of a run, in the order of its cells."""
-    cells = manifest["cells"]
-
-    def consumers(*kinds: str) -> list[Address]:
-        return [cell.address for kind in kinds for cell in cells if cell.kind == kind]
-
-    return {
-        "mechanisms": [cell.spec for cell in cells],
-        "predictors": [robot.consumer for robot in consumers("predictor")],
-        "attacks": [attack.attack_spec for attack in consumers("attack", "linkage")],
-        "tasks": [reader.task for reader in consumers("linkage", "control")],
-    }
-
-
 def verdicts(out_a: Path, out_b: Path) -> dict[str, Any] | None:
     """Return the decisions that changed; None unless both runs have a verdict."""
     runs = out_a, out_b
-    if not all((out / _VERDICT).is_file() for out in runs):
+    if not all((out / VERDICT).is_file() for out in runs):
         return None
     a, b = (_decisions(load_verdict(out)) for out in runs)
     shared = [name for name in a if name in b]
     return {
         "in_both": len(shared),
-        "only_a": _beside(a, b),
-        "only_b": _beside(b, a),
+        "only_a": names_beside(a, b),
+        "only_b": names_beside(b, a),
         "changed": [
             {"id": name, "a": a[name], "b": b[name]}
             for name in shared
@@ -547,18 +433,3 @@ def _decisions(verdict: Mapping[str, Any]) -> dict[str, str]:
     if verdict.get("returns"):
         decisions["returns"] = verdict["returns"]["decision"]
     return decisions
-
-
-def load_verdict(out: Path) -> dict[str, Any]:
-    """Return the verdict of a run folder; each of its items has an id and a decision.
-
-    Raises DataError if there is none or it cannot be read.
-    """
-    verdict: dict[str, Any] = read_report_file(out, _VERDICT)
-    try:
-        list(map(itemgetter("id", "decision"), verdict["items"]))
-    except (KeyError, TypeError):
-        raise DataError(
-            f"{out / _VERDICT} cannot be read: it is no verdict of a run"
-        ) from None
-    return verdict

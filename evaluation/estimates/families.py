@@ -18,7 +18,7 @@ RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
 AT_RAW: Final = Where(RAW)
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
-SWEPT: Final = (RAW, FIXED, FID)  # Families that the paper compares.
+PAPER_FAMILIES: Final = (RAW, FIXED, FID)  # Families that the paper compares.
 # Meaning and unit of a level.
 LEVEL_UNITS: Final = {
     FID: "eta in 1/(m^2 s)",
@@ -43,8 +43,9 @@ class Family:
         return (self.adding,) if self.adding else ADDING_RULES
 
     @property
-    def has_one_rule(self) -> bool:
+    def has_fixed_rule(self) -> bool:
         """Whether its adding rule is fixed: no parameter can set another."""
+        # A parameter `adding` is in the name, unless `independent` is its default.
         return (
             self.adding == "independent"
             and f"adding={self.adding}" not in self.mechanism

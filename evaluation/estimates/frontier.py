@@ -15,25 +15,23 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.linkability import in_run
-from evaluation.estimates.matching import (
-    AT_EQUAL_ALARMS,
-    CRITERIA,
-    FUTURE,
-    Places,
-    Sweeps,
+from evaluation.estimates.interpolation import (
+    CurvePositions,
+    has_interval,
     interpolated,
-    places,
+    positions_at_change,
     with_ends,
 )
+from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
+    RANK1,
+    RANK1_AMONG_100,
     ROBOTS_OWN,
-    SUCCESS,
-    SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import success_metric
-from evaluation.estimates.strongest_table import Strongest, strongest_on_each
+from evaluation.estimates.strongest_table import StrongestAttack, strongest_attacks
+from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, CRITERIA, FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer, parse_dataset
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -42,13 +40,13 @@ from isac_track.types import Bools, Floats
 
 TARGETS: Final = (0.03, 0.05, 0.075, 0.1)  # Rises over raw, fixed beforehand.
 # White noise: other mechanisms are compared with it.
-WHITE: Final = "fixed:adding=independent,law=isotropic"
+WHITE_NOISE: Final = "fixed:adding=independent,law=isotropic"
 NEAR: Final = 0.03 + 1e-9  # The second term allows for rounding.
 ENOUGH_LEVELS: Final = 4  # Levels within `NEAR` of a target for an interval there.
 MARGIN: Final = 0.02  # Difference by which a mechanism is beaten.
 LEVEL_READ: Final = ("level", "level_low", "level_high")
 VALUE: Final = ("value", "ci_low", "ci_high")
-GAP: Final = ("vs_white", "vs_white_low", "vs_white_high")
+VS_WHITE: Final = ("vs_white", "vs_white_low", "vs_white_high")
 COLUMNS: Final = [
     "dataset",
     "mechanism",
@@ -62,7 +60,7 @@ COLUMNS: Final = [
     "knowledge",
     "metric",
     *VALUE,
-    *GAP,
+    *VS_WHITE,
     "dominated",
     "n",
 ]
@@ -80,7 +78,7 @@ class Quantity(NamedTuple):
 
 
 def frontier_quantities(
-    sweeps: Sweeps, attacks: Sequence[Strongest]
+    sweeps: Sweeps, attacks: Sequence[StrongestAttack]
 ) -> tuple[list[Quantity], dict[Address, Estimate]]:
     """Return the quantities of every mechanism, and cross-fitted estimates of attacks.
 
@@ -106,7 +104,7 @@ def frontier_quantities(
         ]
     crossed: dict[Address, Estimate] = {}
     for attack in attacks:
-        metrics = (SUCCESS, SUCCESS_OF_100) if attack.source.task else DESCRIPTORS
+        metrics = (RANK1, RANK1_AMONG_100) if attack.source.task else DESCRIPTORS
         for where, metric in product(attack.wheres, metrics):
             if estimate := attack.at(where, metric, sweeps.estimates):
                 crossed[attack.source.at(*where, metric)] = estimate
@@ -120,7 +118,7 @@ def frontier(
     dataset: str,
     world: World = OWN_WORLD,
     sums: Mapping[Address, ClusterSums] | None = None,
-    attacks: Sequence[Strongest] | None = None,
+    attacks: Sequence[StrongestAttack] | None = None,
 ) -> pd.DataFrame:
     """Return a row for each mechanism, robot, criterion, target and number: `COLUMNS`.
 
@@ -130,10 +128,10 @@ def frontier(
     against another: fewer than `ENOUGH_LEVELS` levels (raw is one of them) have a
     missed rate within `NEAR` of the target; less than `MIN_DEFINED` of the replicates
     are in reach; or there are too few people. `attacks` are the strongest, by
-    default those of `sweeps` with the `sums` of `strongest_on_each`.
+    default those of `sweeps` with the `sums` of `strongest_attacks`.
     """
     if attacks is None:
-        attacks = strongest_on_each(sweeps.estimates, sums or {}, sweeps.families)
+        attacks = strongest_attacks(sweeps.estimates, sums or {}, sweeps.families)
     quantities, crossed = frontier_quantities(sweeps, attacks)
     sweeps = Sweeps({**sweeps.estimates, **crossed}, sweeps.families)
     shared = [(quantity, _curves(sweeps, quantity)) for quantity in quantities]
@@ -143,28 +141,28 @@ def frontier(
         price = _price(sweeps, robot, metric)
         robots = dict.fromkeys(sweeps.families, parse_consumer(robot))
         own = [Quantity(name, robots) for name in ROBOTS_OWN]
-        axes, robot_rows = [], []
+        axes, robot_rows = list[_Axis](), []
         for quantity, curves in [
             *shared,
             *((quantity, _curves(sweeps, quantity)) for quantity in own),
         ]:
             log = quantity.metric in DESCRIPTORS
-            left = {
+            values_by_mechanism = {
                 name: interpolated(price.reached[name], curve, log=log)
                 for name, curve in curves.items()
                 if name in price.reached
             }
             if quantity.is_axis:
-                axes.append(left)
+                axes.append(_axis(sweeps, price, quantity, values_by_mechanism))
             robot_rows += [
                 {
                     **row,
                     "robot": robot,
                     "criterion": criterion,
                 }
-                for row in _rows(sweeps, price, quantity, left, locate)
+                for row in _rows(sweeps, price, quantity, values_by_mechanism, locate)
             ]
-        beaten = _dominated(axes, price.is_dense)
+        beaten = _surely_beaten(axes)
         for row in robot_rows:
             row["dominated"] = beaten.get((row["mechanism"], row["target"]), pd.NA)
         rows += robot_rows
@@ -176,7 +174,7 @@ class _Price:
     """Mechanisms where a robot's missed rate has risen by the targets, (P,)."""
 
     cost: Address
-    reached: Mapping[str, Places]  # Position on the curve, (1 + B, P) each.
+    reached: Mapping[str, CurvePositions]  # Position on the curve, (1 + B, P) each.
     is_dense: Mapping[str, Bools]  # (P,) whether enough levels are near the target
     level: Mapping[str, Mapping[str, Floats]]  # (P,) columns `LEVEL_READ`
 
@@ -186,40 +184,41 @@ def _price(sweeps: Sweeps, robot: str, metric: str) -> _Price:
     costs = _curves(sweeps, Quantity(metric, robots))
     rises = {name: np.abs(curve - curve[:, -1:]) for name, curve in costs.items()}
     targets = np.array(TARGETS)
-    reached = {name: places(targets, rise) for name, rise in rises.items()}
+    reached = {name: positions_at_change(targets, rise) for name, rise in rises.items()}
     is_dense = {
         name: (np.abs(rise[0, :, None] - targets) <= NEAR).sum(axis=0) >= ENOUGH_LEVELS
         for name, rise in rises.items()
     }
-    level = {
-        name: with_ends(
-            LEVEL_READ, _levels(sweeps.levels(name), position), is_dense[name]
-        )
-        for name, position in reached.items()
-    }
-    return _Price(parse_consumer(robot).measured(metric), reached, is_dense, level)
+    cost = parse_consumer(robot).measured(metric)
+    level = {}
+    for name, position in reached.items():
+        _, effective = sweeps.rests_on([name], cost)
+        can_say = is_dense[name] & (effective >= LEAST_CLUSTERS)
+        values = _levels(sweeps.levels(name), position)
+        level[name] = with_ends(LEVEL_READ, values, can_say)
+    return _Price(cost, reached, is_dense, level)
 
 
 def _rows(
     sweeps: Sweeps,
     price: _Price,
     quantity: Quantity,
-    left: Mapping[str, Floats],
+    values_by_mechanism: Mapping[str, Floats],
     locate: Callable[[Address], Address],
 ) -> Iterator[dict[str, Any]]:
     """Yield the rows of a quantity at a price: every mechanism at every target.
 
-    `left`, (1 + B, P), are the values of the quantity by mechanism; `locate` gives an
+    `values_by_mechanism`, (1 + B, P), are those of the quantity; `locate` gives an
     address its recording and world.
     """
-    for name in left:
+    for name in values_by_mechanism:
         measure = quantity.source_by_mechanism[name].measured(quantity.metric)
         about = {
             **locate(measure).to_columns(),
             **asdict(sweeps.families[name]),
             "n": sweeps.n(name, measure),
         }
-        columns = _columns(sweeps, price, measure, left, name=name)
+        columns = _columns(sweeps, price, measure, values_by_mechanism, name=name)
         for place, target in enumerate(TARGETS):
             numbers = {column: values[place] for column, values in columns.items()}
             yield {**about, "target": target, **numbers}
@@ -229,19 +228,19 @@ def _columns(
     sweeps: Sweeps,
     price: _Price,
     measure: Address,
-    left: Mapping[str, Floats],
+    values_by_mechanism: Mapping[str, Floats],
     *,
     name: str,
 ) -> dict[str, Floats]:
     """Return the columns of a mechanism at a price, (P,) each: level, value and gap."""
-    values = left[name]
-    _, effective = sweeps.rests_on([name], measure, price.cost)
-    can_say = price.is_dense[name] & (effective >= LEAST_CLUSTERS)
+    values = values_by_mechanism[name]
+    can_say = _can_say(sweeps, price, measure, name=name)
     columns = {**price.level[name], **with_ends(VALUE, values, can_say)}
-    if WHITE in left:
-        n_rows = min(len(values), len(left[WHITE]))
-        gap = values[:n_rows] - left[WHITE][:n_rows]
-        columns |= with_ends(GAP, gap, can_say & price.is_dense[WHITE])
+    white = values_by_mechanism.get(WHITE_NOISE)
+    if white is not None:
+        n_rows = min(len(values), len(white))
+        gap = values[:n_rows] - white[:n_rows]
+        columns |= with_ends(VS_WHITE, gap, can_say & price.is_dense[WHITE_NOISE])
     return columns
 
 
@@ -271,31 +270,60 @@ def _curves(sweeps: Sweeps, quantity: Quantity) -> dict[str, Floats]:
     )
 
 
-def _dominated(
-    axes: Sequence[Mapping[str, Floats]], is_dense: Mapping[str, Bools]
-) -> dict[tuple[str, float], bool]:
+def _can_say(sweeps: Sweeps, price: _Price, measure: Address, *, name: str) -> Bools:
+    """Return at which targets a mechanism has levels and people enough, (P,)."""
+    _, effective = sweeps.rests_on([name], measure, price.cost)
+    return price.is_dense[name] & (effective >= LEAST_CLUSTERS)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Axis:
+    """A number by which mechanisms are held against one another at a price."""
+
+    values: Mapping[str, Floats]  # (1 + B, P) estimate and replicates at the targets
+    can_say: Mapping[str, Bools]  # (P,) whether the number has an interval there
+
+
+def _axis(
+    sweeps: Sweeps, price: _Price, quantity: Quantity, values: Mapping[str, Floats]
+) -> _Axis:
+    can_say = {
+        name: _can_say(
+            sweeps,
+            price,
+            quantity.source_by_mechanism[name].measured(quantity.metric),
+            name=name,
+        )
+        & has_interval(numbers)
+        for name, numbers in values.items()
+    }
+    return _Axis(values, can_say)
+
+
+def _surely_beaten(axes: Sequence[_Axis]) -> dict[tuple[str, float], bool]:
     """Return whether a mechanism is beaten at a target, where that can be decided.
 
     A mechanism is beaten if another is surely better by more than `MARGIN` on some axis
     (attacked PLR, or rank 1 of a linker), and it is surely better on none. The bounds
-    are simultaneous (max-t over all pairs and axes). `axes` are the values by
-    mechanism, estimate and replicates at all targets, (1 + B, P).
+    are simultaneous (max-t over all pairs and axes). Only mechanisms that have an
+    interval on every axis are compared.
     """
     is_beaten: dict[tuple[str, float], bool] = {}
+    if not axes:
+        return is_beaten
     for place, target in enumerate(TARGETS):
         names = [
             name
-            for name, is_so in is_dense.items()
-            if is_so[place]
-            and all(name in axis and np.isfinite(axis[name][0, place]) for axis in axes)
+            for name in axes[0].values
+            if all(name in axis.values and axis.can_say[name][place] for axis in axes)
         ]
-        if not names or not axes:
+        if not names:
             continue
-        n_rows = min(len(axis[name]) for axis in axes for name in names)
-        left = np.array(
-            [[axis[name][:n_rows, place] for axis in axes] for name in names]
+        n_rows = min(len(axis.values[name]) for axis in axes for name in names)
+        at_target = np.array(
+            [[axis.values[name][:n_rows, place] for axis in axes] for name in names]
         )
-        gaps = left[:, None] - left
+        gaps = at_target[:, None] - at_target
         gap, drawn = gaps[..., 0], gaps[..., 1:]
         error = np.nanstd(drawn, axis=-1)
         deviation = np.abs(drawn - gap[..., None])
@@ -315,7 +343,7 @@ def _dominated(
     return is_beaten
 
 
-def _levels(levels: Sequence[float | None], position: Places) -> Floats:
+def _levels(levels: Sequence[float | None], position: CurvePositions) -> Floats:
     """Return the level at positions on a curve, (R, P); NaN where only raw is beyond.
 
     Raw counts as a level of zero where levels fall towards it on a linear scale; on

@@ -15,6 +15,7 @@ import pandas as pd
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.linked_people import LinkedProbes
+from evaluation.estimates.metrics import RANK1
 from isac_track import intervals
 from isac_track.intervals import Estimate
 from isac_track.linkability.ranks import REACH, first_among, predicted_rank1, reach
@@ -107,7 +108,7 @@ def _sizes(
         else:
             rank1 = _predicted(rank1_by_size, measured, size)
         is_predicted = size > measured
-        yield _SizeRow(size, "rank1", rank1, is_predicted)
+        yield _SizeRow(size, RANK1, rank1, is_predicted)
         ends = ahead.value, ahead.ci_low, ahead.ci_high
         value, low, high = (1.0 + (size - 1) * end for end in ends)
         expected = Estimate(value, low, high)

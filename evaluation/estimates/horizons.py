@@ -110,7 +110,8 @@ def beaten_by_standing_still(
 
 def _compared(missed: Estimate, still: Estimate) -> dict[str, float]:
     rise = difference(missed, still)
-    is_known = missed.n_effective >= FEWEST_EFFECTIVE
+    effective = min(missed.n_effective, still.n_effective)
+    is_known = effective >= FEWEST_EFFECTIVE
     return {
         "missed": missed.value,
         "standing_still": still.value,

@@ -19,24 +19,25 @@ from evaluation.estimates.families import RAW, Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.metrics import (
+    CHANCE,
     COSTS,
     DESCRIPTORS,
     DISTANCE,
-    EXPOSURE,
     FALSE_ALARMS,
     LINKAGE_SHARE,
-    MEDIAN,
-    SUCCESS,
-    SUCCESS_OF_100,
-    WIDE,
+    MEDIAN_ERROR,
+    PLR,
+    PLR_WIDE,
+    RANK1,
+    RANK1_AMONG_100,
 )
 from evaluation.estimates.strongest import (
     HEADLINE,
-    against_each,
     by_task,
+    strongest_by_mechanism,
     success_metric,
 )
-from evaluation.estimates.strongest_table import SINGLE_RELEASE, Strongest
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, StrongestAttack
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_row
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, estimate_from_replicates
@@ -64,7 +65,7 @@ COLUMNS: Final = [
 ]
 """The last two: the robot, or the attack, that either half of the people chose."""
 _ROBOT_METRICS: Final = (*COSTS, FALSE_ALARMS)
-_LINKER_METRICS: Final = (SUCCESS, SUCCESS_OF_100)
+_LINKER_METRICS: Final = (RANK1, RANK1_AMONG_100)
 _UNKNOWN: Final = Estimate(np.nan)
 
 
@@ -73,7 +74,7 @@ def group_name(among: tuple[str, ...]) -> str:
     return SINGLE_RELEASE if among == HEADLINE else among[0]
 
 
-def linked_share(
+def linkage_share(
     linked: Estimate, chance: float, raw: Estimate, raw_chance: float
 ) -> Estimate:
     """Return the share of raw's rank 1 above chance that is left, paired by cluster.
@@ -95,7 +96,7 @@ def linked_share(
 def levels(
     estimates: EstimatesByAddress,
     *,
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     horizons: Mapping[World, EstimatesByAddress],
     best: Mapping[World, BestRobots],
     linked: pd.DataFrame,
@@ -141,28 +142,28 @@ def _select(
 
 
 def _reconstruction_rows(
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     estimates: EstimatesByAddress,
     families: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
     """Yield the descriptors after the strongest reconstructions."""
-    success_at_wide = by_task(estimates, metric=WIDE).get("", {})
+    success_at_wide = by_task(estimates, metric=PLR_WIDE).get("", {})
     for attack in attacks:
         if attack.source.task:
             continue
         # At the wider epsilon another attack may be stronger.
-        at_wide = against_each(success_at_wide, among=attack.among).get(
+        at_wide = strongest_by_mechanism(success_at_wide, among=attack.among).get(
             attack.mechanism, attack.source
         )
         for where in attack.wheres:
-            for metric in (*DESCRIPTORS, MEDIAN, WIDE):
+            for metric in (*DESCRIPTORS, MEDIAN_ERROR, PLR_WIDE):
                 source = attack.source
                 key = source.at(*where, metric)
                 estimate = attack.at(where, metric, estimates)
-                if metric == WIDE and key not in attack.crossed.estimates:
+                if metric == PLR_WIDE and key not in attack.crossed.estimates:
                     source = at_wide
-                    estimate = estimates.get(source.at(*where, WIDE))
+                    estimate = estimates.get(source.at(*where, PLR_WIDE))
                 if estimate is not None:
                     own = source.at(*where, metric)
                     about = {
@@ -195,14 +196,14 @@ def _best_robot_rows(
 
 
 def _linker_rows(
-    attacks: Sequence[Strongest],
+    attacks: Sequence[StrongestAttack],
     estimates: EstimatesByAddress,
     linked: pd.DataFrame,
     families: Mapping[str, Family],
     dataset: str,
 ) -> Iterator[dict[str, Any]]:
     """Yield rank 1 of each task's strongest linker, chance, and its share of raw's."""
-    cards = _cards(linked)
+    by_linker = _linkage_rows(linked)
     linkers = [
         attack for attack in attacks if attack.source.task and attack.among == HEADLINE
     ]
@@ -217,23 +218,25 @@ def _linker_rows(
         data = task_recording(source.task, dataset=dataset)
         for where in linker.wheres:
             key = source.at(*where, metric)
-            card = cards.get(source.at(*where), {})
-            about = {name: str(card.get(name) or "") for name in ("outcome", "invalid")}
+            known = by_linker.get(source.at(*where), {})
+            about = {
+                name: str(known.get(name) or "") for name in ("outcome", "invalid")
+            }
             about |= {"adversary": group_name(linker.among), **_choices(linker, metric)}
             chance = _chance(source, metric, where, estimates)
             rank = linker.at(where, metric, estimates) or _UNKNOWN
-            numbers = {metric: rank, "chance": Estimate(chance)}
+            numbers = {metric: rank, CHANCE: Estimate(chance)}
             if raw is not None:
                 at_raw = raw.at(raw.wheres[0], metric, estimates) or _UNKNOWN
                 raw_chance = _chance(raw.source, metric, raw.wheres[0], estimates)
-                share = linked_share(rank, chance, at_raw, raw_chance)
+                share = linkage_share(rank, chance, at_raw, raw_chance)
                 numbers[LINKAGE_SHARE] = share
             for name, number in numbers.items():
                 row = _row(key.measured(name), number, families, data)
                 yield row | about
 
 
-def _cards(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
+def _linkage_rows(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
     """Return the rows of `linkability.csv` of all people, by level and linker."""
     if linked.empty:
         return {}
@@ -241,9 +244,9 @@ def _cards(linked: pd.DataFrame) -> dict[Address, dict[Any, Any]]:
     return {parse_row(row).within(): row for row in rows}
 
 
-def _choices(attack: Strongest, metric: str) -> dict[str, str]:
+def _choices(attack: StrongestAttack, metric: str) -> dict[str, str]:
     """Return the attack that either half chose, where the number is cross-fitted."""
-    ranked = metric if metric in (WIDE, *_LINKER_METRICS) else EXPOSURE
+    ranked = metric if metric in (PLR_WIDE, *_LINKER_METRICS) else PLR
     labels = [measure.label for measure in attack.crossed.choices.get(ranked, ())]
     first, second = labels or ("", "")
     return {"first_choice": first, "second_choice": second}
@@ -252,9 +255,9 @@ def _choices(attack: Strongest, metric: str) -> dict[str, str]:
 def _chance(
     source: Address, metric: str, where: Where, estimates: EstimatesByAddress
 ) -> float:
-    if metric == SUCCESS_OF_100:
+    if metric == RANK1_AMONG_100:
         return 1.0 / GALLERY
-    return estimates.get(source.at(*where, "chance"), _UNKNOWN).value
+    return estimates.get(source.at(*where, CHANCE), _UNKNOWN).value
 
 
 def _row(

@@ -20,12 +20,14 @@ from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
 from evaluation.estimates.keys import row_dicts
+from evaluation.estimates.metrics import CHANCE, RANK1
 from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.entries import Entry, entries_in
 from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes
-from isac_track.linkability.significance import LEVEL, holm, outcome
+from isac_track.linkability import significance
+from isac_track.linkability.significance import LEVEL, holm
 
 # Two-sided, over all audits of a cell (Holm); set before any was run.
 AUDIT_LEVEL: Final = 0.01
@@ -65,7 +67,7 @@ REMARKS = {
 """Remarks on a linkage cell that does not simply link, each with its meaning."""
 # Data set of the simulated two-session crowd's tasks.
 TWO_SESSIONS = "plaza-two-sessions"
-Cards: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
+LinkageOutcomes: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
 
 
 def task_recording(task: str, *, dataset: str) -> str:
@@ -79,14 +81,14 @@ def in_run(address: Address, *, dataset: str, world: World = OWN_WORLD) -> Addre
     return address.within(task_recording(address.task, dataset=dataset), world)
 
 
-def cards(
+def linkage_outcomes(
     out: Path,
     manifest: Mapping[str, Any],
     *,
     drawn: Collection[str] | None = None,
     world: World = OWN_WORLD,
-) -> Cards:
-    """Return the card of every linkage cell of a world, with its entry in the manifest.
+) -> LinkageOutcomes:
+    """Return the outcome of every linkage cell of a world, with its manifest entry.
 
     `drawn` are the attacks' metrics that need replicates; without it all metrics of
     attacks and controls have them. Raises DataError if a cell cannot be read.
@@ -95,26 +97,28 @@ def cards(
     return list(zip(entries, read_outcomes(out, entries, drawn=drawn), strict=True))
 
 
-def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
+def linkability(outcomes: LinkageOutcomes, *, dataset: str) -> pd.DataFrame:
     """Return the outcome of every linkage cell, a row for each cohort: `COLUMNS`.
 
     `dataset` is that of the run.
     """
     ceilings = {
-        entry.address.source: card.numbers["p_value"]
-        for entry, card in cards
+        entry.address.source: outcome.numbers["p_value"]
+        for entry, outcome in outcomes
         if entry.address.mechanism == CLEAN
     }
-    leaks = _leaks(cards)
+    leaks = _leaks(outcomes)
     rows = []
-    for entry, card in cards:
-        address, numbers = entry.address, card.numbers
+    for entry, outcome in outcomes:
+        address, numbers = entry.address, outcome.numbers
         p_value = numbers["p_value"]
         if entry.kind == "control":
             result = "beats chance" if p_value <= LEVEL else "at chance"
         else:
-            result = outcome(p_value=p_value, ceiling_p_value=ceilings[address.source])
-        rank1 = card.estimates["rank1"]
+            result = significance.outcome(
+                p_value=p_value, ceiling_p_value=ceilings[address.source]
+            )
+        rank1 = outcome.estimates[RANK1]
         ends = rank1.value, rank1.ci_low, rank1.ci_high
         row = {
             **in_run(address, dataset=dataset).to_columns(),
@@ -124,24 +128,24 @@ def linkability(cards: Cards, *, dataset: str) -> pd.DataFrame:
             **numbers,
             "outcome": result,
             **dict(zip(_RANK1, ends, strict=True)),
-            "chance": card.estimates["chance"].value,
+            "chance": outcome.estimates[CHANCE].value,
             **dict(zip(_SIZES, numbers["gallery_sizes"], strict=True)),
             "inverted": numbers["is_inverted"],
         }
-        cohorts = {"all": everybody, **card.cohorts}
+        cohorts = {"all": everybody, **outcome.cohorts}
         rows += [{**row, "cohort": name, **cohort} for name, cohort in cohorts.items()]
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _leaks(cards: Cards) -> dict[tuple[str, str], list[str]]:
+def _leaks(outcomes: LinkageOutcomes) -> dict[tuple[str, str], list[str]]:
     """Return the shortcuts that beat chance, by SPEC and task (after Holm)."""
     audits: dict[tuple[str, str], dict[str, float]] = {}
-    for entry, card in cards:
+    for entry, outcome in outcomes:
         address = entry.address
         task, name = address.task, address.control
         if entry.kind == "control" and CONTROLS[name].audits(TASKS[task]):
             # Two-sided: scores that are low for mates also give them away.
-            tails = card.numbers["p_value"], card.numbers["p_value_low"]
+            tails = outcome.numbers["p_value"], outcome.numbers["p_value_low"]
             p_values = audits.setdefault((entry.spec, task), {})
             p_values[name] = min(1.0, 2.0 * min(tails))
     leaks = {}
@@ -153,7 +157,7 @@ def _leaks(cards: Cards) -> dict[tuple[str, str], list[str]]:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LinkedTask:
+class TaskOutcomes:
     """A linkage task: the success of each attack at each level, and its controls."""
 
     name: str
@@ -170,7 +174,7 @@ class LinkedTask:
         return self.cohorts["all"]
 
 
-def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
+def task_outcomes(linkability: pd.DataFrame) -> list[TaskOutcomes]:
     """Return the tasks with an attack, in the order of the run, levels rising."""
     # Empty texts are missing where the table was read from a file.
     texts = ["knowledge", "outcome", "invalid"]
@@ -184,7 +188,7 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
         name: parse_consumer(name).task for name in linkability["consumer"].unique()
     }
     task_column = tidy["consumer"].map(tasks)
-    tasks_linked = []
+    tasks_known = []
     for task in dict.fromkeys(tasks.values()):
         rows = tidy[task_column == task]
         cohorts: dict[str, dict[Where, dict[Address, Mapping[str, Any]]]] = {}
@@ -207,8 +211,8 @@ def linked_tasks(linkability: pd.DataFrame) -> list[LinkedTask]:
         about = TASKS[task].about if task in TASKS else ""
         controls = tuple(row_dicts(rows[rows["knowledge"] == ""]))
         attacks = tuple(chain(*linkers.values()))
-        tasks_linked.append(LinkedTask(task, about, attacks, cohorts, controls))
-    return tasks_linked
+        tasks_known.append(TaskOutcomes(task, about, attacks, cohorts, controls))
+    return tasks_known
 
 
 def remarks(row: Mapping[str, Any]) -> list[str]:

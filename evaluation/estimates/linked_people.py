@@ -19,15 +19,15 @@ from evaluation.compute.link_setup import SIDES
 from evaluation.compute.link_tables import COMPANIONS, NAMED_MATES
 from evaluation.compute.tables import ON_TRIAL
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED, RAW
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import (
-    ASSIGNED,
     DESCRIPTORS,
     METRICS,
-    SUCCESS,
-    SUCCESS_OF_100,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
-from evaluation.estimates.strongest import against_each, by_task, first_half
+from evaluation.estimates.strongest import by_task, first_half, strongest_by_mechanism
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.plan.constants import WINDOWS
 from evaluation.plan.world import OWN_WORLD
@@ -116,7 +116,7 @@ class LinkedLevel:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class LinkedTask:
+class TaskSums:
     """All levels of a task, raw among them."""
 
     task: str
@@ -147,7 +147,7 @@ def read_probes(
         manifest["cells"], OWN_WORLD, kinds=("linkage", "windows")
     )
     cells = {entry.address: entry for entry in linked_entries}
-    levels = by_task(sweeps.estimates, metric=SUCCESS)
+    levels = by_task(sweeps.estimates, metric=RANK1)
     papers = {RAW} | {
         sweeps.named(family, adding=adding)
         for adding in ADDING_RULES
@@ -156,7 +156,7 @@ def read_probes(
     probes: dict[str, list[LinkedProbes]] = {task: [] for task in strongest if task}
     for task, probes_of_task in probes.items():
         usual = strongest[task]
-        linkers = against_each(levels[task])
+        linkers = strongest_by_mechanism(levels[task])
         for where in levels[task]:
             mechanism, _ = where
             is_paper = mechanism in papers
@@ -194,10 +194,10 @@ def _strangers(probes: pa.Table) -> Ints:
 
 def _hits(probes: pa.Table, metric: str) -> Floats:
     """Return how often the mate of each probe of a cell is named, (N,)."""
-    if metric == ASSIGNED:
+    if metric == RANK1_JOINT:
         named: list[str] = probes["assigned"].cast(pa.string()).to_pylist()
         return np.array([name in NAMED_MATES for name in named], dtype=np.float64)
-    if metric == SUCCESS_OF_100:
+    if metric == RANK1_AMONG_100:
         return first_among(_strangers(probes))
     above, tied = (
         probes[name].to_numpy().astype(np.int64) for name in ("above", "tied")
@@ -247,7 +247,7 @@ def _probes(
     group = probes["group"].to_numpy().astype(str)
     clusters, cluster = np.unique(group, return_inverse=True)
     hits = {}
-    for metric in (SUCCESS, SUCCESS_OF_100):
+    for metric in (RANK1, RANK1_AMONG_100):
         crossed = None
         if metric in choices:
             crossed = _crossed_hits(out, choices[metric], group)
@@ -256,8 +256,8 @@ def _probes(
         mechanism=linked.address.mechanism,
         level=linked.address.level,
         linker=linked.address.source,
-        hit=hits[SUCCESS],
-        hit_among=hits[SUCCESS_OF_100],
+        hit=hits[RANK1],
+        hit_among=hits[RANK1_AMONG_100],
         strangers=_strangers(probes),
         chance=probes["chance"].to_numpy(),
         cluster=cluster,
@@ -275,7 +275,9 @@ def _row_names(rows: pa.Table) -> pa.ChunkedArray:
     return pc.binary_join_element_wise(search, source, "\n")
 
 
-def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask, ...]:
+def sum_by_cluster(
+    probes: Mapping[str, Sequence[LinkedProbes]],
+) -> tuple[TaskSums, ...]:
     """Return the tasks of a run summed by cluster, from the result of `read_probes`."""
     tasks = []
     for task, levels in probes.items():
@@ -284,7 +286,7 @@ def by_cluster(probes: Mapping[str, Sequence[LinkedProbes]]) -> tuple[LinkedTask
         has_gallery = all(np.isfinite(linked.hit_among).all() for linked in levels)
         gallery = GALLERY if has_gallery else None
         summed = tuple(_summed(linked, gallery) for linked in levels)
-        tasks.append(LinkedTask(task, gallery, levels[0].clusters, summed))
+        tasks.append(TaskSums(task, gallery, levels[0].clusters, summed))
     return tuple(tasks)
 
 

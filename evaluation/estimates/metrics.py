@@ -6,7 +6,7 @@ A new metric is a row here, and the function that computes it.
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Measured = Literal[
+MetricKind = Literal[
     "predictor",
     "descriptor",
     "reconstruction",
@@ -30,7 +30,7 @@ class Metric:
 
     name: str  # As in `summary.csv`.
     head: str  # Over a column: the field's own name, short.
-    measured: Measured
+    kind: MetricKind
     summary_unit: str = "fraction"  # Unit of its values in `summary.csv`.
     noun: str = ""  # In a sentence; empty: as over a column.
     digits: int = 1  # Shown after the point, in the unit shown.
@@ -192,22 +192,23 @@ _ROWS: Final = (
 METRICS: Final = {metric.name: metric for metric in _ROWS}
 
 
-def measured(*kinds: Measured) -> tuple[str, ...]:
+def metric_names(*kinds: MetricKind) -> tuple[str, ...]:
     """Return the names of the metrics of some kinds, in the order shown."""
-    return tuple(metric.name for metric in _ROWS if metric.measured in kinds)
+    return tuple(metric.name for metric in _ROWS if metric.kind in kinds)
 
 
-UTILITY: Final = measured("predictor")
-DESCRIPTORS: Final = measured("descriptor")  # Privacy descriptors: PLR, AEL and MEL.
+UTILITY: Final = metric_names("predictor")
+# Privacy descriptors: PLR, AEL and MEL.
+DESCRIPTORS: Final = metric_names("descriptor")
 # Metrics of the positions that an attack rebuilds.
-RECONSTRUCTION: Final = measured("descriptor", "reconstruction")
-DISTANCE: Final = measured("distance")  # Whether errors lie just outside epsilon.
-WIDE, MEDIAN = DISTANCE
-GAP: Final = "plr_gap"  # In model worlds alone.
-RANK_OPTIMUM, RANK_GAP = "rank1_optimum", "rank1_gap"  # Optimum and gap of rank 1.
-CEILING: Final = "plr_ceiling"
+RECONSTRUCTION: Final = metric_names("descriptor", "reconstruction")
+DISTANCE: Final = metric_names("distance")  # Whether errors lie just outside epsilon.
+PLR_WIDE, MEDIAN_ERROR = DISTANCE
+PLR_GAP: Final = "plr_gap"  # In model worlds alone.
+RANK1_OPTIMUM, RANK1_GAP = "rank1_optimum", "rank1_gap"  # Optimum and gap of rank 1.
+PLR_CEILING: Final = "plr_ceiling"
 # Bounds of PLR after any attack, the exact bound first.
-BOUNDS: Final = ("plr_optimum", CEILING)
+BOUNDS: Final = ("plr_optimum", PLR_CEILING)
 MISSED_RATE: Final = "missed_conflict_rate"  # Cost of noise to a robot.
 MISSED_FUTURE: Final = "missed_future_rate"
 """Missed rate of conflicts to come: nobody is inside the safety radius at step 0."""
@@ -228,15 +229,16 @@ COSTS: Final = (
     FUTURE_EQUAL_ALARMS,
 )
 FALSE_ALARMS: Final = "false_alarm_rate"
-ERROR: Final = "distance_mae"  # Error of the separation that a robot predicts.
+DISTANCE_MAE: Final = "distance_mae"  # Error of the separation that a robot predicts.
 ROBOT_PLR: Final = "plr_robot"  # PLR of the positions that a robot itself estimates.
-ROBOTS_OWN: Final = (ERROR, ROBOT_PLR)  # Robots' own metrics in `frontier.csv`.
+ROBOTS_OWN: Final = (DISTANCE_MAE, ROBOT_PLR)  # Robots' own metrics in `frontier.csv`.
+CHANCE: Final = "chance"  # Rank 1 by guessing.
 WORST_TENTH: Final = "plr_worst_tenth"  # PLR of the most exposed tenth of the people.
-EXPOSURE: Final = "plr"  # The descriptor by which reconstructions are ranked.
-SUCCESS: Final = "rank1"  # The metric by which linkers are ranked.
-ASSIGNED: Final = "rank1_assigned"  # Rank 1 where all probes are matched at once.
+PLR: Final = "plr"  # The descriptor by which reconstructions are ranked.
+RANK1: Final = "rank1"  # The metric by which linkers are ranked.
+RANK1_JOINT: Final = "rank1_assigned"  # Rank 1 where all probes are matched at once.
 # Rank 1 in a gallery of 100, which compares over runs.
-SUCCESS_OF_100: Final = "rank1_g100"
+RANK1_AMONG_100: Final = "rank1_g100"
 LINKAGE_SHARE: Final = "linkage_share"
 """Rank 1 less chance, as a share of the same under raw, paired; `levels.csv` only."""
-ACHIEVED: Final = (SUCCESS, "auc")  # Linkers' metrics compared at equal cost.
+LINKAGE_COMPARED: Final = (RANK1, "auc")  # Linkers' metrics compared at equal cost.

@@ -4,19 +4,22 @@ An attack, a linker or a predictor is compared with the strongest built-in of it
 in the same run: same people, same draws, so that the difference is paired by cluster.
 Both numbers are means over the levels at which the strongest attack of a run is chosen.
 Where an attack has several rows, and among the built-in attacks, the strongest is
-chosen on one half of the people and scored on the other. A mechanism has a row of
+chosen on one half of the people and scored on the other. The best built-in predictor is
+chosen and scored on the same people, which favours it slightly. A mechanism has a row of
 numbers for each of its levels.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
 
 from evaluation.estimates.families import Family
+from evaluation.estimates.json_numbers import json_interval
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.metrics import EXPOSURE, MISSED_FUTURE, SUCCESS
+from evaluation.estimates.metrics import FALSE_ALARMS, MISSED_FUTURE, PLR, RANK1
 from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,
@@ -25,7 +28,7 @@ from evaluation.estimates.strongest import (
     cross_fitted,
     ranking_levels,
 )
-from evaluation.estimates.strongest_table import Strongest
+from evaluation.estimates.strongest_table import StrongestAttack
 from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import IDENTITY, ORACLE
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -35,11 +38,12 @@ ATTACK: Final = "attack"
 LINKER: Final = "linker"
 PREDICTOR: Final = "predictor"
 MECHANISM: Final = "mechanism"
-_ALARMS: Final = "false_alarm_rate"
+
+_interval = partial(json_interval, "value", ends="ci")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Estimates:
+class RunNumbers:
     """Estimates of a run for comparing plug-ins, with the same bootstrap weights."""
 
     own: EstimatesByAddress  # Of scenes at the run's own horizon, and of linkage.
@@ -48,12 +52,12 @@ class Estimates:
     ]  # Of predictors at further horizons, s, ascending.
     sums: Mapping[Address, ClusterSums]  # Of attacks, by cluster.
     families: Mapping[str, Family]  # Mechanisms of the run.
-    attacks: Sequence[Strongest]  # The strongest attack against each mechanism.
+    attacks: Sequence[StrongestAttack]  # The strongest attack against each mechanism.
     leading: str  # Linkage task that linkers are compared in; empty if none leads.
 
 
 def plugin_records(
-    own: Mapping[str, Sequence[str]], run: Estimates
+    own: Mapping[str, Sequence[str]], run: RunNumbers
 ) -> list[dict[str, Any]]:
     """Return a record for each plug-in of a user, and for each level of a mechanism.
 
@@ -76,11 +80,11 @@ def plugin_records(
 
 
 def _attack_record(
-    spec: str, *, own_attacks: Collection[str], run: Estimates
+    spec: str, *, own_attacks: Collection[str], run: RunNumbers
 ) -> dict[str, Any] | None:
     """Return the comparison of an attack or a linker; None if the run has no number."""
     attacks = {key.source for key in run.sums if key.adversary}
-    attacks |= {key.source for key in run.own if key.metric in (EXPOSURE, SUCCESS)}
+    attacks |= {key.source for key in run.own if key.metric in (PLR, RANK1)}
     tasks = {source.task for source in attacks if source.attack_spec == spec}
     if not tasks:
         return None
@@ -98,7 +102,7 @@ def _attack_record(
     rival = _strongest(built_in, run=run)
     if tested is None:
         return None
-    metric = SUCCESS if task else EXPOSURE
+    metric = RANK1 if task else PLR
     pairs: list[tuple[Estimate | None, Estimate | None]] = []
     for where in ranking_levels([*tested.wheres], run.families):
         own = tested.at(where, metric, run.own)
@@ -118,12 +122,14 @@ def _attack_record(
     }
 
 
-def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | None:
+def _strongest(
+    sources: Collection[Address], *, run: RunNumbers
+) -> StrongestAttack | None:
     """Return the strongest of a task's attacks, cross-fitted; None without any."""
     if not sources:
         return None
     task = next(iter(sources)).task
-    metric = SUCCESS if task else EXPOSURE
+    metric = RANK1 if task else PLR
     estimates = {key: known for key, known in run.own.items() if key.source in sources}
     levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.families)]
@@ -133,12 +139,12 @@ def _strongest(sources: Collection[Address], *, run: Estimates) -> Strongest | N
                 key: summed for key, summed in run.sums.items() if key.source in sources
             }
             crossed = cross_fitted(sums, run.families, source, by=metric)
-            return Strongest("", among, source, tuple(levels), crossed)
+            return StrongestAttack("", among, source, tuple(levels), crossed)
     return None
 
 
 def _predictor_record(
-    spec: str, *, own_predictors: Collection[str], run: Estimates
+    spec: str, *, own_predictors: Collection[str], run: RunNumbers
 ) -> dict[str, Any] | None:
     """Return the comparison of a predictor at its first horizon, if any."""
     for horizon_s, estimates in (*run.later.items(), (None, run.own)):
@@ -165,7 +171,7 @@ def _predictor_record(
             name: _interval(
                 _mean(
                     _at_levels(
-                        estimates, parse_consumer(robot).measured(_ALARMS), levels
+                        estimates, parse_consumer(robot).measured(FALSE_ALARMS), levels
                     )
                 )
             )
@@ -193,7 +199,7 @@ def _at_levels(
 
 
 def _mechanism_records(
-    specs: Sequence[str], *, run: Estimates
+    specs: Sequence[str], *, run: RunNumbers
 ) -> Iterator[dict[str, Any]]:
     """Yield a robot's misses and the leaks at each level of a user's own mechanisms."""
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))
@@ -224,18 +230,16 @@ def _mechanism_records(
             "horizon_s": horizon_s,
             "robot": robot,
             "missed": _interval(missed.get(robot)),
-            "as_sent": _interval(run.own.get(AS_SHARED.at(*where, EXPOSURE))),
-            "attacked": _interval(
-                attack.at(where, EXPOSURE, run.own) if attack else None
-            ),
+            "as_sent": _interval(run.own.get(AS_SHARED.at(*where, PLR))),
+            "attacked": _interval(attack.at(where, PLR, run.own) if attack else None),
             "task": run.leading,
             "linked": _interval(
-                linker.at(where, SUCCESS, run.own) if linker and run.leading else None
+                linker.at(where, RANK1, run.own) if linker and run.leading else None
             ),
         }
 
 
-def _leads(attack: Strongest, *, task: str) -> bool:
+def _leads(attack: StrongestAttack, *, task: str) -> bool:
     return attack.among == HEADLINE and attack.source.task == task
 
 
@@ -276,13 +280,3 @@ def _mean(estimates: Sequence[Estimate | None]) -> Estimate | None:
     return estimate_from_replicates(
         drawn, n=min(estimate.n for estimate in known), effective=effective
     )
-
-
-def _interval(estimate: Estimate | None) -> dict[str, float | None]:
-    """Return value and interval, None where they are not known: JSON has no NaN."""
-    columns = ("value", "ci_low", "ci_high")
-    values = [getattr(estimate, end, np.nan) for end in columns]
-    return {
-        end: float(value) if np.isfinite(value) else None
-        for end, value in zip(columns, values, strict=True)
-    }

@@ -8,8 +8,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW
-from evaluation.estimates.matching import FUTURE, MIN_DEFINED, MISSED, Sweeps
+from evaluation.estimates.interpolation import MIN_DEFINED
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
+from evaluation.estimates.sweeps import FUTURE, MISSED, Sweeps
 from evaluation.plan.address import Address, Where, parse_dataset
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
@@ -169,7 +170,7 @@ def claims(
     """Return the paper's claims: `holds`, `does not hold`, `between` or `not testable`.
 
     The rules, set beforehand, with 95 % intervals of paired differences; fewer than 20
-    clusters decide nothing (not testable):
+    effective clusters decide nothing (not testable):
 
     - *close to raw*: the rise of the missed-conflict rate over raw at 0.1 and 0.2 m of
       fixed error; holds if its interval lies below 4 points, does not if it lies above.
@@ -190,7 +191,7 @@ def claims(
     """
     # Attacks are no part of the claims, and may be known for fewer people.
     plain = (key for key in sweeps.estimates if not (key.adversary or key.task))
-    n_clusters = min((sweeps.estimates[key].n for key in plain), default=0)
+    n_clusters = min((sweeps.estimates[key].n_effective for key in plain), default=0.0)
     rows: list[dict[str, Any]] = []
     for adding in ADDING_RULES:
         fixed, fid = (sweeps.named(family, adding=adding) for family in (FIXED, FID))
@@ -252,7 +253,11 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[_Claim]:
         is_close, is_far = rise.ci_high < CLOSE_TO_RAW, rise.ci_low > CLOSE_TO_RAW
         yield _Claim(
             claim=f"fixed error {level:g} m: missed-conflict rate close to raw",
-            answer=_answer(holds=is_close, fails=is_far, n=ours.n),
+            answer=_answer(
+                holds=is_close,
+                fails=is_far,
+                n=min(ours.n_effective, raw.n_effective),
+            ),
             effect=rise.value,
             ci_low=rise.ci_low,
             ci_high=rise.ci_high,
@@ -287,7 +292,7 @@ def _raised_by_fid(sweeps: Sweeps, fid: str) -> Iterator[_Claim]:
             "FID raises the missed-conflict rate to approximately"
             f" {100.0 * published:g} %"
         ),
-        answer=_answer(holds=not is_apart, fails=is_apart, n=rate.n),
+        answer=_answer(holds=not is_apart, fails=is_apart, n=rate.n_effective),
         effect=rate.value - published,
         ci_low=rate.ci_low - published,
         ci_high=rate.ci_high - published,
@@ -319,7 +324,7 @@ def _monotone_in_eta(sweeps: Sweeps, fid: str) -> Iterator[_Claim]:
             f"change between the ends; of {len(steps)} steps {against} go the other"
             " way, "
         )
-        n = min(point.n for point in points)
+        n = min(point.n_effective for point in points)
         yield _Claim(
             claim=f"eta 1 to 1000: {METRICS[metric].text} {word} monotonically",
             answer=_answer(holds=is_sure, fails=is_wrong, n=n),
@@ -351,7 +356,7 @@ def _by_rate(
 
 
 def _better_at_every_rate(
-    matched: pd.DataFrame, *, n: int, rate: str
+    matched: pd.DataFrame, *, n: float, rate: str
 ) -> Iterator[_Claim]:
     for name, rows in matched.groupby("metric", sort=False):
         metric = METRICS[str(name)]
@@ -391,7 +396,8 @@ def _better_at_every_rate(
         )
 
 
-def _answer(*, holds: bool, fails: bool, n: int) -> str:
+def _answer(*, holds: bool, fails: bool, n: float) -> str:
+    """Return the answer of `n` effective clusters."""
     if n < FEWEST_EFFECTIVE:
         return "not testable"
     if fails:

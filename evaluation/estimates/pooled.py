@@ -20,18 +20,19 @@ from scipy.special import ndtri, stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, FID, RAW, entry_families
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import cards
-from evaluation.estimates.matching import FUTURE, Sweeps
+from evaluation.estimates.linkability import linkage_outcomes
 from evaluation.estimates.metrics import (
-    EXPOSURE,
+    CHANCE,
     MISSED_FUTURE,
     MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
 )
 from evaluation.estimates.seeds import by_intervals
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.world import World
 from evaluation.store.entries import horizons_in
@@ -102,13 +103,13 @@ _CLAIM: Final = {"section": "claim", "criterion": "missed", "of": "after-attack"
 _VERDICT_ITEMS: Final[dict[str, dict[str, Any]]] = {
     "descriptors_tell": {
         "section": "validity",
-        "descriptor": EXPOSURE,
+        "descriptor": PLR,
         "task": LINKED_IN,
     },
-    "fid_against_fixed": {**_CLAIM, "descriptor": EXPOSURE},
+    "fid_against_fixed": {**_CLAIM, "descriptor": PLR},
     "fid_against_fixed_future": {
         **_CLAIM,
-        "descriptor": EXPOSURE,
+        "descriptor": PLR,
         "criterion": FUTURE,
         "horizon_s": HORIZON_S,
     },
@@ -124,10 +125,10 @@ def run_answers(
     question without an answer has no row. Raises DataError if a cell cannot be read.
     """
     families = entry_families(manifest["cells"])
-    scorecards = cards(out, manifest, drawn=(SUCCESS, SUCCESS_OF_100))
+    outcomes = linkage_outcomes(out, manifest, drawn=(RANK1, RANK1_AMONG_100))
     scenes = scene_numbers(out, manifest).estimates
-    sweeps = Sweeps({**scenes, **linkage_estimates(scorecards)}, families)
-    best = strongest(sweeps.estimates, families)
+    sweeps = Sweeps({**scenes, **linkage_estimates(outcomes)}, families)
+    best = strongest_by_task(sweeps.estimates, families)
     ahead = _ahead(out, manifest)
     items = verdict.get("items", [])
     about = {
@@ -151,7 +152,7 @@ def run_answers(
             if answer is None or not math.isfinite(answer.value):
                 continue
             # As everywhere, fewer clusters have no interval.
-            has_ends = answer.n >= LEAST_CLUSTERS
+            has_ends = answer.n_effective >= LEAST_CLUSTERS
             row = {
                 **about,
                 "question": question,
@@ -179,7 +180,7 @@ def _from_verdict(
                     math.nan if item[name] is None else float(item[name])
                     for name in ("effect", "ci_low", "ci_high")
                 )
-                own = OWN_GALLERY if item.get("metric") == SUCCESS else ""
+                own = OWN_GALLERY if item.get("metric") == RANK1 else ""
                 n = int(item["n"] or 0)
                 answers[question + own] = Estimate(value, low, high, n=n)
     return answers
@@ -194,9 +195,7 @@ def _at(
     if missed:
         pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
-        attacked, shared = (
-            source.at(*where, EXPOSURE) for source in (best[""], AS_SHARED)
-        )
+        attacked, shared = (source.at(*where, PLR) for source in (best[""], AS_SHARED))
         pairs["left_after_attack"] = attacked, shared
     answers = {
         name: difference(numbers[a], numbers[b])
@@ -204,7 +203,7 @@ def _at(
         if {a, b} <= numbers.keys()
     }
     if LINKED_IN in best:
-        linker, names = best[LINKED_IN], (SUCCESS_OF_100, SUCCESS, "chance")
+        linker, names = best[LINKED_IN], (RANK1_AMONG_100, RANK1, CHANCE)
         among_100, own, chance = (
             numbers.get(linker.at(*where, name)) for name in names
         )

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit, logit, ndtri, stdtrit
 
 from evaluation.compute.link_tables import COMPANIONS
-from evaluation.estimates.metrics import SUCCESS, SUCCESS_OF_100
+from evaluation.estimates.metrics import RANK1, RANK1_AMONG_100
 from evaluation.estimates.summary import cell_columns, ratios
 from evaluation.store.cell_files import read_rows
 from evaluation.store.entries import Entry
@@ -172,9 +172,9 @@ def _hits(
     above, tied, *along = (
         mated[name].astype(np.int64) for name in ("above", "tied", *COMPANIONS)
     )
-    if metric == SUCCESS:
+    if metric == RANK1:
         hit = expected_hit(above, tied)
-    elif metric == SUCCESS_OF_100:
+    elif metric == RANK1_AMONG_100:
         strangers = among_strangers(
             above, tied, mated["chance"], np.stack(along, axis=1)
         )

@@ -26,17 +26,17 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
-from evaluation.estimates.families import CLEAN, FID, FIXED, RAW, SWEPT, Family
+from evaluation.estimates.families import CLEAN, FID, FIXED, PAPER_FAMILIES, RAW, Family
 from evaluation.estimates.keys import INFORMED, EstimatesByAddress
 from evaluation.estimates.metrics import (
-    ASSIGNED,
     DESCRIPTORS,
-    EXPOSURE,
-    MEDIAN,
+    MEDIAN_ERROR,
     METRICS,
-    SUCCESS,
-    SUCCESS_OF_100,
-    WIDE,
+    PLR,
+    PLR_WIDE,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.plan.address import AS_SHARED, Address, Where
 from evaluation.plan.presets import IDENTITY
@@ -48,17 +48,17 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 # Success of every attack at each level.
-Levels: TypeAlias = "dict[Where, dict[Address, float]]"
+SuccessByLevel: TypeAlias = "dict[Where, dict[Address, float]]"
 # Adversaries of which the strongest is the headline.
 HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
-RULES: Final = (SUCCESS, ASSIGNED)
+NAMING_RULES: Final = (RANK1, RANK1_JOINT)
 """Rules by which a linker names mates: each best candidate, or a matching of all."""
 _CHOICES: Final = {
-    EXPOSURE: (((EXPOSURE,), (*DESCRIPTORS, MEDIAN)), ((WIDE,), (WIDE,))),
-    SUCCESS: ((RULES, (SUCCESS,)), ((SUCCESS_OF_100,), (SUCCESS_OF_100,))),
+    PLR: (((PLR,), (*DESCRIPTORS, MEDIAN_ERROR)), ((PLR_WIDE,), (PLR_WIDE,))),
+    RANK1: ((NAMING_RULES, (RANK1,)), ((RANK1_AMONG_100,), (RANK1_AMONG_100,))),
 }
 """Choices of a strongest by ranking metric: metrics that rank, and metrics scored."""
 
@@ -86,7 +86,7 @@ def choose_strongest(
     return max(finite, key=means.__getitem__, default=None)
 
 
-def strongest(
+def strongest_by_task(
     estimates: EstimatesByAddress, families: Mapping[str, Family]
 ) -> dict[str, Address]:
     """Return the strongest linker by task, and the strongest reconstruction as "".
@@ -94,7 +94,7 @@ def strongest(
     `estimates` are all those of the run, `families` its mechanisms.
     """
     best = {}
-    for metric in (EXPOSURE, SUCCESS):
+    for metric in (PLR, RANK1):
         levels = by_task(estimates, metric=metric)
         family_names = {
             families[name].family
@@ -113,17 +113,19 @@ def ranking_levels(
     """Return the distinct levels over which a run's strongest attack is chosen."""
     distinct = dict.fromkeys(wheres)
     family_names = {families[name].family for name, _ in distinct}
-    return [where for where in distinct if _chooses(where, families, family_names)]
+    return [
+        where for where in distinct if _is_ranking_level(where, families, family_names)
+    ]
 
 
 def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
-    """Return the rule, of `RULES`, by which each linker names more mates on average.
+    """Return the rule, of `NAMING_RULES`, by which each linker names more mates on average.
 
     A linker without a known rate at any level is left out.
     """
     rates: dict[Address, dict[str, list[float]]] = {}
     for key, estimate in estimates.items():
-        if key.metric in RULES and np.isfinite(estimate.value):
+        if key.metric in NAMING_RULES and np.isfinite(estimate.value):
             rates_of_linker = rates.setdefault(key.source, {})
             rates_of_linker.setdefault(key.metric, []).append(estimate.value)
     means = {
@@ -131,34 +133,38 @@ def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
         for linker, by_rule in rates.items()
     }
     return {
-        linker: max(RULES, key=lambda rule: by_rule.get(rule, -1.0))
+        linker: max(NAMING_RULES, key=lambda rule: by_rule.get(rule, -1.0))
         for linker, by_rule in means.items()
     }
 
 
 def success_metric(estimates: EstimatesByAddress, linker: Address) -> str:
     """Return a linker's success metric: rank 1 of 100 if it has as many candidates."""
-    at_raw = estimates.get(linker.measured(SUCCESS_OF_100).at(RAW, None))
+    at_raw = estimates.get(linker.measured(RANK1_AMONG_100).at(RAW, None))
     is_known = at_raw is not None and np.isfinite(at_raw.value)
-    return SUCCESS_OF_100 if is_known else SUCCESS
+    return RANK1_AMONG_100 if is_known else RANK1
 
 
 def _choosing(
-    by_where: Levels, families: Mapping[str, Family], family_names: Collection[str]
+    by_where: SuccessByLevel,
+    families: Mapping[str, Family],
+    family_names: Collection[str],
 ) -> Iterator[Mapping[Address, float]]:
     return (
         block
         for where, block in by_where.items()
-        if _chooses(where, families, family_names)
+        if _is_ranking_level(where, families, family_names)
     )
 
 
-def _chooses(
+def _is_ranking_level(
     where: Where, families: Mapping[str, Family], family_names: Collection[str]
 ) -> bool:
     """Whether the strongest is chosen at a level, in a run with some families."""
     wanted = (
-        SWEPT if {FIXED, FID}.intersection(family_names) else {*family_names} - {CLEAN}
+        PAPER_FAMILIES
+        if {FIXED, FID}.intersection(family_names)
+        else {*family_names} - {CLEAN}
     )
     return families[where.mechanism].family in wanted
 
@@ -180,7 +186,7 @@ def cross_fitted(
     families: Mapping[str, Family],
     headline: Address,
     *,
-    by: str = EXPOSURE,
+    by: str = PLR,
 ) -> CrossFitted:
     """Return the strongest attack's success, each half scored by the other's choice.
 
@@ -192,7 +198,7 @@ def cross_fitted(
 
     `sums` are of every attack, all with the same weights; attacks are ranked by the
     metric `by`. Ranked by rank 1, a linker may name mates probe by probe or all at once
-    (`RULES`); rank 1 of 100 has a choice of its own.
+    (`NAMING_RULES`); rank 1 of 100 has a choice of its own.
     """
     among = HEADLINE if headline.adversary in HEADLINE else (headline.adversary,)
     eligible = {
@@ -208,7 +214,7 @@ def cross_fitted(
     wheres = {
         key.where
         for key in eligible
-        if is_ceiling or _chooses(key.where, families, family_names)
+        if is_ceiling or _is_ranking_level(key.where, families, family_names)
     }
     crossed = CrossFitted()
     for ranked, metrics in _CHOICES[by]:
@@ -252,7 +258,7 @@ def _scored(
     for where, metric in product(dict.fromkeys(key.where for key in sums), metrics):
         # A linker that names all mates at once is scored by that, too.
         measures = [
-            rival if metric in RULES else rival.source.measured(metric)
+            rival if metric in NAMING_RULES else rival.source.measured(metric)
             for rival in rivals
         ]
         candidates = [sums.get(measure.at(*where)) for measure in measures]
@@ -287,13 +293,13 @@ def first_half(clusters: tuple[str, ...]) -> Bools:
     return read_only(np.array([in_first_half(name) for name in clusters], dtype=bool))
 
 
-def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
+def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, SuccessByLevel]:
     """Return the success of every attack by task, level, and attack.
 
-    A linker's rank 1 is that by the better of `RULES`.
+    A linker's rank 1 is that by the better of `NAMING_RULES`.
     """
-    values: dict[str, Levels] = {}
-    ranked = RULES if metric == SUCCESS else (metric,)
+    values: dict[str, SuccessByLevel] = {}
+    ranked = NAMING_RULES if metric == RANK1 else (metric,)
     for key, estimate in estimates.items():
         if key.metric in ranked:
             source = key.source
@@ -304,8 +310,8 @@ def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, Levels]:
     return values
 
 
-def against_each(
-    levels: Levels, *, among: Collection[str] = HEADLINE
+def strongest_by_mechanism(
+    levels: SuccessByLevel, *, among: Collection[str] = HEADLINE
 ) -> dict[str, Address]:
     """Return the strongest attack against each mechanism over its levels, if any."""
     levels_of_mechanism: dict[str, list[Mapping[Address, float]]] = {}
@@ -319,9 +325,10 @@ def against_each(
 
 
 def most_knowing(sources: Iterable[Address]) -> list[Address]:
-    """Return the source as shared, and each attack with the adversary that knows most.
+    """Return the source as shared, and each attack with one of its adversaries.
 
-    The oracle, a reference, stands only for an attack that no other adversary can run.
+    It is the informed one, else the blind; another stands only for an attack that
+    neither can run.
     """
     rank = {name: place for place, name in enumerate(("", *HEADLINE))}
     best: dict[str, Address] = {}

@@ -15,19 +15,19 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
-    ASSIGNED,
     DESCRIPTORS,
-    EXPOSURE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
 )
 from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,
     CrossFitted,
-    against_each,
     by_task,
     cross_fitted,
+    strongest_by_mechanism,
 )
 from evaluation.plan.address import Address, Where
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -51,11 +51,11 @@ COLUMNS: Final = [
     "first_choice",
     "second_choice",
 ]
-_LINKER_METRICS: Final = (SUCCESS, SUCCESS_OF_100)
+_LINKER_METRICS: Final = (RANK1, RANK1_AMONG_100)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Strongest:
+class StrongestAttack:
     """The strongest attack of a group of adversaries against one mechanism."""
 
     mechanism: str
@@ -71,7 +71,7 @@ class Strongest:
         key = self.source.at(*where, metric)
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
-        keys = [key, key.measured(ASSIGNED)] if metric == SUCCESS else [key]
+        keys = [key, key.measured(RANK1_JOINT)] if metric == RANK1 else [key]
         known = [
             estimates[key]
             for key in keys
@@ -80,11 +80,11 @@ class Strongest:
         return max(known, key=lambda estimate: estimate.value, default=None)
 
 
-def strongest_on_each(
+def strongest_attacks(
     estimates: EstimatesByAddress,
     sums: Mapping[Address, ClusterSums],
     families: Mapping[str, Family],
-) -> tuple[Strongest, ...]:
+) -> tuple[StrongestAttack, ...]:
     """Return the strongest attacks against every mechanism of a run.
 
     `estimates` are all those of the run, `sums` those of attacks by cluster, `families`
@@ -95,23 +95,25 @@ def strongest_on_each(
         group = key.mechanism, key.source.task
         own_sums.setdefault(group, {})[key] = summed
     strongest = []
-    for ranked_by in (EXPOSURE, SUCCESS):
+    for ranked_by in (PLR, RANK1):
         for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
-                for mechanism, source in against_each(levels, among=among).items():
+                for mechanism, source in strongest_by_mechanism(
+                    levels, among=among
+                ).items():
                     wheres = tuple(
                         where for where in levels if where.mechanism == mechanism
                     )
                     known = own_sums.get((mechanism, task), {})
                     crossed = cross_fitted(known, families, source, by=ranked_by)
                     strongest.append(
-                        Strongest(mechanism, among, source, wheres, crossed)
+                        StrongestAttack(mechanism, among, source, wheres, crossed)
                     )
     return tuple(strongest)
 
 
 def strongest_table(
-    strongest: Sequence[Strongest], estimates: EstimatesByAddress, *, dataset: str
+    strongest: Sequence[StrongestAttack], estimates: EstimatesByAddress, *, dataset: str
 ) -> pd.DataFrame:
     """Return a row for each number of the strongest attacks: `COLUMNS`."""
     rows = [row for attack in strongest for row in _rows(attack, estimates, dataset)]
@@ -119,7 +121,7 @@ def strongest_table(
 
 
 def _rows(
-    attack: Strongest, estimates: EstimatesByAddress, dataset: str
+    attack: StrongestAttack, estimates: EstimatesByAddress, dataset: str
 ) -> Iterable[dict[str, Any]]:
     source, task = attack.source, attack.source.task
     for where in attack.wheres:
@@ -128,7 +130,7 @@ def _rows(
             estimate = attack.at(where, metric, estimates)
             if estimate is None or not np.isfinite(estimate.value):
                 continue
-            ranked = EXPOSURE if not task else metric
+            ranked = PLR if not task else metric
             first, second = attack.crossed.choices.get(ranked) or (source, source)
             yield {
                 **in_run(number, dataset=dataset).to_columns(),

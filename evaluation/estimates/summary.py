@@ -18,14 +18,14 @@ import pyarrow as pa
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import Cards, in_run
+from evaluation.estimates.linkability import LinkageOutcomes, in_run
 from evaluation.estimates.metrics import (
     BOUNDS,
     DESCRIPTORS,
     DISTANCE,
-    EXPOSURE,
-    GAP,
     METRICS,
+    PLR,
+    PLR_GAP,
     RECONSTRUCTION,
     ROBOT_PLR,
     WORST_TENTH,
@@ -91,7 +91,7 @@ _DECIDED = (
 )
 
 
-class Scored(NamedTuple):
+class PredictorAnswers(NamedTuple):
     """A predictor's answers for every scene of one mechanism level."""
 
     entry: Entry  # Of the cell in the manifest.
@@ -105,7 +105,7 @@ class SceneNumbers:
 
     # Of every metric, with intervals and replicates.
     estimates: dict[Address, Estimate]
-    scored: tuple[Scored, ...]  # Of every predictor at every level.
+    scored: tuple[PredictorAnswers, ...]  # Of every predictor at every level.
     attacked: dict[Address, ClusterSums]  # Descriptors after each attack.
 
 
@@ -119,10 +119,10 @@ def scene_numbers(
     weights = bootstrap_weights(manifest)
     n, names = weights.shape[1], tuple(manifest["groups"])
     numbers: dict[Address, Estimate] = {}
-    scored: list[Scored] = []
+    scored: list[PredictorAnswers] = []
     attacked: dict[Address, ClusterSums] = {}
     entries = entries_in(manifest["cells"], world, kinds=_CELL_COLUMNS)
-    gap = [GAP] if world.is_model else []
+    gap = [PLR_GAP] if world.is_model else []
     every_column = {
         name for columns in (*_CELL_COLUMNS.values(), gap) for name in columns
     }
@@ -135,7 +135,7 @@ def scene_numbers(
             cluster = clusters(table, manifest)
             if kind == "predictor":
                 decided = {name: table[name].to_numpy() for name in _DECIDED}
-                scored.append(Scored(entry, cluster, decided))
+                scored.append(PredictorAnswers(entry, cluster, decided))
             elif kind != "bound":
                 worst = _worst_tenth(table, cluster, weights)
                 numbers[address.measured(WORST_TENTH)] = worst
@@ -185,9 +185,7 @@ def _root(square: Estimate) -> Estimate:
 
 def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
     """Return PLR of the worst-off tenth of the people for a consumer at a level."""
-    values, scene = (
-        table[name].to_numpy() for name in (METRICS[EXPOSURE].column, "scene")
-    )
+    values, scene = (table[name].to_numpy() for name in (METRICS[PLR].column, "scene"))
     n_clusters = weights.shape[1]
     means = person_means(
         values=values, scene=scene, cluster=cluster, n_clusters=n_clusters
@@ -195,26 +193,26 @@ def _worst_tenth(table: pa.Table, cluster: Ints, weights: Floats) -> Estimate:
     return worst_tenth(means, weights=weights)
 
 
-def linkage_estimates(cards: Cards) -> dict[Address, Estimate]:
-    """Return every metric of the linkage cells, from their cards."""
+def linkage_estimates(outcomes: LinkageOutcomes) -> dict[Address, Estimate]:
+    """Return every metric of the linkage cells, from their outcomes."""
     return {
         address.measured(metric): estimate
-        for address, card in _addressed(cards)
-        for metric, estimate in card.estimates.items()
+        for address, outcome in _addressed(outcomes)
+        for metric, estimate in outcome.estimates.items()
     }
 
 
-def linkage_sums(cards: Cards) -> dict[Address, ClusterSums]:
+def linkage_sums(outcomes: LinkageOutcomes) -> dict[Address, ClusterSums]:
     """Return the rank metrics of linkage attacks, summed by cluster."""
     return {
         address.measured(metric): summed
-        for address, card in _addressed(cards)
-        for metric, summed in card.sums.items()
+        for address, outcome in _addressed(outcomes)
+        for metric, summed in outcome.sums.items()
     }
 
 
-def _addressed(cards: Cards) -> Iterator[tuple[Address, LinkageOutcome]]:
-    return ((entry.address.within(), card) for entry, card in cards)
+def _addressed(outcomes: LinkageOutcomes) -> Iterator[tuple[Address, LinkageOutcome]]:
+    return ((entry.address.within(), outcome) for entry, outcome in outcomes)
 
 
 def bootstrap_weights(manifest: Mapping[str, Any]) -> Floats:
@@ -301,14 +299,14 @@ def ratios(kind: str, table: pa.Table) -> dict[str, tuple[Floats, Floats]]:
             ),
         }
     ratio_by_metric = {}
-    for metric in _BOUNDS if kind == "bound" else [*_POSITIONS, METRICS[GAP]]:
+    for metric in _BOUNDS if kind == "bound" else [*_POSITIONS, METRICS[PLR_GAP]]:
         if (metric.over or metric.column) not in table.column_names:
             continue
         values = table[metric.column].to_numpy()
         over = table[metric.over].to_numpy() if metric.over else np.ones_like(values)
         # A one-sample track that leaks has no exposure length (NaN): skip it there.
         known = ~np.isnan(over if metric.over else values)
-        if known.any() or metric.name not in {*BOUNDS, GAP}:
+        if known.any() or metric.name not in {*BOUNDS, PLR_GAP}:
             values = np.where(known & ~np.isnan(values), values, 0.0)
             ratio_by_metric[metric.name] = values, np.where(known, over, 0.0)
     return ratio_by_metric

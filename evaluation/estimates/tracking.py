@@ -35,11 +35,12 @@ from evaluation.compute.track_rows import (
     by_step,
 )
 from evaluation.estimates.metrics import (
+    CHANCE,
     DISCLOSED,
     FUTURE_EQUAL_ALARMS,
     KNOWN_SHARE,
     METRICS,
-    SUCCESS,
+    RANK1,
 )
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.constants import ORACLE, SHARED
@@ -70,11 +71,10 @@ _BESIDE: Final = (
     *HOTA_COLUMNS,
 )
 """Columns of all tables of tracks in a file."""
-CHANCE: Final = "chance"  # Of rank 1, by guessing.
 LINKABLE: Final = "linkable_share"
 REJOINED: Final = "rejoined_share"
 BLIND: Final = "blind"  # The adversary that joins tracks without identities.
-_FALSE_ALARMS: Final = "false_alarms_per_min"
+_FALSE_ALARMS_PER_MIN: Final = "false_alarms_per_min"
 
 
 def track_numbers(out: Path, manifest: Mapping[str, Any]) -> list[PatrolNumber]:
@@ -149,7 +149,7 @@ def _link_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     with a track of their own on both: no linker links more.
     """
     rows = _read(out, entry, LINK_COLUMNS)
-    columns = {SUCCESS: "hits", CHANCE: "chance", LINKABLE: "linkable"}
+    columns = {RANK1: "hits", CHANCE: "chance", LINKABLE: "linkable"}
     return {
         (entry.address, name): block_ratio(
             numerator=by_seed(rows, column),
@@ -214,7 +214,7 @@ def _robot_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
         allowed=by_seed(rows, "allowed"),
         seed=seed,
     )
-    metrics[robot, _FALSE_ALARMS] = block_ratio(
+    metrics[robot, _FALSE_ALARMS_PER_MIN] = block_ratio(
         numerator=by_seed(rows, "false_alarms_sum"),
         denominator=by_seed(rows, "false_alarms_over"),
         seed=seed,

@@ -4,8 +4,9 @@ A weak attack makes a mechanism look private; `_ABOUT` describes the three signs
 weak attack. An attack is simpler than another if it comes earlier in `SIMPLER`. An
 attack that is not in that list is compared with all of it; `averaging` over
 re-releases, which does not smooth, is compared with the control only. Noise is the RMSE
-as shared. Comparisons that no attack could win are left out, and fewer than 20 clusters
-decide nothing. The control, which reproduces the shared positions, is never flagged.
+as shared. Comparisons that no attack could win are left out, and fewer than 20
+effective clusters decide nothing. The control, which reproduces the shared positions,
+is never flagged.
 """
 
 import json
@@ -16,10 +17,10 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.bounds import Gap
+from evaluation.estimates.bounds import ClosestAttack
 from evaluation.estimates.families import CLEAN, RAW
 from evaluation.estimates.keys import EstimatesByAddress, where_text
-from evaluation.estimates.metrics import EXPOSURE, SUCCESS
+from evaluation.estimates.metrics import PLR, RANK1
 from evaluation.plan.address import (
     AS_SHARED,
     Address,
@@ -54,7 +55,6 @@ COLUMNS = [
 _COMPARED_WITH = {"averaging": (IDENTITY,)}
 _LEAST_RISE = 1.1
 _ROUNDING = 1e-9
-_RANK = {adversary: rank for rank, adversary in enumerate(ADVERSARIES)}
 _ABOUT = {
     BEATEN: (
         "PLR of `by`, the same attack with less knowledge or a simpler attack with no"
@@ -72,7 +72,7 @@ _ABOUT = {
         " the optimum is known."
     ),
 }
-_FAR: Final = 0.05
+_LARGEST_GAP: Final = 0.05
 
 
 class _Pair(NamedTuple):
@@ -82,8 +82,8 @@ class _Pair(NamedTuple):
     where: Where
     attack: Address
     by: Address  # The rival that beats it; without a name if there is none.
-    minus: Estimate
-    plus: Estimate
+    attack_plr: Estimate
+    rival_plr: Estimate  # Or the attack's own, where the noise is strongest.
     text: str
 
 
@@ -98,13 +98,16 @@ def flags(
     """
     levels: dict[Where, dict[Address, Estimate]] = {}
     for key, estimate in estimates.items():
-        if key.metric == EXPOSURE and key.adversary:
+        if key.metric == PLR and key.adversary:
             levels.setdefault(key.where, {})[key.source] = estimate
     left_out: Counter[str] = Counter()
     pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
     pairs += _falling_pairs(levels, estimates, left_out)
     enough = [
-        pair for pair in pairs if min(pair.minus.n, pair.plus.n) >= FEWEST_EFFECTIVE
+        pair
+        for pair in pairs
+        if min(pair.attack_plr.n_effective, pair.rival_plr.n_effective)
+        >= FEWEST_EFFECTIVE
     ]
     if len(enough) < len(pairs):
         left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
@@ -112,7 +115,7 @@ def flags(
     rows = []
     for pair in enough:
         kind, attack, by = pair.kind, pair.attack, pair.by
-        gap = difference(pair.plus, pair.minus)
+        gap = difference(pair.rival_plr, pair.attack_plr)
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
         interval = gap.value, gap.ci_low, gap.ci_high
@@ -125,7 +128,7 @@ def flags(
             attack.adversary,
             by.consumer,
             by.adversary,
-            EXPOSURE,
+            PLR,
         )
         sentence = f"{attack.label} {pair.text}, {_points(*interval, sign='+')} points"
         rows.append((*about, *interval, compared[kind, attack, by], sentence))
@@ -137,12 +140,12 @@ def flags(
     return pd.DataFrame(rows, columns=COLUMNS), extent
 
 
-def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
+def far_from_optimum(gaps: Sequence[ClosestAttack]) -> pd.DataFrame:
     """Return the flags of levels where the closest attack is far from the optimum."""
     exact = [gap for gap in gaps if gap.is_exact]
     rows = []
     for gap in exact:
-        if not gap.gap.ci_low > _FAR:
+        if not gap.gap.ci_low > _LARGEST_GAP:
             continue
         interval = gap.gap.value, gap.gap.ci_low, gap.gap.ci_high
         mechanism, level = gap.where
@@ -153,7 +156,7 @@ def far_from_optimum(gaps: Sequence[Gap]) -> pd.DataFrame:
         )
         about = FAR, mechanism, np.nan if level is None else level
         names = gap.attack.consumer, gap.attack.adversary
-        metric = SUCCESS if gap.attack.task else EXPOSURE
+        metric = RANK1 if gap.attack.task else PLR
         rows.append(
             (*about, *names, BOUND, "", metric, *interval, len(exact), sentence)
         )
@@ -167,7 +170,7 @@ def slow_attacks(manifest: Mapping[str, Any]) -> set[str]:
     }
 
 
-def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
+def to_json(rows: pd.DataFrame, extent: Mapping[str, Any]) -> bytes:
     """Return the content of `flags.json`, from what `flags` returns."""
     known = rows.astype(object)
     content = {
@@ -183,7 +186,7 @@ def to_json(rows: pd.DataFrame, looked: Mapping[str, Any]) -> bytes:
             " adjusted for the number of comparisons: of two equally good attacks one"
             " is flagged at about one level in 40"
         ),
-        **looked,
+        **extent,
         "columns": COLUMNS,
         "flags": known.where(known.notna(), None).to_dict("records"),
     }
@@ -233,10 +236,10 @@ def _beaten_pairs(
     left_out: Counter[str],
 ) -> Iterator[_Pair]:
     for where, plr in levels.items():
-        shared = estimates.get(AS_SHARED.at(*where, EXPOSURE))
+        shared = estimates.get(AS_SHARED.at(*where, PLR))
         nothing_to_gain = shared is not None and shared.value >= 1.0
         for attack, by in ((a, b) for a in plr for b in plr if _should_win(a, b)):
-            minus, plus = plr[attack], plr[by]
+            attack_plr, rival_plr = plr[attack], plr[by]
             if (attack.consumer in slow) != (by.consumer in slow):
                 left_out["a slow attack, without the others on the same tracks"] += 1
             elif nothing_to_gain:
@@ -244,15 +247,15 @@ def _beaten_pairs(
             else:
                 text = (
                     f"is beaten by {by.label} at {where_text(*where)}: PLR"
-                    f" {100 * minus.value:.1f} % against {100 * plus.value:.1f} %"
+                    f" {100 * attack_plr.value:.1f} % against {100 * rival_plr.value:.1f} %"
                 )
-                yield _Pair(BEATEN, where, attack, by, minus, plus, text)
+                yield _Pair(BEATEN, where, attack, by, attack_plr, rival_plr, text)
 
 
 def _falling_pairs(
     levels: Levels, estimates: EstimatesByAddress, left_out: Counter[str]
 ) -> Iterator[_Pair]:
-    rmse, exposed = AS_SHARED.measured("rmse"), AS_SHARED.measured(EXPOSURE)
+    rmse, exposed = AS_SHARED.measured("rmse"), AS_SHARED.measured(PLR)
     mechanisms = (name for name, _ in levels if name not in (RAW, CLEAN))
     for mechanism in dict.fromkeys(mechanisms):
         # In the order of the actual noise, whichever way the level counts.
@@ -281,27 +284,33 @@ def _falling_pairs(
             left_out["PLR as shared does not fall either"] += len(attacks)
         else:
             for attack in attacks:
-                minus, plus = levels[least][attack], levels[most][attack]
+                at_least, at_most = levels[least][attack], levels[most][attack]
                 text = (
-                    f"does not fall with the noise: PLR {100 * minus.value:.1f} % at"
-                    f" {where_text(*least)}, {100 * plus.value:.1f} % at"
+                    f"does not fall with the noise: PLR {100 * at_least.value:.1f} % at"
+                    f" {where_text(*least)}, {100 * at_most.value:.1f} % at"
                     f" {where_text(*most)}"
                 )
-                yield _Pair(DOES_NOT_FALL, most, attack, Address(), minus, plus, text)
+                yield _Pair(
+                    DOES_NOT_FALL, most, attack, Address(), at_least, at_most, text
+                )
 
 
 def _should_win(attack: Address, by: Address) -> bool:
-    """Whether the first attack should do no worse than the second."""
+    """Whether the first attack should do no worse than the second.
+
+    Adversaries are compared by their sets of knowledge, which are no chain.
+    """
+    knows, by_knows = ADVERSARIES[attack.adversary], ADVERSARIES[by.adversary]
     base, by_base = plugin_name(attack.plugin), plugin_name(by.plugin)
     if base == IDENTITY:
         return False
     if attack.consumer == by.consumer:
-        return _RANK[by.adversary] < _RANK[attack.adversary]
+        return by_knows < knows
     if base in SIMPLER:
         simpler = SIMPLER[: SIMPLER.index(base)]
     else:
         simpler = _COMPARED_WITH.get(base, SIMPLER)
-    return by_base in simpler and _RANK[by.adversary] <= _RANK[attack.adversary]
+    return by_base in simpler and by_knows <= knows
 
 
 def _points(value: float, low: float, high: float, *, sign: str = "-") -> str:

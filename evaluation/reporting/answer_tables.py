@@ -9,17 +9,17 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates import paper
-from evaluation.estimates.frontier import GAP, LEVEL_READ, VALUE, usual_price
+from evaluation.estimates.frontier import LEVEL_READ, VALUE, VS_WHITE, usual_price
 from evaluation.estimates.keys import row_dicts, where_text
-from evaluation.estimates.matching import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.estimates.metrics import (
-    EXPOSURE,
     METRICS,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
     ROBOT_PLR,
-    SUCCESS,
-    SUCCESS_OF_100,
 )
 from evaluation.estimates.strongest import HEADLINE
+from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.plan.address import AS_SHARED, parse_consumer, parse_dataset
 from evaluation.reporting import table as make
 from evaluation.reporting.lookups import find_family
@@ -166,7 +166,7 @@ def claims_table(run: Results) -> Table:
 def frontier_table(run: Results) -> Table:
     """Return privacy and level where missed conflicts have risen by a target."""
     frontier = run.frontier
-    is_shown = frontier["metric"].isin([EXPOSURE, ROBOT_PLR, SUCCESS, SUCCESS_OF_100])
+    is_shown = frontier["metric"].isin([PLR, ROBOT_PLR, RANK1, RANK1_AMONG_100])
     priced = usual_price(frontier[is_shown]) if len(frontier) else frontier
     records: dict[tuple[Any, ...], dict[str, Any]] = {}
     heads: dict[str, None] = {}  # A set that keeps its order.
@@ -175,8 +175,8 @@ def frontier_table(run: Results) -> Table:
         record = records.setdefault(point, dict(row))
         head = _frontier_head(row)
         ends_of_heads = {head: VALUE}
-        if head == f"{METRICS[EXPOSURE].head}, attacked":
-            ends_of_heads[f"{head}, less white"] = GAP
+        if head == f"{METRICS[PLR].head}, attacked":
+            ends_of_heads[f"{head}, less white"] = VS_WHITE
         for name, ends in ends_of_heads.items():
             record[name] = make.number_cell(*(row[end] for end in ends), scale=100.0)
             heads[name] = None

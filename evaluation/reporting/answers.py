@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from evaluation.estimates.families import AT_RAW, CLEAN, RAW, SWEPT
+from evaluation.estimates.families import AT_RAW, CLEAN, PAPER_FAMILIES, RAW
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.plan.address import Where
 from evaluation.reporting.amounts import (
@@ -254,7 +254,7 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
     if column is None or table.at(where, column) is None:
         return ()
     family = table.known.get(where.mechanism)
-    is_headline = family is None or family.family in (*SWEPT, CLEAN)
+    is_headline = family is None or family.family in (*PAPER_FAMILIES, CLEAN)
     source = column.measure.source
     attack = f"the {attack_name(source.consumer)} ({source.label})"
     if not is_headline:

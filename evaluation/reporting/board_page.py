@@ -10,15 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from evaluation.estimates.cards import (
-    AXES,
-    FOLLOWED,
-    KNOWN,
-    MISSED,
-    Place,
-    is_control,
-    places,
-)
+from evaluation.estimates.board_places import Standing, is_control, standings
+from evaluation.estimates.cards import AXES, FOLLOWED, KNOWN, MISSED
 from evaluation.estimates.families import RAW
 from evaluation.plan.protocol import read_protocol
 from evaluation.reporting.amounts import counted, listed
@@ -159,7 +152,7 @@ def _world(
     key: tuple[str, str, str], cards: Sequence[Card], looks: Mapping[str, Look]
 ) -> World:
     recording, law, seed = key
-    by_card = list(zip(cards, places(cards), strict=True))
+    by_card = list(zip(cards, standings(cards), strict=True))
     by_card.sort(key=lambda pair: (not pair[1].is_front, _value(pair[0], KNOWN)))
     anchor = _anchor("world", *key)
     title = f"{dataset_title(recording)}, {law} error, seed {seed.replace('-', ' ')}"
@@ -175,7 +168,7 @@ def _world(
     )
 
 
-def _finding(cards: Sequence[Card], placed: Sequence[Place]) -> str:
+def _finding(cards: Sequence[Card], placed: Sequence[Standing]) -> str:
     """Return how many entries are on the front, and which attacks decide."""
     decisive: dict[str, int] = {}
     for card in cards:
@@ -195,7 +188,9 @@ def _finding(cards: Sequence[Card], placed: Sequence[Place]) -> str:
     ]
     if alone:
         verb = "is" if len(alone) == 1 else "are each"
-        texts = [f"{listed(alone)} {verb} alone in this world, nothing to compare."]
+        where = "with its form of answer" if n_front else "in this world"
+        texts = texts if n_front else []
+        texts.append(f"{listed(alone)} {verb} alone {where}, nothing to compare.")
     if named:
         texts.append(f"The strongest adversary, and against how many entries: {named}.")
     return " ".join([*texts, *_followed_always(cards)])
@@ -217,7 +212,7 @@ def _followed_always(cards: Sequence[Card]) -> list[str]:
 
 
 def _table(
-    anchor: str, title: str, cards: Sequence[Card], placed: Sequence[Place]
+    anchor: str, title: str, cards: Sequence[Card], placed: Sequence[Standing]
 ) -> Table:
     """Return the table of a world: entries on the front first."""
     records = list(zip(cards, placed, strict=True))
@@ -240,7 +235,7 @@ def _table(
 
 
 def _axis_column(axis: str) -> Column:
-    def make_cell(record: tuple[Card, Place]) -> Cell:
+    def make_cell(record: tuple[Card, Standing]) -> Cell:
         score = record[0].primary[axis]
         return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0)
 
@@ -251,7 +246,7 @@ def _link(card: Card) -> Cell:
     return Cell(plugin_label(card.mechanism.spec), link=f"#{_anchor('entry', card)}")
 
 
-def _place(place: Place) -> Cell:
+def _place(place: Standing) -> Cell:
     tones = {"front": "good", "unmet": "bad"}
     return Cell(place_text(place), tone=tones.get(place.kind, ""))
 

@@ -3,14 +3,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.estimates.bounds import Gap
+from evaluation.estimates.bounds import ClosestAttack
 from evaluation.estimates.metrics import (
-    CEILING,
-    EXPOSURE,
-    GAP,
     METRICS,
-    RANK_GAP,
-    SUCCESS,
+    PLR,
+    PLR_CEILING,
+    PLR_GAP,
+    RANK1,
+    RANK1_GAP,
 )
 from evaluation.plan.address import Where
 from evaluation.plan.world import World
@@ -45,8 +45,10 @@ def world_error_law(world: World, run: Results) -> str:
 def bound_table(run: Results) -> Table:
     """Return the gap between the closest attack and the optimum of each model world."""
     ceilings = {
-        key.where: make.estimate_cell(EXPOSURE, ceiling)
-        for key, ceiling in estimates(run.ours[run.ours["metric"] == CEILING]).items()
+        key.where: make.estimate_cell(PLR, ceiling)
+        for key, ceiling in estimates(
+            run.ours[run.ours["metric"] == PLR_CEILING]
+        ).items()
     }
 
     def recorded(row: Mapping[str, Any]) -> Cell:
@@ -56,10 +58,10 @@ def bound_table(run: Results) -> Table:
     columns = [
         make.text_column("error law", lambda row: world_error_law(row["world"], run)),
         make.text_column("closest attack", lambda row: row["attack"].label),
-        _column("PLR there", EXPOSURE, "reached"),
-        _column("bound", EXPOSURE, "bound"),
+        _column("PLR there", PLR, "reached"),
+        _column("bound", PLR, "bound"),
         make.text_column("is", lambda row: "optimum" if row["is_exact"] else "ceiling"),
-        _column("gap", GAP, "gap"),
+        _column("gap", PLR_GAP, "gap"),
         Column("genie, recorded walks", recorded, "%"),
     ]
     title = "How far the attacks are from the optimum of model worlds; 95 % intervals"
@@ -73,9 +75,9 @@ def linked_bound_table(run: Results) -> Table:
         make.text_column(
             "closest linker", lambda row: row["attack"].without_task.label
         ),
-        _column("rank 1 there", SUCCESS, "reached"),
-        _column("optimum", SUCCESS, "bound"),
-        _column("gap", RANK_GAP, "gap"),
+        _column("rank 1 there", RANK1, "reached"),
+        _column("optimum", RANK1, "bound"),
+        _column("gap", RANK1_GAP, "gap"),
     ]
     title = "How far the linkers are from the optimum of a model world; 95 % intervals"
     return _table(run, title, columns, links=True)
@@ -107,7 +109,7 @@ def _table(
     )
 
 
-def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
+def gap_text(known: Sequence[ClosestAttack], where: Where, task: str = "") -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
     lacks = [
         f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"

@@ -5,19 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final
 
-from evaluation.estimates.cards import (
-    AXES,
-    FOLLOWED,
-    KNOWN,
-    MISSED,
-    is_within_intervals,
-    unmet_attacks,
-)
+from evaluation.estimates.board_places import intervals_overlap, unmet_attacks
+from evaluation.estimates.cards import AXES, FOLLOWED, KNOWN, MISSED
 from evaluation.reporting.amounts import counted, listed
 from evaluation.reporting.table import plugin_label
 
 if TYPE_CHECKING:
-    from evaluation.estimates.cards import Place
+    from evaluation.estimates.board_places import Standing
     from evaluation.store.cards import Card, CardScore
 
 HEADS: Final = {MISSED: "missed", KNOWN: "known", FOLLOWED: "followed"}
@@ -62,7 +56,7 @@ def _in_percent(score: CardScore) -> str:
     return f"{value} %{gap}{interval}"
 
 
-def place_text(place: Place) -> str:
+def place_text(place: Standing) -> str:
     """Return the place of a card in its world: `beaten by ou:0.4 (within intervals)`."""
     if place.kind == "unmet":
         return f"has not met {listed([plugin_label(spec) for spec in place.unmet])}"
@@ -75,11 +69,11 @@ def place_text(place: Place) -> str:
     return f"{text} and {len(others)} more" if others else text
 
 
-def place_line(card: Card, place: Place) -> str:
+def place_line(card: Card, place: Standing) -> str:
     """Return the place of a new card, and which entries it beats, in a line."""
     text = {
         "front": "on the front",
-        "alone": "alone in this world, nothing to compare",
+        "alone": "alone with its form of answer, nothing to compare",
         "control": "a control, which beats nobody and is on no front",
     }.get(place.kind, place_text(place))
     if place.kind in {"front", "beaten"}:
@@ -89,7 +83,7 @@ def place_line(card: Card, place: Place) -> str:
 
 
 def _within(card: Card, other: Card) -> str:
-    return " (within intervals)" if is_within_intervals(card, other) else ""
+    return " (within intervals)" if intervals_overlap(card, other) else ""
 
 
 def entry_name(card: Card) -> str:

@@ -12,12 +12,12 @@ from rich.console import Console
 from evaluation.estimates.families import entry_families
 from evaluation.estimates.levels import COLUMNS
 from evaluation.estimates.metrics import (
-    EXPOSURE,
-    MEDIAN,
+    MEDIAN_ERROR,
     METRICS,
     MISSED_RATE,
-    SUCCESS,
-    WIDE,
+    PLR,
+    PLR_WIDE,
+    RANK1,
 )
 from evaluation.reporting import recommendation as words
 from evaluation.reporting import table as make
@@ -42,24 +42,16 @@ from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
 from evaluation.store.csv_files import read_report_file
 from evaluation.store.manifest import read_manifest
+from evaluation.verdict.offers import AttackNumbers, Check, Offer, TaskLinkage
 from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
-from evaluation.verdict.what_to_share import (
-    LIMITS,
-    MISSED,
-    Attacked,
-    Check,
-    Linked,
-    Offer,
-    Question,
-    Recommendation,
-    recommend,
-)
+from evaluation.verdict.question import LIMITS, MISSED, Question
+from evaluation.verdict.what_to_share import Recommendation, recommend
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.kalman import steady
 from isac_track.privacy import WIDE_TIMES
 
-_NUMBERS: Final = (EXPOSURE, WIDE, MEDIAN, "ael", "mel")
+_NUMBERS: Final = (PLR, PLR_WIDE, MEDIAN_ERROR, "ael", "mel")
 _LINES: Final = 12  # Lines of the short answer, at most.
 _HEADS: Final = 2  # Lines above the rows of its table.
 _LEAST_ROWS: Final = 2  # Rows of its table, at least.
@@ -161,8 +153,7 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
         "shared": _side(offer.shared),
         "after_attack": _side(offer.attacked),
         "beyond": [
-            _side(side, limit=advice.question.limits.get(EXPOSURE))
-            for side in offer.beyond
+            _side(side, limit=advice.question.limits.get(PLR)) for side in offer.beyond
         ],
         "linked": _linked(offer.linked) if offer.linked else None,
         "tasks": [_linked(task) for task in offer.tasks],
@@ -170,7 +161,7 @@ def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
     }
 
 
-def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
+def _side(side: AttackNumbers, limit: float | None = None) -> dict[str, Any]:
     """Return the positions that an adversary knows as plain values."""
     values: dict[str, Any] = {
         "adversary": side.adversary or None,
@@ -182,7 +173,7 @@ def _side(side: Attacked, limit: float | None = None) -> dict[str, Any]:
     return values | {name: _number(side.value(name)) for name in _NUMBERS}
 
 
-def _linked(linked: Linked) -> dict[str, Any]:
+def _linked(linked: TaskLinkage) -> dict[str, Any]:
     """Return the linkage of a task as plain values."""
     return {
         "task": linked.task,
@@ -260,7 +251,7 @@ def notes(answer: Answer) -> list[str]:
 def _closed_form_notes(answer: Answer) -> list[str]:
     """Return the noise that the closed forms name, which need no run."""
     question = answer.recommendation.question
-    limit = question.limits.get(EXPOSURE, 0.0)
+    limit = question.limits.get(PLR, 0.0)
     if not 0.0 < limit < 1.0 or question.as_shared:
         return []
     epsilon_m = words.epsilon_m(answer.manifest)
@@ -314,7 +305,7 @@ def _level_lines(
     for offer in offers:
         side = _limited_side(offer, advice)
         linked = offer.linked.share if offer.linked else None
-        numbers = [offer.cost, side.value(EXPOSURE), side.value(WIDE), linked]
+        numbers = [offer.cost, side.value(PLR), side.value(PLR_WIDE), linked]
         name = short_mechanism_name(offer.family, offer.where.level)
         rows.append([shorten_name(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
@@ -329,7 +320,7 @@ def _level_lines(
     return grid_lines(rows, groups, corner=("± half of a 95 % interval", corner))
 
 
-def _limited_side(offer: Offer, advice: Recommendation) -> Attacked:
+def _limited_side(offer: Offer, advice: Recommendation) -> AttackNumbers:
     """Return the positions under limits: as sent, or after the strongest attack."""
     if advice.question.as_shared or offer.attacked.source is None:
         return offer.shared
@@ -409,15 +400,15 @@ def answer_table(advice: Recommendation) -> Table:
         ),
         Column(
             "known",
-            partial(_position_cell, EXPOSURE),
-            METRICS[EXPOSURE].unit,
+            partial(_position_cell, PLR),
+            METRICS[PLR].unit,
             above="attacked",
         ),
-        Column("at 4/3", partial(_position_cell, WIDE), METRICS[WIDE].unit),
+        Column("at 4/3", partial(_position_cell, PLR_WIDE), METRICS[PLR_WIDE].unit),
         Column(
             "error",
-            partial(_position_cell, MEDIAN),
-            METRICS[MEDIAN].unit,
+            partial(_position_cell, MEDIAN_ERROR),
+            METRICS[MEDIAN_ERROR].unit,
             above="median",
         ),
         Column("of raw", partial(_linkage_cell, "share"), "%", above="re-identified"),
@@ -437,4 +428,4 @@ def _linkage_cell(name: str, offer: Offer) -> Cell:
     """Return a number of the linkage of a level; an empty cell without any."""
     if offer.linked is None:
         return Cell()
-    return make.estimate_cell(SUCCESS, getattr(offer.linked, name))
+    return make.estimate_cell(RANK1, getattr(offer.linked, name))

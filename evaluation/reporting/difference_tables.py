@@ -9,6 +9,7 @@ import pandas as pd
 from rich.console import Console
 
 from evaluation.estimates import differences as comparing
+from evaluation.estimates import run_settings
 from evaluation.estimates.families import with_unit
 from evaluation.estimates.keys import where_text
 from evaluation.estimates.metrics import METRICS
@@ -27,14 +28,14 @@ _MOST_SHOWN = 20
 _ROOM = 24
 _SURE = 0.001  # Smaller p-values are not written out.
 _PAIRED = {
-    comparing.DRAWS: "paired over people and draws",
-    comparing.PEOPLE: "paired over people, not over draws (other scenes and errors)",
-    comparing.NONE: "not paired: intervals of independent estimates",
+    run_settings.DRAWS: "paired over people and draws",
+    run_settings.PEOPLE: "paired over people, not over draws (other scenes and errors)",
+    run_settings.NONE: "not paired: intervals of independent estimates",
 }
 # Mark of a difference that is not paired in full.
 _MARKS = {
-    comparing.PEOPLE: "~",
-    comparing.NONE: "*",
+    run_settings.PEOPLE: "~",
+    run_settings.NONE: "*",
 }
 
 

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from evaluation.estimates.keys import row_addresses
-from evaluation.estimates.metrics import ASSIGNED, EXPOSURE, SUCCESS
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.metrics import PLR, RANK1, RANK1_JOINT
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Table
 from evaluation.store.csv_files import read_report_file
@@ -49,12 +49,12 @@ def load(out: Path | str) -> Results:
     results = Results(out=out, manifest=manifest, **tables)
     rows = results.measured
     rows = rows[
-        rows["metric"].isin([EXPOSURE, SUCCESS, ASSIGNED]) & (rows["knowledge"] != "")
+        rows["metric"].isin([PLR, RANK1, RANK1_JOINT]) & (rows["knowledge"] != "")
     ]
     # The choice reads only the values.
     values = map(_Value, rows["value"])
     estimates: Any = dict(zip(row_addresses(rows), values, strict=True))
-    best = strongest(estimates, results.families)
+    best = strongest_by_task(estimates, results.families)
     attacks = {task: source.without_task for task, source in best.items()}
     return replace(results, strongest=attacks, make_first_table=_first_table)
 

@@ -10,23 +10,29 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.bounds import Gap, gaps
-from evaluation.estimates.families import CLEAN, FID, SWEPT, Family, families_in
+from evaluation.estimates.bounds import ClosestAttack, gaps
+from evaluation.estimates.families import (
+    CLEAN,
+    FID,
+    PAPER_FAMILIES,
+    Family,
+    families_in,
+)
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import (
-    ASSIGNED,
-    EXPOSURE,
     MISSED_FUTURE,
     MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
+    RANK1_JOINT,
     WORST_TENTH,
 )
 from evaluation.estimates.strongest import (
-    against_each,
     by_task,
     naming_rules,
-    strongest,
+    strongest_by_mechanism,
+    strongest_by_task,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
@@ -55,11 +61,11 @@ _MISSED, _LINKED = "missed conflicts", "re-identified"
 _METRICS = (
     MISSED_RATE,
     MISSED_FUTURE,
-    EXPOSURE,
+    PLR,
     WORST_TENTH,
-    SUCCESS,
-    ASSIGNED,
-    SUCCESS_OF_100,
+    RANK1,
+    RANK1_JOINT,
+    RANK1_AMONG_100,
     "chance",
 )
 
@@ -91,7 +97,7 @@ class Headline:
     numbers: Mapping[Address, Estimate]
     # The same under the other error law, where the run has it.
     other_law: Mapping[Address, Estimate]
-    gaps: Sequence[Gap]  # From the optimum, in model worlds.
+    gaps: Sequence[ClosestAttack]  # From the optimum, in model worlds.
     robots: Sequence[HeadlineColumn]
     shared: HeadlineColumn
     attacked: HeadlineColumn | None  # After the strongest reconstruction.
@@ -179,7 +185,7 @@ def headline(
     own = rows[world == OWN_WORLD]
     numbers, known = estimates(own), families_in(own)
     if attacks is None:
-        best = strongest(numbers, known)
+        best = strongest_by_task(numbers, known)
         attacks = {task: source.without_task for task, source in best.items()}
     horizons_s = {other.horizon_s for other in world.unique()} - {None}
     horizon_s = max(horizons_s, default=None)
@@ -195,9 +201,7 @@ def headline(
     after_attack: HeadlineColumn | None = None
     worst: HeadlineColumn | None = None
     if reconstruction := attacks.get(""):
-        after_attack = HeadlineColumn(
-            above, "attacked", reconstruction.measured(EXPOSURE)
-        )
+        after_attack = HeadlineColumn(above, "attacked", reconstruction.measured(PLR))
         worst = HeadlineColumn(
             above, "worst tenth", reconstruction.measured(WORST_TENTH)
         )
@@ -208,7 +212,7 @@ def headline(
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
         robots=_robots(predictors),
-        shared=HeadlineColumn(above, "as sent", AS_SHARED.measured(EXPOSURE)),
+        shared=HeadlineColumn(above, "as sent", AS_SHARED.measured(PLR)),
         attacked=after_attack,
         worst=worst,
         linked=_linked(attacks, numbers, linkability),
@@ -272,17 +276,20 @@ def _own_strongest(
     own: dict[Address, Estimate] = {}
     rules = naming_rules(numbers)
     for criterion, metrics in (
-        (EXPOSURE, (EXPOSURE, WORST_TENTH)),
-        (SUCCESS, (SUCCESS, SUCCESS_OF_100)),
+        (PLR, (PLR, WORST_TENTH)),
+        (RANK1, (RANK1, RANK1_AMONG_100)),
     ):
         for task, blocks in by_task(numbers, metric=criterion).items():
             if task not in attacks:
                 continue
-            best, headline = against_each(blocks), replace(attacks[task], task=task)
+            best, headline = (
+                strongest_by_mechanism(blocks),
+                replace(attacks[task], task=task),
+            )
             for where, metric in product(blocks, metrics):
-                is_usual = known[where.mechanism].family in (*SWEPT, CLEAN)
+                is_usual = known[where.mechanism].family in (*PAPER_FAMILIES, CLEAN)
                 source = headline if is_usual else best.get(where.mechanism, headline)
-                rule = rules.get(source, SUCCESS) if metric == SUCCESS else metric
+                rule = rules.get(source, RANK1) if metric == RANK1 else metric
                 if (key := source.at(*where, rule)) in numbers:
                     own[headline.at(*where, metric)] = numbers[key]
     return own
@@ -307,16 +314,16 @@ def _linked(
     for task in [name for name in TASKS if name in attacks] or own_tasks[:3]:
         source, head = replace(attacks[task], task=task), task_head(task)
         column = HeadlineColumn(
-            _LINKED, head, source.measured(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY
+            _LINKED, head, source.measured(RANK1_AMONG_100), 1.0 / GALLERY, GALLERY
         )
         if column.measure not in values:
             column = HeadlineColumn(
                 _LINKED,
                 head,
-                source.measured(SUCCESS),
+                source.measured(RANK1),
                 chance=values.get(source.measured("chance"), math.nan),
                 candidates=_mean_candidates(source, linkability),
-                is_joint=rules.get(source) == ASSIGNED,
+                is_joint=rules.get(source) == RANK1_JOINT,
             )
         columns.append(column)
     return columns

@@ -33,7 +33,7 @@ from evaluation.reporting.names import (
     task_phrase,
 )
 from evaluation.reporting.takeaways import level_name
-from evaluation.verdict.what_to_share import MOST_PLR
+from evaluation.verdict.question import MOST_PLR
 from isac_track.types import Bools, Floats
 
 _MISSED: Final = "missed conflicts (%)"

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from evaluation.estimates.metrics import EXPOSURE, MEDIAN, METRICS, SUCCESS, WIDE
+from evaluation.estimates.metrics import MEDIAN_ERROR, METRICS, PLR, PLR_WIDE, RANK1
 from evaluation.estimates.strongest import BEYOND
 from evaluation.plan.address import Where
 from evaluation.reporting.amounts import (
@@ -27,18 +27,10 @@ from evaluation.reporting.names import (
 )
 from evaluation.reporting.notices import few_people
 from evaluation.reporting.rows import Results
+from evaluation.verdict.offers import AttackNumbers, Check, Offer, Unknown
+from evaluation.verdict.question import LIMITS, LINKED, MISSED, Criterion
 from evaluation.verdict.rules import MOST_PEOPLE
-from evaluation.verdict.what_to_share import (
-    LIMITS,
-    LINKED,
-    MISSED,
-    Attacked,
-    Check,
-    Criterion,
-    Offer,
-    Recommendation,
-    Unknown,
-)
+from evaluation.verdict.what_to_share import Recommendation
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES
 
@@ -138,7 +130,7 @@ def _share_text(run: Results) -> str:
 def _short_limits(answer: Recommendation) -> list[str]:
     """Return the limits of the first screen: the defaults."""
     limits = answer.question.limits
-    known, linked = limits.get(EXPOSURE, 1.0), limits.get(LINKED, 1.0)
+    known, linked = limits.get(PLR, 1.0), limits.get(LINKED, 1.0)
     return [
         f"at most {PERCENT * known:.4g} % of positions known",
         f"{PERCENT * linked:.4g} % of the raw re-identification",
@@ -270,24 +262,30 @@ def conflicts_text(criterion: Criterion) -> str:
 
 
 def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
-    """Return the adversaries that break a level, that do not, and those untried."""
+    """Return the adversaries that break a level, that do not, and all others."""
     limit = _plr_limit(answer)
-    tried = [side for side in offer.beyond if side.breaks(limit) is not None]
+    tried = [side for side in offer.beyond if side.source is not None]
     broken = [
         f"{adversary_name(side.adversary)} (knows {bare_percent(_worse(side, limit))})"
         for side in tried
         if side.breaks(limit)
     ]
     withstood = [
-        adversary_name(side.adversary) for side in tried if not side.breaks(limit)
+        adversary_name(side.adversary) for side in tried if side.breaks(limit) is False
     ]
-    untried = [side.adversary for side in offer.beyond if side.breaks(limit) is None]
+    unknown = [
+        adversary_name(side.adversary) for side in tried if side.breaks(limit) is None
+    ]
+    untried = [side.adversary for side in offer.beyond if side.source is None]
     sentences = []
     if broken:
         verb = "breaks" if len(broken) == 1 else "break"
         sentences.append(f"{sentence_case(listed(broken))} {verb} it.")
     if withstood:
         sentences.append(f"It holds against {listed(withstood)}.")
+    if unknown:
+        names = listed(unknown, "or")
+        sentences.append(f"The run cannot say whether it holds against {names}.")
     if untried:
         sentences.append(f"Not tried: --adversary {listed(untried, 'or')}.")
     return sentences
@@ -306,16 +304,17 @@ def untried_text(answer: Recommendation) -> str:
 
 
 def _plr_limit(answer: Recommendation) -> float:
-    return answer.question.limits.get(EXPOSURE, 1.0)
+    return answer.question.limits.get(PLR, 1.0)
 
 
-def _worse(side: Attacked, limit: float) -> Estimate:
+def _worse(side: AttackNumbers, limit: float) -> Estimate:
     """Return the share of positions that an adversary knows.
 
     It is the share at 4/3 epsilon if only that exceeds the limit.
     """
-    near, wide = side.value(EXPOSURE), side.value(WIDE)
-    return wide if near.ci_high <= limit < wide.ci_high else near
+    near, wide = side.value(PLR), side.value(PLR_WIDE)
+    is_near = near.ci_high > limit
+    return wide if wide.ci_high > limit and not is_near else near
 
 
 def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:
@@ -324,13 +323,15 @@ def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str
     is_attacked = side.source is not None and side.source.adversary
     subject = "an attack" if is_attacked else "without an attack, an adversary"
     wide_m = WIDE_TIMES * epsilon_m
-    near, wide = percent(side.value(EXPOSURE)), percent(side.value(WIDE))
+    near, wide = percent(side.value(PLR)), percent(side.value(PLR_WIDE))
     reach = f"{near} of positions to {epsilon_m:.4g} m and {wide} to {wide_m:.4g} m"
     sentences = [f"{sentence_case(level_name(offer))}: {subject} knows {reach}."]
     if answer.robot:
         sentences.append(cost_sentence(answer, offer))
-    if math.isfinite(side.value(MEDIAN).value):
-        sentences.append(f"The median error is {length_text(side.value(MEDIAN))}.")
+    if math.isfinite(side.value(MEDIAN_ERROR).value):
+        sentences.append(
+            f"The median error is {length_text(side.value(MEDIAN_ERROR))}."
+        )
     if offer.linked and math.isfinite(offer.linked.share.value):
         phrase = sentence_case(task_phrase(offer.linked.task))
         rank1, share = percent(offer.linked.rank1), percent(offer.linked.share)
@@ -352,7 +353,7 @@ def limit_texts(answer: Recommendation, *, epsilon_m: float) -> list[str]:
     question, texts = answer.question, list[str]()
     for name, limit in question.limits.items():
         amount = _amount(name, limit)
-        if name == EXPOSURE:
+        if name == PLR:
             wide_m = WIDE_TIMES * epsilon_m
             side = "as sent" if question.as_shared else "after an attack"
             reach = f"to {epsilon_m:.4g} m and {wide_m:.4g} m"
@@ -364,7 +365,7 @@ def limit_texts(answer: Recommendation, *, epsilon_m: float) -> list[str]:
             texts.append(f"{amount} of {conflicts_text(question.criterion)} missed")
         elif name == _FALSE_ALARMS:
             texts.append(f"{amount} false alarms")
-        elif name == SUCCESS:
+        elif name == RANK1:
             texts.append(f"{amount} of people re-identified in every task")
         elif name != LINKED:
             side = "as sent" if question.as_shared else "after an attack"
@@ -395,7 +396,7 @@ def reason(check: Check, answer: Recommendation, *, epsilon_m: float) -> str:
         return ""
     if check.unknown:
         return _why(check, answer)
-    name = EXPOSURE if check.name == WIDE else check.name.partition("/")[0]
+    name = PLR if check.name == PLR_WIDE else check.name.partition("/")[0]
     limit = _amount(name, check.limit)
     text = f"{_excess(check, answer, epsilon_m)} (limit {limit})"
     more_data = _more_data(check)
@@ -414,15 +415,15 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
             f"an attack may keep {share} of the raw re-identification"
             f" {task_phrase(answer.task)}"
         )
-    if name == SUCCESS:
+    if name == RANK1:
         return f"an attack re-identifies {share} of people {task_phrase(task)}"
     if name == MISSED:
         conflicts = conflicts_text(answer.question.criterion)
         return f"{chosen_robot(answer)} misses {share} of {conflicts}"
     if name == _FALSE_ALARMS:
         return f"{chosen_robot(answer)} raises {share} false alarms"
-    if name in (EXPOSURE, WIDE):
-        reach_m = WIDE_TIMES * epsilon_m if name == WIDE else epsilon_m
+    if name in (PLR, PLR_WIDE):
+        reach_m = WIDE_TIMES * epsilon_m if name == PLR_WIDE else epsilon_m
         return f"{_adversary(check)} knows {share} of positions to {reach_m:.4g} m"
     return (
         f"{_adversary(check)} leaves a {descriptor_name(name)} of up to {upper:.2f} s"
@@ -479,11 +480,11 @@ def _subject(check: Check, answer: Recommendation) -> str:
     name, _, task = check.name.partition("/")
     subjects = {
         LINKED: f"re-identification {task_phrase(answer.task)}",
-        SUCCESS: f"re-identification {task_phrase(task)}",
+        RANK1: f"re-identification {task_phrase(task)}",
         MISSED: "missed conflicts",
         _FALSE_ALARMS: "false alarms",
-        EXPOSURE: "known positions",
-        WIDE: "known positions",
+        PLR: "known positions",
+        PLR_WIDE: "known positions",
     }
     return subjects.get(name, descriptor_name(name))
 

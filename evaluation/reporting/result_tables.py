@@ -13,16 +13,16 @@ import pandas as pd
 from attacks.tasks.controls import CONTROLS
 from evaluation.estimates.families import CLEAN, LEVEL_UNITS, families_in
 from evaluation.estimates.keys import is_attack, row_dicts, row_worlds, where_text
-from evaluation.estimates.linkability import INVALID, REMARKS, LinkedTask, remarks
+from evaluation.estimates.linkability import INVALID, REMARKS, TaskOutcomes, remarks
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
-    EXPOSURE,
     METRICS,
     MISSED_FUTURE,
     MISSED_RATE,
+    PLR,
+    RANK1,
+    RANK1_AMONG_100,
     RECONSTRUCTION,
-    SUCCESS,
-    SUCCESS_OF_100,
     UTILITY,
 )
 from evaluation.estimates.strongest import most_knowing
@@ -40,7 +40,7 @@ from evaluation.reporting.rows import (
     source_rows,
 )
 from evaluation.reporting.table import Cell, Column, Table
-from evaluation.verdict.what_to_share import WEAK
+from evaluation.verdict.offers import WEAK
 from isac_track.intervals import Estimate
 from isac_track.linkability import LEVEL
 from isac_track.mechanisms.protections import Laplace
@@ -222,11 +222,9 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
     A note names the `slow` attacks: they saw only part of the releases.
     """
     rows = after_attack(summary)
-    rows = rows[rows["metric"] == EXPOSURE]
+    rows = rows[rows["metric"] == PLR]
     shown = most_knowing(list_sources(rows))
-    columns = [
-        Column(source.label, partial(_cell, source, EXPOSURE)) for source in shown
-    ]
+    columns = [Column(source.label, partial(_cell, source, PLR)) for source in shown]
     notes = []
     if any(source.adversary == ORACLE for source in shown):
         notes.append(_ORACLE)
@@ -313,7 +311,7 @@ def _merged(
     return rows
 
 
-def rank_table(run: Results, task: LinkedTask) -> Table:
+def rank_table(run: Results, task: TaskOutcomes) -> Table:
     """Return rank 1 of the attacks of a task, a row each, at representative levels."""
     known = run.families
     wheres = representative_levels(task.cells, known, controls=False)
@@ -329,7 +327,7 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
         cells = [_rank(task.cells[where].get(source)) for where in wheres]
         records.append([label, *cells])
     first_rows = [next(iter(task.cells[where].values())) for where in wheres]
-    chances = [make.metric_cell(SUCCESS, row["chance"]) for row in first_rows]
+    chances = [make.metric_cell(RANK1, row["chance"]) for row in first_rows]
     records.append(["chance", *chances])
     tasks = (run.manifest.get("linkage") or {}).get("tasks", {})
     people = tasks.get(task.name, {}).get("people")
@@ -366,7 +364,7 @@ def _people_note(row: Mapping[str, Any], people: int | None) -> str:
     )
 
 
-def _control_notes(task: LinkedTask) -> list[str]:
+def _control_notes(task: TaskOutcomes) -> list[str]:
     """Return how many controls link people, and which shortcuts tell people apart."""
     tests = control_tests(task)
     outcomes = [is_linked for control in tests.values() for is_linked in control]
@@ -416,7 +414,7 @@ def strength_table(run: Results) -> Table:
     ]
     columns += [
         make.cell_column(METRICS[metric].head, metric, unit="%")
-        for metric in (SUCCESS, SUCCESS_OF_100, "chance")
+        for metric in (RANK1, RANK1_AMONG_100, "chance")
     ]
     columns.append(make.cell_column(_SCORES_TELL, unit=METRICS["cllr_min"].unit))
     return make.build_table(
@@ -441,7 +439,7 @@ def _strength_cells(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
     """Return the cells of a linker at a level, by metric."""
     cells: dict[str, Any] = {
         metric: make.estimate_cell(metric, estimates.get(metric))
-        for metric in (SUCCESS, SUCCESS_OF_100)
+        for metric in (RANK1, RANK1_AMONG_100)
     }
     if lost := estimates.get("cllr_min"):
         values = 1.0 - lost.value, 1.0 - lost.ci_high, 1.0 - lost.ci_low
@@ -478,11 +476,11 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
         return Cell()
     mark = "".join(MARKS[remark] for remark in remarks(row))
     return make.metric_cell(
-        SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark
+        RANK1, row["rank1"], row["ci_low"], row["ci_high"], mark=mark
     )
 
 
-def control_tests(task: LinkedTask) -> dict[str, list[bool]]:
+def control_tests(task: TaskOutcomes) -> dict[str, list[bool]]:
     """Return whether each control beats chance, at the levels where that may differ."""
     tests: dict[str, list[bool]] = {}
     for row in task.controls:

@@ -7,7 +7,7 @@ from typing import Final
 from attacks.tasks.task_list import RETURNS
 from evaluation.compute.return_columns import GAIN, NESTED_P, STRONGEST
 from evaluation.estimates.families import CLEAN, Family
-from evaluation.estimates.metrics import SUCCESS
+from evaluation.estimates.metrics import RANK1
 from evaluation.plan.address import Address, Where, control_name
 from evaluation.plan.consumer import FUSION
 from evaluation.reporting import table as make
@@ -86,8 +86,8 @@ def _level_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     families = run.families
     columns = [
         make.text_column("what is shared", partial(_level_name, families)),
-        *(column(name, name, SUCCESS) for name in linkers(numbers)),
-        column("strongest control", STRONGEST, SUCCESS),
+        *(column(name, name, RANK1) for name in linkers(numbers)),
+        column("strongest control", STRONGEST, RANK1),
         column("guessing", FUSION, _CHANCE),
         column("fusion less control", FUSION, GAIN, "points"),
         column("nested p", FUSION, NESTED_P, ""),
@@ -117,12 +117,12 @@ def _control_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     names = [
         name
         for name in CONTROLS
-        if find_number(numbers, where, control_name(name), SUCCESS)
+        if find_number(numbers, where, control_name(name), RANK1)
     ]
 
     def rank1(name: str) -> make.Cell:
-        number = find_number(numbers, where, control_name(name), SUCCESS)
-        return make.estimate_cell(SUCCESS, number)
+        number = find_number(numbers, where, control_name(name), RANK1)
+        return make.estimate_cell(RANK1, number)
 
     columns = [
         make.text_column("control", control_text),
@@ -150,7 +150,7 @@ def screen_table(run: Results, *, most: int) -> tuple[list[str], list[str]]:
             find_family(run.families, where.mechanism), where.level
         )
         cells = [
-            _screen_cell(find_number(numbers, where, plugin, SUCCESS))
+            _screen_cell(find_number(numbers, where, plugin, RANK1))
             for plugin in _ON_SCREEN
         ]
         chance = find_number(numbers, where, FUSION, _CHANCE)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.metrics import SUCCESS
+from evaluation.estimates.metrics import RANK1
 from evaluation.plan.address import Address
 from evaluation.plan.consumer import FUSION
 from evaluation.reporting.amounts import PERCENT, counted
@@ -168,7 +168,5 @@ def _confirming_sentence(answer: Mapping[str, Any]) -> list[str]:
 def _rank1(run: Results, mechanism: str) -> Estimate | None:
     """Return rank 1 of the fusion with a mechanism without levels."""
     known = {key.within(): number for key, number in estimates(run.returns).items()}
-    fusion = Address(
-        task="returns", plugin=FUSION, adversary="informed", metric=SUCCESS
-    )
+    fusion = Address(task="returns", plugin=FUSION, adversary="informed", metric=RANK1)
     return known.get(fusion.at(mechanism, None))

@@ -44,11 +44,12 @@ from isac_track.types import Floats
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from evaluation.estimates.linkability import LinkedTask
+    from evaluation.estimates.linkability import TaskOutcomes
     from evaluation.reporting.charts import Look
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
-    from evaluation.verdict.what_to_share import Question, Recommendation
+    from evaluation.verdict.question import Question
+    from evaluation.verdict.what_to_share import Recommendation
     from isac_track.intervals import Estimate
 
 CONTROLS: Final = frozenset(map(plugin_name, DISSOCIATION))
@@ -272,9 +273,7 @@ class Results:
         Cached, as a report reads it about twenty times. It lives as long as these
         results do, like the other cached properties.
         """
-        from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
-            default_question,
-        )
+        from evaluation.verdict.question import default_question  # noqa: PLC0415 - see `load`
 
         return self.recommendation(default_question(self.families))
 
@@ -315,7 +314,7 @@ class Results:
             raise SettingsError(f"unknown metric {metric!r}{hint}")
         rows = self.measured
         rows = rows[rows["metric"] == name]
-        place = METRICS[name].measured
+        place = METRICS[name].kind
         row_tasks = rows["consumer"].map(lambda consumer: parse_consumer(consumer).task)
         task = task or next(iter(row_tasks), "")
         rows = rows[row_tasks == task]
@@ -460,10 +459,10 @@ class Results:
         )
 
     @cached_property
-    def tasks(self) -> list[LinkedTask]:
+    def tasks(self) -> list[TaskOutcomes]:
         """The linkage tasks, on the run's data set or on their own."""
         from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
-            linked_tasks,
+            task_outcomes,
             task_recording,
         )
 
@@ -471,7 +470,7 @@ class Results:
             task_recording(parse_consumer(consumer).task, dataset=self.dataset)
             for consumer in self.linkability["consumer"]
         ]
-        return linked_tasks(self.linkability[self.linkability["dataset"] == expected])
+        return task_outcomes(self.linkability[self.linkability["dataset"] == expected])
 
 
 def _positions_label(rows: pd.DataFrame, place: str) -> str:

@@ -22,9 +22,9 @@ from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import families_in
 from evaluation.estimates.keys import INFORMED, row_addresses, row_worlds
 from evaluation.estimates.metrics import (
+    RANK1,
+    RANK1_AMONG_100,
     RECONSTRUCTION,
-    SUCCESS,
-    SUCCESS_OF_100,
     UTILITY,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
@@ -75,7 +75,7 @@ _BLOCK = re.compile(r"(<!-- table: (\S+) (\S+) -->\n).*?(<!-- end -->)", re.DOTA
 _WIDE: Final = 160  # Columns of `tables.txt`.
 # The preset whose numbers the tests hold a fresh run against.
 _REFERENCE: Final = "smoke"
-_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, SUCCESS, SUCCESS_OF_100, "chance")
+_SHOWN: Final = (*UTILITY, *RECONSTRUCTION, RANK1, RANK1_AMONG_100, "chance")
 
 
 def show(run: Results, *, before: int = 0, verbose: bool = False) -> None:
@@ -215,7 +215,7 @@ def write_tex(run: Results, *, folder: Path) -> None:
 def _linkage(summary: pd.DataFrame) -> Table:
     """Return rank 1 of every informed linker, a column for each level."""
     rows = summary[
-        summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)
+        summary["metric"].isin([RANK1, "chance"]) & (summary["knowledge"] == INFORMED)
     ]
     known, numbers = families_in(rows), estimates_by_level(rows)
     columns = [
@@ -234,7 +234,7 @@ def _linkage(summary: pd.DataFrame) -> Table:
                 "chance": f"{100 * metrics['chance'].value:.1f}",
             }
             record = records.setdefault(source, keys)
-            record[f"{where}"] = estimate_cell(SUCCESS, metrics.get(SUCCESS))
+            record[f"{where}"] = estimate_cell(RANK1, metrics.get(RANK1))
     return build_table(
         "linkage",
         "Rank 1 (%) of every linker; 95 % intervals",

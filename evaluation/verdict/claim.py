@@ -12,21 +12,22 @@ import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, FID, FIXED
 from evaluation.estimates.frontier import TARGETS
-from evaluation.estimates.matching import (
+from evaluation.estimates.interpolation import MIN_DEFINED
+from evaluation.estimates.json_numbers import json_number
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS, RANK1_AMONG_100
+from evaluation.estimates.strongest import success_metric
+from evaluation.estimates.sweeps import (
     AT_EQUAL_ALARMS,
     CRITERIA,
     FUTURE,
-    MIN_DEFINED,
     MISSED,
     Sweeps,
     at_changes,
 )
-from evaluation.estimates.metrics import DESCRIPTORS, METRICS, SUCCESS_OF_100
-from evaluation.estimates.strongest import success_metric
 from evaluation.plan.address import AS_SHARED, Address, parse_consumer
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, known
+from evaluation.verdict.rules import NAME
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.types import Floats
 
@@ -76,7 +77,7 @@ def claims(
                 pairs = at_changes(curves, cost, compared, at=np.array(TARGETS))
                 for pair in pairs:
                     measure = pair.measure
-                    about = _About(
+                    about = _Subject(
                         adding=adding,
                         criterion=criterion,
                         compared=compared[measure],
@@ -89,7 +90,7 @@ def claims(
 
 
 @dataclass(frozen=True, slots=True)
-class _About:
+class _Subject:
     """Subject of an item."""
 
     adding: str
@@ -132,7 +133,10 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
             mean = np.where(is_known, gaps, 0.0).sum(axis=1) / is_known.sum(axis=1)
             relative = float(mean[0] / theirs[0, reached].mean())
     points = [
-        {"at": float(at), **rules.numbers(estimate_from_replicates(gap, n=n))}
+        {
+            "at": float(at),
+            **rules.numbers(estimate_from_replicates(gap, n=n, effective=effective)),
+        }
         for at, gap in zip(targets[reached], gaps[:, reached].T, strict=True)
     ]
     return _Gap(
@@ -144,7 +148,7 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
     )
 
 
-def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
+def _claim(measure: Address, gap: _Gap, about: _Subject) -> Draft:
     """Return the item of a measure compared at the rises."""
     source, is_linkage = measure.source, about.compared == LINKED
     descriptor = "" if is_linkage else measure.metric
@@ -153,7 +157,7 @@ def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
     if is_linkage:
         details["metric"] = measure.metric
     details |= {
-        "relative": known(gap.relative),
+        "relative": json_number(gap.relative),
         "range": [gap.reached[0], gap.reached[-1]] if gap.points else None,
         "unreached": gap.unreached,
         "points": gap.points,
@@ -179,7 +183,7 @@ def _claim(measure: Address, gap: _Gap, about: _About) -> Draft:
     )
 
 
-def _sentences(measure: Address, relative: float, about: _About) -> dict[str, str]:
+def _sentences(measure: Address, relative: float, about: _Subject) -> dict[str, str]:
     """Return the sentences of an item by decision."""
     where, name = about.where, about.mechanism or "FID"
     head = NAME.get(measure.metric, "")
@@ -188,7 +192,7 @@ def _sentences(measure: Address, relative: float, about: _About) -> dict[str, st
     elif about.compared == AFTER:
         subject = f"{head} after {measure.source.consumer}"
     else:
-        is_of_100 = measure.metric == SUCCESS_OF_100
+        is_of_100 = measure.metric == RANK1_AMONG_100
         gallery = "100" if is_of_100 else "the candidates of this run"
         task = measure.source.task
         subject = f"the share of people found among {gallery} in {task}"

@@ -6,8 +6,8 @@ from itertools import product
 import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import AS_SHARED, Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
@@ -19,10 +19,10 @@ def inflation(sweeps: Sweeps, attacks: Iterable[Address]) -> Iterator[Draft]:
     """Yield an item for every attack, adding rule, mechanism and descriptor."""
     for attack, adding in product(attacks, ADDING_RULES):
         for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
-            yield from _inflated(sweeps, mechanism, adding, attack, descriptor)
+            yield from _inflation_item(sweeps, mechanism, adding, attack, descriptor)
 
 
-def _inflated(
+def _inflation_item(
     sweeps: Sweeps, mechanism: str, adding: str, attack: Address, descriptor: str
 ) -> Iterator[Draft]:
     """Yield an item, if any level of a mechanism was attacked."""

@@ -15,10 +15,11 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import ndtr, ndtri, stdtrit
 
-from evaluation.estimates.matching import MIN_DEFINED
+from evaluation.estimates.interpolation import MIN_DEFINED
+from evaluation.estimates.json_numbers import json_number
 from evaluation.plan.world import World
 from evaluation.verdict import rules
-from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE, known
+from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
 
 _FAR: Final = 0.99  # Quantile of a deviation that shows how heavy its tails are.
@@ -85,14 +86,14 @@ class Draft:
         return ""
 
 
-def decided(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
+def decided_items(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
     """Return the items of a section as in `verdict.json`."""
     drafts = list(drafts)
-    q = critical([draft.effect for draft in drafts if not draft.why_not])
+    q = band_quantile([draft.effect for draft in drafts if not draft.why_not])
     return [_item(section, draft, q) for draft in drafts]
 
 
-def critical(
+def band_quantile(
     effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE
 ) -> float:
     """Return the quantile of the largest deviation over its scale; 0 without effects.
@@ -162,8 +163,8 @@ def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
         "decision": decision,
         "sign": rules.SIGN[decision],
         **rules.numbers(number),
-        "band_low": known(band_low),
-        "band_high": known(band_high),
+        "band_low": json_number(band_low),
+        "band_high": json_number(band_high),
         "unit": draft.unit,
         "n": effect.n,
         "sentence": sentence.replace("{}", shown),

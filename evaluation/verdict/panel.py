@@ -13,10 +13,11 @@ import numpy as np
 
 from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import FID, FIXED, RAW, Family
+from evaluation.estimates.interpolation import MIN_DEFINED, CurvePositions
 from evaluation.estimates.keys import where_text
 from evaluation.estimates.linkability import task_recording
-from evaluation.estimates.linked_people import LinkedTask
-from evaluation.estimates.matching import FEWEST_LEVELS, MIN_DEFINED, Places
+from evaluation.estimates.linked_people import TaskSums
+from evaluation.estimates.sweeps import FEWEST_LEVELS
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread
 from evaluation.verdict.spread import NEITHER, Contrasts
@@ -93,7 +94,7 @@ class Sums:
 class Panel:
     """The levels of a task under an adding rule, as places in `task.levels`."""
 
-    task: LinkedTask
+    task: TaskSums
     adding: str
     families: tuple[str, ...]  # (L,) of all levels
     fixed: list[int]  # From the noisiest to raw, which is the last.
@@ -119,7 +120,7 @@ class Panel:
 
 
 def build_panel(
-    task: LinkedTask, known: Mapping[str, Family], *, adding: str, preset: str
+    task: TaskSums, known: Mapping[str, Family], *, adding: str, preset: str
 ) -> Panel | None:
     """Return the panel of a task; None without raw or a sweep of fixed noise."""
     families = [known[level.mechanism] for level in task.levels]
@@ -168,7 +169,7 @@ def build_panel(
 
 
 def _sweep(
-    task: LinkedTask,
+    task: TaskSums,
     families: Sequence[Family],
     raw: list[int],
     *,
@@ -188,7 +189,7 @@ def _sweep(
 
 
 def drawn_weights(
-    task: LinkedTask, tasks: Sequence[LinkedTask], dataset: str, seed: int
+    task: TaskSums, tasks: Sequence[TaskSums], dataset: str, seed: int
 ) -> Floats:
     """Return weights of a task's clusters, (1 + B + C, C).
 
@@ -331,7 +332,9 @@ def _filled(values: Floats) -> Floats:
     return np.where(np.isfinite(values), values, np.nan_to_num(values[0]))
 
 
-def _level_shares(levels: Sequence[int], position: Places, n_levels: int) -> Floats:
+def _level_shares(
+    levels: Sequence[int], position: CurvePositions, n_levels: int
+) -> Floats:
     """Return the shares of all levels of a task that a sweep is read from, (K, L)."""
     shares = spread.mixture(position, len(levels))
     all_shares = np.zeros((len(shares), n_levels))

@@ -11,6 +11,7 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import RAW, Family
+from evaluation.estimates.json_numbers import json_interval
 from evaluation.estimates.metrics import FOLLOWED, FUTURE_EQUAL_ALARMS, KNOWN_SHARE
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.plan.address import Address
@@ -94,10 +95,10 @@ def patrol_options(
                 **dict(zip(_PLACE, _place(address), strict=True)),
                 "may_be_proposed": is_candidate
                 and (mechanism.protects or mechanism.family == RAW),
-                **_ends("missed", number.estimate),
+                **json_interval("missed", number.estimate),
                 **_rise(number.estimate, reference.estimate),
-                **_ends("known", known),
-                **_ends("followed", followed),
+                **json_interval("known", known),
+                **json_interval("followed", followed),
                 "n": min(number.estimate.n, known.n),
             }
         )
@@ -147,18 +148,13 @@ def _logs(
         address, share = number.address, number.estimate
         if address.metric != metric or address.adversary in ("", ORACLE):
             continue
+        if not np.isfinite(share.value):
+            # NaN is below no number: no later adversary would replace it.
+            continue
         place = _place(address)
         if place not in strongest or share.value > strongest[place].value:
             strongest[place] = share
     return strongest
-
-
-def _ends(name: str, estimate: Estimate) -> dict[str, float | None]:
-    return {
-        name: _finite(estimate.value),
-        f"{name}_low": _finite(estimate.ci_low),
-        f"{name}_high": _finite(estimate.ci_high),
-    }
 
 
 def _rise(missed: Estimate, reference: Estimate) -> dict[str, float | None]:
@@ -168,7 +164,7 @@ def _rise(missed: Estimate, reference: Estimate) -> dict[str, float | None]:
         # The same robot sees the same: no interval is needed.
         return {"lost": 0.0, "lost_low": 0.0, "lost_high": 0.0}
     if np.isfinite(missed.ci_high) and np.isfinite(reference.ci_high):
-        return _ends("lost", difference(missed, reference))
+        return json_interval("lost", difference(missed, reference))
     return {"lost": lost, "lost_low": None, "lost_high": None}
 
 
@@ -260,7 +256,3 @@ def built_in(numbers: Iterable[PatrolNumber]) -> list[dict[str, Any]]:
         for number in numbers
         if number.is_by_construction
     ]
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -14,15 +14,19 @@ from typing import Final
 import numpy as np
 
 from evaluation.estimates.families import FID, FIXED, RAW
-from evaluation.estimates.matching import interpolated, nearest_places, rising
+from evaluation.estimates.interpolation import (
+    interpolated,
+    isotonic_rows,
+    nearest_positions,
+)
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
-WHITE: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
+WHITE_FAMILIES: Final = (RAW, FIXED, FID, "laplace")  # Families that are one kind.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Squared:
+class SquaredError:
     """A squared error; errors of the same task share their draws of people."""
 
     # (1 + B,) estimate and replicates; below 0 where sampling alone explains more
@@ -43,14 +47,14 @@ class Squared:
         ).tolist()
         return value, low, high
 
-    def less(self, other: "Squared") -> "Squared":
+    def less(self, other: "SquaredError") -> "SquaredError":
         """Return this error less another."""
-        return Squared(self.drawn - other.drawn, self.centre - other.centre)
+        return SquaredError(self.drawn - other.drawn, self.centre - other.centre)
 
 
 def prediction_errors(
     descriptor: Floats, success: Floats, kinds: Sequence[str]
-) -> tuple[Squared, Squared] | None:
+) -> tuple[SquaredError, SquaredError] | None:
     """Return the squared error of a descriptor, and that of the mean of other kinds.
 
     None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and
@@ -71,15 +75,15 @@ def prediction_errors(
         order = np.argsort(scale[:, ~is_out], axis=1, kind="stable")
         x = np.take_along_axis(scale[:, ~is_out], order, axis=1)
         y = np.take_along_axis(reached[:, ~is_out], order, axis=1)
-        position = nearest_places(scale[:, is_out], x)
-        predicted = interpolated(position, rising(y), log=False)
+        position = nearest_positions(scale[:, is_out], x)
+        predicted = interpolated(position, isotonic_rows(y), log=False)
         null = np.delete(means, place, axis=0).mean(axis=0)[:, None]
         truth = reached[:, is_out]
         rows.append([_squares(truth - predicted), _squares(truth - null)])
     ours, null_error = np.mean(rows, axis=0)
     return (
-        Squared(ours[1:], float(ours[0])),
-        Squared(null_error[1:], float(null_error[0])),
+        SquaredError(ours[1:], float(ours[0])),
+        SquaredError(null_error[1:], float(null_error[0])),
     )
 
 

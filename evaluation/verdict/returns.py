@@ -17,6 +17,7 @@ from evaluation.compute.return_columns import (
     STRONGEST,
 )
 from evaluation.estimates.families import CLEAN
+from evaluation.estimates.json_numbers import json_interval, json_number
 from evaluation.estimates.returns import ReturnNumbers
 from evaluation.plan.address import Address
 from evaluation.plan.consumer import FUSION
@@ -54,18 +55,18 @@ def return_verdict(
     return {
         "decision": answer.decision,
         "why": answer.why,
-        "power": _finite(answer.power),
+        "power": json_number(answer.power),
         "n": answer.n,
         "n_needed": answer.n_needed,
         "primary": f"{PRIMARY}, no error",
         "nested_p": evidence.p_value,
-        **_ends("rank1", cell[FUSION, RANK1]),
+        **json_interval("rank1", cell[FUSION, RANK1]),
         "chance": cell[FUSION, CHANCE].value,
-        **_ends("control", cell[STRONGEST, RANK1]),
+        **json_interval("control", cell[STRONGEST, RANK1]),
         "controls": _chosen_controls(numbers.chosen),
-        **_ends("gain", evidence.gain),
+        **json_interval("gain", evidence.gain),
         "confirming": confirming,
-        **_ends("confirming_gain", second.gain if second else _UNKNOWN),
+        **json_interval("confirming_gain", second.gain if second else _UNKNOWN),
         "confirming_p": second.p_value if second else None,
     }
 
@@ -76,15 +77,3 @@ def _chosen_controls(chosen: Mapping[Address, int]) -> dict[str, int]:
         key.control: n for key, n in chosen.items() if key.mechanism == CLEAN and n
     }
     return dict(sorted(counts.items(), key=lambda item: -item[1]))
-
-
-def _ends(name: str, estimate: Estimate) -> dict[str, float | None]:
-    return {
-        name: _finite(estimate.value),
-        f"{name}_low": _finite(estimate.ci_low),
-        f"{name}_high": _finite(estimate.ci_high),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from evaluation.estimates.json_numbers import json_interval
 from evaluation.estimates.metrics import DESCRIPTORS, METRICS
 from isac_track.intervals import Estimate
 
@@ -40,7 +41,7 @@ LEAST_FALL: Final = 0.20
 FEWEST_DISCORDANT: Final = 10
 NO_SPREAD: Final = 1e-9  # Standard error below which replicates show nothing.
 MOST_PEOPLE: Final = 100_000  # More people than any recording has.
-_NOBODY_HAS: Final = "no realistic number of"
+_UNREALISTIC: Final = "no realistic number of"
 # Share of its span by which a point may lie beyond the fixed sweep.
 REACH: Final = 0.02
 
@@ -62,18 +63,12 @@ def is_realistic(n: float) -> bool:
 
 def people_amount(n: float) -> str:
     """Return a number of people in words, to two digits, for "... people"."""
-    return f"about {float(f'{n:.2g}'):,.0f}" if is_realistic(n) else _NOBODY_HAS
+    return f"about {float(f'{n:.2g}'):,.0f}" if is_realistic(n) else _UNREALISTIC
 
 
 def numbers(effect: Estimate) -> dict[str, Any]:
     """Return an effect as in `verdict.json`."""
-    ends = {name: known(getattr(effect, name)) for name in ("ci_low", "ci_high")}
-    return {"effect": known(effect.value), **ends}
-
-
-def known(value: float) -> float | None:
-    """Return a number, or None for NaN, which JSON lacks."""
-    return float(value) if np.isfinite(value) else None
+    return json_interval("effect", effect, ends="ci")
 
 
 def with_interval(

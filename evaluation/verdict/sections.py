@@ -12,14 +12,14 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from evaluation.estimates.linked_people import LinkedProbes, by_cluster
-from evaluation.estimates.matching import FUTURE, Sweeps
-from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.linked_people import LinkedProbes, sum_by_cluster
+from evaluation.estimates.metrics import PLR
+from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import claim, inflation, rules
-from evaluation.verdict.items import Draft, decided
+from evaluation.verdict.items import Draft, decided_items
 from evaluation.verdict.validity import validity
-from evaluation.verdict.within_level import within
+from evaluation.verdict.within_level import within_level_items
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
 
 
@@ -38,14 +38,14 @@ def validity_sections(
     success = {task: linker for task, linker in strongest.items() if task}
     seed = manifest["identity"]["seed"]
     sections = validity(
-        by_cluster(levels),
+        sum_by_cluster(levels),
         families=sweeps.families,
         preset=manifest["settings"]["preset"],
         dataset=manifest["dataset"]["name"],
         seed=seed,
     )
-    sections["items"] += decided(
-        rules.WITHIN, within(levels, sweeps, success=success, seed=seed)
+    sections["items"] += decided_items(
+        rules.WITHIN, within_level_items(levels, sweeps, success=success, seed=seed)
     )
     return sections
 
@@ -83,8 +83,8 @@ def verdict(
             )
     items = [
         *across["items"],
-        *decided(rules.CLAIM, claims),
-        *decided(rules.INFLATION, inflation.inflation(sweeps, attacks)),
+        *decided_items(rules.CLAIM, claims),
+        *decided_items(rules.INFLATION, inflation.inflation(sweeps, attacks)),
     ]
     for item in items:
         if labels := _scoring_attacks(item, scored or {}):
@@ -111,7 +111,7 @@ def _scoring_attacks(
     is_after = item["section"] == rules.INFLATION or item.get("of") == claim.AFTER
     if not is_after and item.get("of") != claim.LINKED:
         return []
-    ranked = EXPOSURE if is_after else str(item.get("metric"))
+    ranked = PLR if is_after else str(item.get("metric"))
     choices = scored.get(item["task"], {}).get(ranked, ())
     labels = [choice.without_task.label for choice in choices]
     return labels if {*labels} - {item["subject"]} else []

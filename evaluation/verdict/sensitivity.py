@@ -8,10 +8,10 @@ from urllib.parse import quote_plus, unquote_plus
 
 import pandas as pd
 
-from evaluation.estimates.differences import load_verdict
 from evaluation.plan.address import parse_label
 from evaluation.plan.variants import BASE, usual_variants
 from evaluation.store.manifest import read_manifest
+from evaluation.store.verdict_file import load_verdict
 from isac_track.errors import DataError
 
 CELLS_FOLDER: Final = "sensitivity"

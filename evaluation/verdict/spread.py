@@ -16,11 +16,11 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import betaincinv, ndtr, stdtrit
 
-from evaluation.estimates.matching import (
-    Places,
+from evaluation.estimates.interpolation import (
+    CurvePositions,
     interpolated,
-    nearest_places,
-    rising,
+    isotonic_rows,
+    nearest_positions,
 )
 from evaluation.verdict import rules
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
@@ -124,7 +124,7 @@ class AtQuartiles:
 
     descriptor: Floats  # (R, 3)
     success: Floats  # (R, 3)
-    places: Places  # Of the quartiles among the sweep's levels.
+    places: CurvePositions  # Of the quartiles among the sweep's levels.
 
 
 def at_quartiles(descriptor: Floats, success: Floats, fixed: Floats) -> AtQuartiles:
@@ -135,13 +135,13 @@ def at_quartiles(descriptor: Floats, success: Floats, fixed: Floats) -> AtQuarti
     `descriptor` and `success`, (R, E), go from the noisiest level to raw, and so does
     the descriptor of `fixed` noise, (R, F).
     """
-    scale = rising(descriptor)
+    scale = isotonic_rows(descriptor)
     raw = scale[:, -1:]
-    least = max(scale[0, 0], rising(fixed[:1])[0, 0], LEAST_SHARE * raw[0, 0])
+    least = max(scale[0, 0], isotonic_rows(fixed[:1])[0, 0], LEAST_SHARE * raw[0, 0])
     common = least / raw[0, 0] if raw[0, 0] > 0 else 1.0
     at = raw * common ** (1.0 - np.array(QUARTILES))
-    position = nearest_places(at, scale)
-    reached = interpolated(position, rising(success), log=False)
+    position = nearest_positions(at, scale)
+    reached = interpolated(position, isotonic_rows(success), log=False)
     return AtQuartiles(at, reached, position)
 
 
@@ -151,7 +151,7 @@ class BesideFixed:
 
     gaps: Floats  # (R, K) success less that of fixed noise
     side: Ints  # (K,) the direction that can be shown
-    places: Places  # Of the levels among those of fixed noise.
+    places: CurvePositions  # Of the levels among those of fixed noise.
 
 
 def beside_fixed(
@@ -165,18 +165,18 @@ def beside_fixed(
     `descriptor` and `success` are (R, K), those of `fixed` noise (R, F) from the
     noisiest level to raw.
     """
-    scale, achieved = (rising(curve) for curve in fixed)
+    scale, achieved = (isotonic_rows(curve) for curve in fixed)
     span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
     tolerance = rules.REACH * span
     side = np.select(
         [below < -tolerance, below > span + tolerance], [ONLY_FEWER, ONLY_MORE], BOTH
     )
-    position = nearest_places(descriptor, scale)
+    position = nearest_positions(descriptor, scale)
     gaps = success - interpolated(position, achieved, log=False)
     return BesideFixed(gaps, side, position)
 
 
-def mixture(position: Places, n_levels: int) -> Floats:
+def mixture(position: CurvePositions, n_levels: int) -> Floats:
     """Return the shares of the levels, noisiest first, behind the estimate, (K, L)."""
     right, share = position.right[0], np.nan_to_num(position.share[0])
     shares, rows = np.zeros((right.size, n_levels)), np.arange(right.size)

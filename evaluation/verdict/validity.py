@@ -14,9 +14,10 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from evaluation.estimates.families import ADDING_RULES, Family
+from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.keys import where_text
-from evaluation.estimates.linked_people import LinkedTask
-from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.linked_people import TaskSums
+from evaluation.estimates.metrics import DESCRIPTORS, RANK1, RANK1_AMONG_100
 from evaluation.verdict import rules, spread
 from evaluation.verdict.panel import (
     Panel,
@@ -26,8 +27,12 @@ from evaluation.verdict.panel import (
     contrasts,
     drawn_weights,
 )
-from evaluation.verdict.prediction_error import WHITE, Squared, prediction_errors
-from evaluation.verdict.rules import BETWEEN, NAME, known, with_interval
+from evaluation.verdict.prediction_error import (
+    WHITE_FAMILIES,
+    SquaredError,
+    prediction_errors,
+)
+from evaluation.verdict.rules import BETWEEN, NAME, with_interval
 from evaluation.verdict.spread import (
     BOTH,
     NEITHER,
@@ -43,8 +48,8 @@ from isac_track.types import Floats
 CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
 """Kinds of evidence: the task hides the mechanism's change; more people are linked;
 fewer people are linked, as far as these attacks go."""
-# Descriptors that are larger the less is left of a track.
-FALLING: Final = ("alignment_error", "posterior_std")
+# Descriptors that rise with noise, as PLR, AEL and MEL fall.
+RISING_WITH_NOISE: Final = ("alignment_error", "posterior_std")
 _N_FOR_ERRORS: Final = 200  # Replicates of a prediction error.
 OTHER_HALF: Final = "rank 1 of the other half of the people"
 """The positive control: no descriptor could tell more about how linkable people are."""
@@ -54,12 +59,13 @@ _WHY_ONE_SIDED: Final = {
     ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
     NEITHER: "has a {} of too few people",
 }
-Errors: TypeAlias = "tuple[Squared, Squared] | None"  # With a descriptor, and without.
+Errors: TypeAlias = "tuple[SquaredError, SquaredError] | None"
+"""Prediction errors with a descriptor, and without."""
 _QUARTILE: Final = dict(zip(spread.QUARTILES, ("low", "middle", "high"), strict=True))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Tested:
+class ValidityTest:
     """A descriptor in a task under an adding rule, before its section is decided."""
 
     panel: Panel
@@ -76,7 +82,7 @@ class Tested:
 
 
 def validity(
-    tasks: Sequence[LinkedTask],
+    tasks: Sequence[TaskSums],
     *,
     families: Mapping[str, Family],
     preset: str,
@@ -87,8 +93,8 @@ def validity(
 
     `families` are by mechanism.
     """
-    tested: list[Tested] = []
-    halves: list[Tested] = []
+    tested: list[ValidityTest] = []
+    halves: list[ValidityTest] = []
     on_trial: list[dict[str, Any]] = []
     for task in tasks:
         weights = drawn_weights(task, tasks, dataset, seed)
@@ -109,7 +115,7 @@ def validity(
             half_contrasts = contrasts(
                 half, half.drawn(weights), panel, others=panel.others, fid=panel.fid
             )
-            halves.append(Tested(panel, "", half_contrasts))
+            halves.append(ValidityTest(panel, "", half_contrasts))
     section = spread.furthest_together([item.contrasts for item in tested])
     control_section = spread.furthest_together([item.contrasts for item in halves])
     return {
@@ -126,16 +132,16 @@ def _tested(
     rates: Rates,
     *,
     errors: Errors,
-) -> Tested:
+) -> ValidityTest:
     """Return a descriptor with its contrasts, those beside the panel included."""
     own = contrasts(sums, rates, panel, others=panel.others, fid=panel.fid)
     beside = None
     if panel.beside:
         beside = contrasts(sums, rates, panel, others=panel.beside)
-    return Tested(panel, name, own, beside, errors)
+    return ValidityTest(panel, name, own, beside, errors)
 
 
-def _sums(task: LinkedTask, name: str) -> Sums:
+def _sums(task: TaskSums, name: str) -> Sums:
     values, windows = (
         np.array([level.descriptors[name][part] for level in task.levels])
         for part in (0, 1)
@@ -148,7 +154,7 @@ def _sums(task: LinkedTask, name: str) -> Sums:
     )
 
 
-def _half(task: LinkedTask, sums: Sums, seed: int) -> Sums:
+def _half(task: TaskSums, sums: Sums, seed: int) -> Sums:
     """Return a half of the people, with the other half's linkage as its descriptor."""
     order = stream(seed, "halves", task.task).permutation(len(task.clusters))
     is_first = order < len(task.clusters) / 2
@@ -165,9 +171,9 @@ def _errors(panel: Panel, name: str, rates: Rates) -> Errors:
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success, descriptor = (values[: 1 + _N_FOR_ERRORS, levels] for values in rates)
     families = [panel.families[place] for place in levels]
-    kinds = ["white" if family in WHITE else family for family in families]
+    kinds = ["white" if family in WHITE_FAMILIES else family for family in families]
     return prediction_errors(
-        -descriptor if name in FALLING else descriptor, success, kinds
+        -descriptor if name in RISING_WITH_NOISE else descriptor, success, kinds
     )
 
 
@@ -198,7 +204,7 @@ def _error_numbers(pair: Errors) -> dict[str, float | None]:
     return {**dict(zip(keys, values, strict=True)), "prediction_error_null": null}
 
 
-def _item(tested: Tested, section: Floats) -> dict[str, Any]:
+def _item(tested: ValidityTest, section: Floats) -> dict[str, Any]:
     """Return an item as in `verdict.json`."""
     panel, own = tested.panel, tested.contrasts
     wide = spread.widths(own, section)
@@ -237,7 +243,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
         "ci_low": low,
         "ci_high": high,
         "unit": "fraction",
-        "metric": "rank1" if panel.task.gallery is None else "rank1_g100",
+        "metric": RANK1 if panel.task.gallery is None else RANK1_AMONG_100,
         **_error_numbers(tested.errors),
         "evidence": kinds if decision in (rules.DOES_NOT, rules.TRACKS) else [],
         "power": spread.decision_power(answers),
@@ -250,7 +256,7 @@ def _item(tested: Tested, section: Floats) -> dict[str, Any]:
     return {**item, "sentence": _sentence(tested, item)}
 
 
-def _control(tested: Tested, section: Floats) -> dict[str, Any]:
+def _control(tested: ValidityTest, section: Floats) -> dict[str, Any]:
     """Return the record of a positive control, which must not fail."""
     wide = spread.widths(tested.contrasts, section)
     # Linkage itself as the descriptor: any span will do.
@@ -297,8 +303,8 @@ def _contrasts(
                 "quartile": spread.QUARTILES[k] if is_fid else None,
                 "subject": level.linker.without_task.label,
                 "effect": gap if np.isfinite(own.errors[k]) else None,
-                "ci_low": known(ci_low[k]),
-                "ci_high": known(ci_high[k]),
+                "ci_low": json_number(ci_low[k]),
+                "ci_high": json_number(ci_high[k]),
                 "unit": "fraction",
                 "n": int(own.people[k]),
                 "reading": next(
@@ -319,7 +325,7 @@ def _mechanism_name(gap: Mapping[str, Any]) -> str:
     return where_text(gap["mechanism"], gap["level"])
 
 
-def _why_not(tested: Tested, wide: Widths) -> str:
+def _why_not(tested: ValidityTest, wide: Widths) -> str:
     """Return why it cannot be tested whether a descriptor tracks."""
     panel, own = tested.panel, tested.contrasts
     effective = own.fall_degrees + 1
@@ -350,7 +356,7 @@ def _why_not(tested: Tested, wide: Widths) -> str:
     return panel.missing or "; ".join(_untestable_sides(tested))
 
 
-def _untestable_sides(tested: Tested) -> list[str]:
+def _untestable_sides(tested: ValidityTest) -> list[str]:
     """Return the mechanisms with an untestable side, each with the reason."""
     name, levels = NAME[tested.descriptor], tested.panel.task.levels
     reasons: dict[str, None] = {}
@@ -363,7 +369,7 @@ def _untestable_sides(tested: Tested) -> list[str]:
     return list(reasons)
 
 
-def _sentence(tested: Tested, item: Mapping[str, Any]) -> str:
+def _sentence(tested: ValidityTest, item: Mapping[str, Any]) -> str:
     """Return the sentence of an item."""
     name, decision, low = NAME[tested.descriptor], item["decision"], item["spread_low"]
     task = tested.panel.task

@@ -5,279 +5,29 @@ A limit is met only if the upper end of the interval meets it; a limit that was 
 tried is not met. Nothing is interpolated.
 """
 
-import math
-import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Final, Literal, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import pandas as pd
 
-from attacks.tasks.task_list import TASKS
 from evaluation.estimates.best_robot import BEST
-from evaluation.estimates.families import ADDING_RULES, RAW, Family
-from evaluation.estimates.metrics import (
-    DESCRIPTORS,
-    EQUAL_ALARMS,
-    EXPOSURE,
-    FALSE_ALARMS,
-    FUTURE_EQUAL_ALARMS,
-    LINKAGE_SHARE,
-    MEDIAN,
-    METRICS,
-    MISSED_RATE,
-    SUCCESS,
-    SUCCESS_OF_100,
-    WIDE,
-)
+from evaluation.estimates.families import RAW
 from evaluation.estimates.pareto import beats
-from evaluation.estimates.strongest import BEYOND
-from evaluation.estimates.strongest_table import SINGLE_RELEASE
-from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer, parse_row
-from evaluation.plan.world import World
-from isac_track.errors import SettingsError, did_you_mean
-from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
+from evaluation.verdict.level_checks import LevelChecker
+from evaluation.verdict.level_rows import (
+    check_families,
+    chosen_robots,
+    leading_handover,
+    read_levels,
+    robot_names,
+)
+from evaluation.verdict.offers import Offer, Unknown
+from evaluation.verdict.question import Question
+from isac_track.errors import SettingsError
 
-MOST_PLR: Final = 0.5  # After attack: below it most positions stay private.
-MOST_LINKAGE_SHARE: Final = 0.5  # Of raw's rank 1 above chance.
-HORIZON_S: Final = 3.0
 MOST_PROPOSALS: Final = 5
-# Up to so many times the scenes of a run, new scenes still show new people.
-MOST_TIMES: Final = 10.0
-LEADING: Final = "handover-1s"
-MISSED, LINKED = "missed", "linkage_share"
-# Metric by the name of a limit, in a question and in an answer.
-LIMITS: Final = {
-    MISSED: MISSED_RATE,
-    "false_alarm": FALSE_ALARMS,
-    **dict(zip(DESCRIPTORS, DESCRIPTORS, strict=True)),
-    SUCCESS: SUCCESS,
-    LINKED: SUCCESS,
-}
-"""Metrics that may be limited; `rank1` is of every task of the recording."""
-USUAL: Final[Mapping[str, float]] = {EXPOSURE: MOST_PLR, LINKED: MOST_LINKAGE_SHARE}
-"""Default limits."""
-Unknown: TypeAlias = Literal[
-    "no horizon",
-    "no robot",
-    "no attack",
-    "no handover",
-    "no task",
-    "adversary not tried",
-    "shortcut",
-    "attack too weak",
-    "no value",
-    "too few people",
-]
-"""Reason that a check has no answer."""
-WEAK: Final = "attack too weak"
-UNKNOWN: Final = Estimate(math.nan)
-
-
-@dataclass(frozen=True, slots=True)
-class Criterion:
-    """The conflicts by which levels are chosen, at raw's false-alarm rate."""
-
-    conflicts: Literal["missed_future", "missed"] = "missed_future"  # To come, or all.
-    horizon_s: float | None = HORIZON_S  # None: the run's own.
-
-    @property
-    def metric(self) -> str:
-        """The metric of `levels.csv`."""
-        return (
-            FUTURE_EQUAL_ALARMS if self.conflicts == "missed_future" else EQUAL_ALARMS
-        )
-
-    @property
-    def world(self) -> World:
-        """The world of the robots' numbers."""
-        return World(horizon_s=self.horizon_s)
-
-
-@dataclass(frozen=True, slots=True)
-class Question:
-    """Limits that a level must hold, against which adversaries, and for which robot.
-
-    Raises SettingsError for a limit out of range or an unknown adversary.
-    """
-
-    limits: Mapping[str, float] = field(default_factory=lambda: dict(USUAL))
-    """By name of `LIMITS`: fractions or s. A linkage share of 1 is no limit."""
-    against: tuple[str, ...] = ()  # Adversaries beyond one release that also count.
-    criterion: Criterion = Criterion()
-    robot: str = ""  # Predictor; empty: the best robot of the run, cross-fitted.
-    adding: tuple[str, ...] = ADDING_RULES  # All of them must hold.
-    only: tuple[str, ...] = ()  # Families; empty: all.
-    as_shared: bool = False  # Descriptors are limited as shared, not as reconstructed.
-
-    def __post_init__(self) -> None:
-        for name, limit in self.limits.items():
-            is_share = METRICS[LIMITS[name]].is_share
-            if not 0.0 <= limit <= (1.0 if is_share else sys.float_info.max):
-                kind = "time in s, 0 or more"
-                if is_share:
-                    kind = "fraction from 0 to 1 (0.2 for 20 %)"
-                option = f"--max-{name.replace('_', '-')}"
-                raise SettingsError(f"{option} is a {kind}, got {limit:g}")
-        for name in self.against:
-            if name not in BEYOND:
-                hint = (
-                    did_you_mean(name, BEYOND, quote="'")
-                    or f"; known: {', '.join(BEYOND)}"
-                )
-                raise SettingsError(f"--against {name}: no such adversary{hint}")
-
-    @property
-    def asks_linkage(self) -> bool:
-        """Whether linkage after a silence is limited."""
-        return self.limits.get(LINKED, 1.0) < 1.0
-
-
-def default_question(known: Mapping[str, Family]) -> Question:
-    """Return the first screen's question; it asks only for adding rules of the run."""
-    rules = {
-        family.adding for family in known.values() if family.adding and family.protects
-    }
-    usual = Question()
-    fitting = tuple(rule for rule in usual.adding if rule in rules)
-    return Question(adding=fitting or usual.adding)
-
-
-@dataclass(frozen=True, slots=True)
-class Check:
-    """One limit at one level."""
-
-    name: str  # As in `LIMITS`, `plr_wide`, or `rank1/TASK`.
-    limit: float  # Infinite: the number must be known.
-    measured: Estimate
-    source: Address | None = None  # The positions, or the linker, that it is of.
-    adversary: str = ""  # `SINGLE_RELEASE` or a name, for a number after attack.
-    scenes: int = 0  # Number of scenes behind it; 0: it is not about scenes.
-    missing: Unknown | None = None
-
-    @property
-    def unknown(self) -> Unknown | None:
-        """Reason that there is no answer; None with an answer."""
-        if self.missing is not None:
-            return self.missing
-        if math.isnan(self.measured.value):
-            return "no value"
-        is_few = 0 < self.measured.n < FEWEST_EFFECTIVE
-        if is_few or not math.isfinite(self.measured.ci_high):
-            return "too few people"
-        return None
-
-    @property
-    def status(self) -> str:
-        """Answer: met (the upper end is at most the limit), not met, or cannot say."""
-        if self.unknown:
-            return "cannot say"
-        return "met" if self.measured.ci_high <= self.limit else "not met"
-
-    @property
-    def excess(self) -> float:
-        """Relative excess of the upper end, or else of the value, over the limit."""
-        ends = (self.measured.ci_high, self.measured.value)
-        upper = next((end for end in ends if math.isfinite(end)), self.limit)
-        if not upper > self.limit:
-            return 0.0
-        return upper / self.limit - 1.0 if self.limit > 0.0 else math.inf
-
-    @property
-    def times_more(self) -> float:
-        """Factor of data that would part the value from its limit.
-
-        An interval narrows with the root of the factor. NaN unless the limit is within
-        the interval.
-        """
-        measured = self.measured
-        value, low, high = measured.value, measured.ci_low, measured.ci_high
-        if self.status != "not met" or not low < self.limit:
-            return math.nan
-        side = high - value if value <= self.limit else value - low
-        gap = abs(self.limit - value)
-        return (side / gap) ** 2 if gap > 0.0 else math.inf
-
-    @property
-    def asks(self) -> str:
-        """Data that would give an answer: more scenes, or other people."""
-        return "scenes" if self.scenes and self.times_more <= MOST_TIMES else "people"
-
-
-@dataclass(frozen=True, slots=True)
-class Attacked:
-    """Numbers after the strongest attack of an adversary at a level."""
-
-    adversary: str  # `SINGLE_RELEASE`, or a name.
-    source: Address | None = None  # None: it was not tried.
-    numbers: Mapping[str, Estimate] = field(default_factory=dict)  # By metric.
-
-    def value(self, metric: str) -> Estimate:
-        """Return a number, unknown if there is none."""
-        return self.numbers.get(metric, UNKNOWN)
-
-    def breaks(self, limit: float) -> bool | None:
-        """Return whether PLR, at epsilon or wider, breaks a limit; None: not tried."""
-        if self.source is None:
-            return None
-        return not all(self.value(name).ci_high <= limit for name in (EXPOSURE, WIDE))
-
-
-@dataclass(frozen=True, slots=True)
-class Linked:
-    """Success of the strongest linker in a task."""
-
-    task: str
-    source: Address | None = None  # None: it was not run at this level.
-    metric: str = SUCCESS  # Rank 1, or that of 100 candidates.
-    rank1: Estimate = UNKNOWN
-    chance: float = math.nan
-    share: Estimate = UNKNOWN  # Of raw's rank 1 above chance.
-    missing: Unknown | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class Offer:
-    """Cost and privacy of a level, and its checks against the limits."""
-
-    where: Where
-    family: Family
-    cost: Estimate  # Missed conflicts of the robot, by the criterion.
-    robots: Mapping[str, Estimate]  # Cost of every robot of the run by its name.
-    shared: Attacked
-    attacked: Attacked  # After one release.
-    beyond: tuple[Attacked, ...]  # After each adversary that knows more, tried or not.
-    linked: Linked | None  # In the leading handover; None: the run has none.
-    tasks: tuple[Linked, ...]
-    checks: tuple[Check, ...] = ()
-    lacks_rule: str = ""  # Adding rule under which its mechanism does not hold.
-
-    @property
-    def met(self) -> bool:
-        """Whether every limit holds."""
-        return all(check.status == "met" for check in self.checks)
-
-    @property
-    def failing(self) -> tuple[Check, ...]:
-        """Limits that do not hold, or have no answer."""
-        return tuple(check for check in self.checks if check.status != "met")
-
-    @property
-    def coordinates(self) -> tuple[float, float, float]:
-        """Cost, PLR after attack, and linkage: less is better.
-
-        An unknown number is infinite: it beats no known number, and equals another
-        unknown one. A level with an unknown limit is never proposed (`met`).
-        """
-        exposed = self.attacked if self.attacked.source else self.shared
-        linked = self.linked.rank1.value if self.linked else math.nan
-        plr = exposed.value(EXPOSURE).value
-        cost, plr, rank1 = (
-            math.inf if math.isnan(value) else value
-            for value in (self.cost.value, plr, linked)
-        )
-        return cost, plr, rank1
 
 
 @dataclass(frozen=True, slots=True)
@@ -340,13 +90,13 @@ def recommend(
     number for robots. Raises SettingsError for a family or a robot that the run does
     not have.
     """
-    known = _levels(table, dataset)
+    known = read_levels(table, dataset)
     raw_rows = next((level for level in known if level.family.family == RAW), None)
     rivals = [
         level for level in known if level.family.protects and level.family.is_added
     ]
-    _check_names(rivals, question)
-    robots = _robot_names(known)
+    check_families(rivals, question)
+    robots = robot_names(known)
     if question.robot and question.robot not in robots:
         raise SettingsError(
             f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'};"
@@ -354,7 +104,7 @@ def recommend(
         )
     robot = question.robot or BEST[question.criterion.metric]
     task = leading_handover({row.source.task for level in known for row in level.rows})
-    frame = _Frame(question, robot, task, scenes, robots=robots)
+    checker = LevelChecker(question, robot, task, scenes, robots=robots)
     asked = [
         level
         for level in rivals
@@ -364,7 +114,9 @@ def recommend(
         )
         and {*level.family.rules} & {*question.adding}
     ]
-    offers = _under_all_rules([frame.offer(level) for level in asked], question.adding)
+    offers = _under_all_rules(
+        [checker.offer(level) for level in asked], question.adding
+    )
     fitting = [offer for offer in offers if offer.met and not offer.lacks_rule]
     proposals = cheapest(non_dominated(fitting))
     refused = sorted(
@@ -373,9 +125,9 @@ def recommend(
     return Recommendation(
         question=question,
         robots=(
-            (robot,) if question.robot else _chosen_robots(known, question.criterion)
+            (robot,) if question.robot else chosen_robots(known, question.criterion)
         ),
-        raw=frame.offer(raw_rows) if raw_rows else None,
+        raw=checker.offer(raw_rows) if raw_rows else None,
         proposals=tuple(proposals),
         refused=tuple(refused),
         missing=_missing_everywhere(offers),
@@ -424,7 +176,9 @@ def _under_all_rules(offers: Sequence[Offer], adding: Sequence[str]) -> list[Off
             rules_met.setdefault(offer.family.name, set()).update(offer.family.rules)
     marked = []
     for offer in offers:
-        needed = () if offer.family.has_one_rule or not offer.family.adding else adding
+        needed = (
+            () if offer.family.has_fixed_rule or not offer.family.adding else adding
+        )
         lacking = [
             rule
             for rule in needed
@@ -449,269 +203,3 @@ def _missing_everywhere(offers: Sequence[Offer]) -> tuple[Unknown, ...]:
         if code
     )
     return tuple(dict.fromkeys(codes))
-
-
-@dataclass(frozen=True, slots=True)
-class _Row:
-    """A number of a level."""
-
-    world: World
-    adversary: str
-    source: Address
-    metric: str
-    measured: Estimate
-    outcome: str
-    invalid: str
-    chosen: tuple[str, str]  # By either half of the people.
-
-
-@dataclass(frozen=True, slots=True)
-class _Level:
-    """All numbers of a level."""
-
-    where: Where
-    family: Family
-    rows: tuple[_Row, ...]
-
-
-def _levels(table: pd.DataFrame, dataset: str) -> list[_Level]:
-    """Return the levels of a table, each with its numbers."""
-    rows: dict[Where, list[_Row]] = {}
-    families: dict[Where, Family] = {}
-    chosen = ("first_choice", "second_choice")
-    texts = (*chosen, "outcome", "invalid", "adversary", "knowledge", "adding")
-    tidy = table.assign(
-        **{name: table[name].astype(object).fillna("") for name in texts}
-    )
-    for row in tidy.to_dict("records"):
-        address = parse_row(row)
-        if address.recording != dataset:
-            # Simulated people beside a recording.
-            continue
-        where = address.where
-        families[where] = Family(
-            row["mechanism"],
-            row["family"],
-            row["adding"],
-            protects=bool(row["protects"]),
-        )
-        number = Estimate(row["value"], row["ci_low"], row["ci_high"], int(row["n"]))
-        about = (
-            row["adversary"],
-            address.source,
-            row["metric"],
-            number,
-            row["outcome"],
-            row["invalid"],
-        )
-        by_halves = row["first_choice"], row["second_choice"]
-        rows.setdefault(where, []).append(_Row(address.world, *about, chosen=by_halves))
-    return [
-        _Level(where, families[where], tuple(numbers))
-        for where, numbers in rows.items()
-    ]
-
-
-def _check_names(levels: Iterable[_Level], question: Question) -> None:
-    families = [level.family for level in levels]
-    known = dict.fromkeys(
-        text for family in families for text in (family.family, family.name)
-    )
-    for name in question.only:
-        if name not in known:
-            hint = (
-                did_you_mean(name, known, quote="'") or f"; it has {', '.join(known)}"
-            )
-            raise SettingsError(
-                f"--family {name}: the run has no such family that protects{hint}"
-            )
-
-
-def _robot_names(levels: Sequence[_Level]) -> tuple[str, ...]:
-    """Return the predictors of a run by name."""
-    names = (
-        row.source.consumer
-        for metric in (EQUAL_ALARMS, FALSE_ALARMS)
-        for level in levels
-        for row in level.rows
-        if row.metric == metric
-    )
-    return tuple(name for name in dict.fromkeys(names) if name not in BEST.values())
-
-
-def _chosen_robots(levels: Iterable[_Level], criterion: Criterion) -> tuple[str, ...]:
-    """Return the predictor that either half of the people chose; empty without any."""
-    best = BEST[criterion.metric]
-    chosen = (
-        row.chosen
-        for level in levels
-        for row in level.rows
-        if row.source.consumer == best and row.world == criterion.world
-    )
-    return next(chosen, ())
-
-
-def leading_handover(names: Collection[str]) -> str:
-    """Return the task by which linkage is judged; empty if there is no handover."""
-    handovers = [
-        name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names
-    ]
-    return LEADING if LEADING in handovers else next(iter(handovers), "")
-
-
-@dataclass(frozen=True, slots=True)
-class _Frame:
-    """The question and the run, against which every level is checked."""
-
-    question: Question
-    robot: str  # Whose costs count: a name, or one of `BEST`.
-    task: str
-    scenes: tuple[int, int]
-    robots: tuple[str, ...]
-
-    def offer(self, level: _Level) -> Offer:
-        """Return cost and privacy of a level, with its checks."""
-        criterion = self.question.criterion
-        robots = {
-            row.source.consumer: row.measured
-            for row in level.rows
-            if row.world == criterion.world and row.metric == criterion.metric
-        }
-        cost = robots.get(self.robot, UNKNOWN)
-        tasks = tuple(_linked(level, task) for task in _tasks(level))
-        offer = Offer(
-            where=level.where,
-            family=level.family,
-            cost=cost,
-            robots={name: rate for name, rate in robots.items() if name in self.robots},
-            shared=_attacked(level, "", source=AS_SHARED),
-            attacked=_attacked(level, SINGLE_RELEASE),
-            beyond=tuple(_attacked(level, name) for name in BEYOND),
-            linked=_linked(level, self.task) if self.task else None,
-            tasks=tasks,
-        )
-        checks = (
-            *self._costs(offer, level),
-            *self._exposure(offer),
-            *self._linkage(offer),
-        )
-        return replace(offer, checks=checks)
-
-    def _costs(self, offer: Offer, level: _Level) -> list[Check]:
-        limits, criterion = self.question.limits, self.question.criterion
-        n_scenes = self.scenes[1]
-        worlds = {row.world for row in level.rows}
-        missing: Unknown | None = None
-        if not self.robots:
-            missing = "no robot"
-        elif criterion.world not in worlds:
-            missing = "no horizon"
-        elif math.isnan(offer.cost.value):
-            missing = "no value"
-        source, most = parse_consumer(self.robot), limits.get(MISSED, math.inf)
-        checks = [
-            Check(MISSED, most, offer.cost, source, scenes=n_scenes, missing=missing)
-        ]
-        if "false_alarm" in limits:
-            rates = (
-                row.measured
-                for row in level.rows
-                if row.metric == FALSE_ALARMS
-                and row.source == source
-                and row.world == criterion.world
-            )
-            rate = next(rates, UNKNOWN)
-            checks.append(
-                Check(
-                    "false_alarm",
-                    limits["false_alarm"],
-                    rate,
-                    source,
-                    scenes=n_scenes,
-                    missing=missing,
-                )
-            )
-        if MISSED not in limits and not missing:
-            # Without a limit any known cost is fine, even without an interval.
-            return checks[1:]
-        return checks
-
-    def _exposure(self, offer: Offer) -> list[Check]:
-        question, checks = self.question, list[Check]()
-        sides = [offer.shared if question.as_shared else offer.attacked]
-        sides += [side for side in offer.beyond if side.adversary in question.against]
-        for side in sides:
-            # An adversary that was not tried gets no further check.
-            for name in (*DESCRIPTORS, WIDE) if side.source else DESCRIPTORS:
-                limit = question.limits.get(EXPOSURE if name == WIDE else name)
-                if limit is None:
-                    continue
-                untried: Unknown = (
-                    "adversary not tried" if side.adversary in BEYOND else "no attack"
-                )
-                checks.append(
-                    Check(
-                        name,
-                        limit,
-                        side.value(name),
-                        side.source,
-                        side.adversary,
-                        scenes=self.scenes[0],
-                        missing=untried if side.source is None else None,
-                    )
-                )
-        return checks
-
-    def _linkage(self, offer: Offer) -> list[Check]:
-        question, checks = self.question, list[Check]()
-        if question.asks_linkage:
-            linked = offer.linked or Linked("", missing="no handover")
-            limit = question.limits[LINKED]
-            source, missing = linked.source, linked.missing
-            checks.append(Check(LINKED, limit, linked.share, source, missing=missing))
-        if SUCCESS in question.limits:
-            limit = question.limits[SUCCESS]
-            for task in offer.tasks or (Linked("", missing="no task"),):
-                name = f"{SUCCESS}/{task.task}"
-                checks.append(
-                    Check(name, limit, task.rank1, task.source, missing=task.missing)
-                )
-        return checks
-
-
-def _tasks(level: _Level) -> list[str]:
-    return [*dict.fromkeys(row.source.task for row in level.rows if row.source.task)]
-
-
-def _attacked(
-    level: _Level, adversary: str, *, source: Address | None = None
-) -> Attacked:
-    """Return the numbers after an adversary's attack, the strongest by PLR."""
-    rows = [
-        row
-        for row in level.rows
-        if row.adversary == adversary
-        and not row.source.task
-        and (source is None or row.source == source)
-        and row.metric in {*DESCRIPTORS, WIDE, MEDIAN}
-    ]
-    by_plr = next((row.source for row in rows if row.metric == EXPOSURE), None)
-    return Attacked(adversary, by_plr, {row.metric: row.measured for row in rows})
-
-
-def _linked(level: _Level, task: str) -> Linked:
-    """Return the success of a task's strongest linker at a level."""
-    rows = {row.metric: row for row in level.rows if row.source.task == task}
-    metric = SUCCESS_OF_100 if SUCCESS_OF_100 in rows else SUCCESS
-    if metric not in rows:
-        return Linked(task, missing="no attack")
-    rank1 = rows[metric]
-    missing: Unknown | None = None
-    if rank1.invalid:
-        missing = "shortcut"
-    elif rank1.outcome == WEAK:
-        missing = WEAK
-    numbers = {name: row.measured for name, row in rows.items()}
-    share = numbers.get(LINKAGE_SHARE, UNKNOWN)
-    chance = numbers.get("chance", UNKNOWN).value
-    return Linked(task, rank1.source, metric, rank1.measured, chance, share, missing)

@@ -13,14 +13,15 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
+from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.linked_people import LinkedProbes
-from evaluation.estimates.matching import Sweeps
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import rules
 from evaluation.verdict.items import Draft
-from evaluation.verdict.rules import NAME, known
+from evaluation.verdict.rules import NAME
 from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
@@ -28,7 +29,7 @@ from isac_track.types import Floats, Ints
 _FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
 
 
-def within(
+def within_level_items(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
@@ -120,7 +121,7 @@ def _item(
             "": f"{sentence}.",
         },
         untestable=untestable,
-        details={"levels": len(levels), "linked": known(excess.value)},
+        details={"levels": len(levels), "linked": json_number(excess.value)},
     )
 
 
@@ -213,7 +214,9 @@ def _estimated(
     effective = effective_clusters(np.bincount(column).astype(np.float64))
     sums = np.sqrt(n / (n - 1.0)) * np.bincount(column, weights=parts, minlength=n)
     error = float(np.sqrt(sums @ sums))
-    half = float(stdtrit(n - 1, 0.5 + CONFIDENCE / 2)) * error
+    # As many degrees of freedom as in the items of the verdict.
+    freedom = max(effective - 1.0, 1.0)
+    half = float(stdtrit(freedom, 0.5 + CONFIDENCE / 2)) * error
     replicates = np.zeros(0) if drawn is None else value + drawn[:, names] @ sums
     ends = value - half, value + half
     return Estimate(

@@ -19,9 +19,10 @@ from scipy.stats import t as student
 import evaluation
 from evaluation import compare
 from evaluation.estimates import summary
-from evaluation.estimates.differences import COLUMNS, pairing
+from evaluation.estimates.differences import COLUMNS
 from evaluation.estimates.differences import compare as compared
 from evaluation.estimates.metrics import METRICS
+from evaluation.estimates.run_settings import pairing
 from evaluation.reporting.difference_tables import show
 from evaluation.store.manifest import read_manifest
 from isac_track.config import StageSettings

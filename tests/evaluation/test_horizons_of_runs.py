@@ -9,7 +9,7 @@ from helpers.finished_runs import make_summary
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
-from evaluation.estimates.decisions import curve
+from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.frontier import usual_price
 from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
 from evaluation.estimates.keys import row_worlds
@@ -121,7 +121,7 @@ def test_decisions_hold_future_conflicts_at_the_same_false_alarms(made):
     rows = table.to_pandas()
     rows = rows.assign(cluster=clusters(table, run.manifest))
     rows = rows[~(rows["conflict"] & rows["inside_now"])]
-    scene_rows = curve(
+    scene_rows = decision_curve(
         score=-rows["predicted_separation_m"].to_numpy(),
         conflict=rows["conflict"].to_numpy(),
         cluster=rows["cluster"].to_numpy(),
@@ -276,6 +276,12 @@ class TestStandingStill:
         (record,) = beaten_by_standing_still(self.robots(0.5, clusters=19), {})
         assert record["loses"] == []
         assert record["robot"] == "least_squares"
+        unequal = {
+            key: replace(item, effective=3.0) if key.consumer == BASELINE else item
+            for key, item in self.robots(0.5).items()
+        }
+        (record,) = beaten_by_standing_still(unequal, {})
+        assert record["loses"] == []
         assert beaten_by_standing_still({}, {3.0: {}}) == []
 
     def test_the_first_screen_says_so(self, made):

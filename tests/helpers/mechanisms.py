@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.sweeps import Sweeps
 from isac_track.sharing import perturb
 
 RULE = ":adding=independent"

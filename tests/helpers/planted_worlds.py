@@ -17,7 +17,7 @@ from scipy.stats import norm
 
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import EQUAL_ALARMS
-from evaluation.estimates.strongest import strongest
+from evaluation.estimates.strongest import strongest_by_task
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import SHARED
 from evaluation.verdict.sections import validity_sections, verdict
@@ -98,7 +98,7 @@ def planted_verdict(estimates, levels):
         "settings": {"preset": "paper", "scenes": 500, "predictors": [PREDICTOR]},
     }
     sweeps = make_sweeps(estimates)
-    best = strongest(estimates, sweeps.families)
+    best = strongest_by_task(estimates, sweeps.families)
     about = {"strongest": best, "manifest": manifest}
     return verdict(sweeps, validity_sections(levels, sweeps, **about), **about)
 

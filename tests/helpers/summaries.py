@@ -15,7 +15,8 @@ from evaluation.plan.presets import PRESETS
 from evaluation.plan.source_digest import code_hash
 from evaluation.store.csv_files import from_csv, to_csv
 from evaluation.store.manifest import read_manifest, write_manifest
-from evaluation.verdict.what_to_share import Question, recommend
+from evaluation.verdict.question import Question
+from evaluation.verdict.what_to_share import recommend
 from isac_track.config import StageSettings
 
 WALKS = "walks"

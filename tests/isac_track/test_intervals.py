@@ -196,6 +196,17 @@ def test_a_difference_is_paired_in_the_replicates_that_both_have():
     assert (result.ci_low, result.ci_high) == pytest.approx((1.5, 1.5))
 
 
+def test_a_difference_of_few_effective_clusters_has_no_interval():
+    values = np.linspace(0.0, 1.0, 101)
+    many = estimate_from_replicates(values, n=40, effective=40.0)
+    few = estimate_from_replicates(values, n=40, effective=14.0)
+    for a, b in ((many, few), (few, many)):
+        result = difference(a, b)
+        assert (result.value, result.n, result.effective) == (0.0, 40, 14.0)
+        assert np.isnan([result.ci_low, result.ci_high]).all()
+    assert np.isfinite(difference(many, many).ci_high)
+
+
 def test_effective_clusters_are_the_clusters_if_all_are_equal():
     for sizes, expected in (
         ([3.0, 3.0, 3.0, 0.0], 3),

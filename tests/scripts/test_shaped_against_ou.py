@@ -10,13 +10,13 @@ from helpers.straight_lines import run
 
 from evaluation.estimates.frontier import frontier_quantities
 from evaluation.estimates.metrics import EQUAL_ALARMS
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.strongest_table import strongest_attacks
 
 
 def readings(advantage):
     """Readings of fid and fixed where a line's misses have risen."""
     sweeps = make_sweeps(run(advantage=advantage))
-    attacks = strongest_on_each(sweeps.estimates, {}, sweeps.families)
+    attacks = strongest_attacks(sweeps.estimates, {}, sweeps.families)
     quantities, _ = frontier_quantities(sweeps, attacks)
     return shaped_against_ou.readings(
         sweeps, quantities, robots=["least_squares"], price=EQUAL_ALARMS

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.frontier import VALUE, WHITE, usual_price
+from evaluation.estimates.frontier import VALUE, WHITE_NOISE, usual_price
 from evaluation.estimates.keys import row_dicts
-from evaluation.estimates.metrics import EXPOSURE
+from evaluation.estimates.metrics import PLR
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.plan.presets import BASELINE
@@ -44,7 +44,7 @@ def figures(run: Results) -> Iterator[Figure]:
     """Yield attacked PLR over the rise of misses: a panel a robot and six families."""
     if run.frontier.empty:
         return
-    rows = usual_price(run.frontier[run.frontier["metric"] == EXPOSURE])
+    rows = usual_price(run.frontier[run.frontier["metric"] == PLR])
     rows = rows[(rows["consumer"] != AS_SHARED.consumer) & rows["value"].notna()]
     robots = [robot for robot in dict.fromkeys(rows["robot"]) if robot != BASELINE]
     rows = rows[rows["robot"].isin(robots or [BASELINE])]
@@ -54,7 +54,7 @@ def figures(run: Results) -> Iterator[Figure]:
         for start in range(0, max(len(names), 1), _MOST):
             part = f", {start // _MOST + 1}" if len(names) > _MOST else ""
             # A mechanism looks the same for every robot.
-            shown = [WHITE, *names[start : start + _MOST]]
+            shown = [WHITE_NOISE, *names[start : start + _MOST]]
             chart = _panel(run, known, shown, key)
             if chart:
                 panels.append((f"robot: {robot_name(str(robot))}{part}", chart))
@@ -77,7 +77,7 @@ def _mechanisms(rows: pd.DataFrame) -> list[str]:
     """Return the mechanisms with enough points for a line, without white noise."""
     counts = rows.groupby(["mechanism", "robot"], sort=False)["target"].nunique()
     lines = counts[counts >= _LEAST_POINTS].index.get_level_values("mechanism")
-    return [str(name) for name in dict.fromkeys(lines) if name != WHITE]
+    return [str(name) for name in dict.fromkeys(lines) if name != WHITE_NOISE]
 
 
 def _panel(
@@ -92,7 +92,7 @@ def _panel(
     for place, name in enumerate(names):
         if name in parts:
             title = "white"
-            if name != WHITE:
+            if name != WHITE_NOISE:
                 title = short_family_name(find_family(run.families, name))
             curve, marks = _drawn(parts[name], title, Look(place))
             curves.append(curve)
@@ -120,7 +120,7 @@ def _caption(run: Results, rows: pd.DataFrame) -> str:
         f" points more, {name} has the lowest PLR after attack:"
         f" {PERCENT * best['value']:.0f} %"
     )
-    white = usual.loc[usual["mechanism"] == WHITE, "value"]
+    white = usual.loc[usual["mechanism"] == WHITE_NOISE, "value"]
     beside = f"; white noise {PERCENT * white.iloc[0]:.0f} %" if len(white) else ""
     return f"{text}{beside}."
 

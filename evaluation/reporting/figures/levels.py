@@ -11,7 +11,7 @@ import pandas as pd
 
 from evaluation.estimates.families import FID, FIXED, RAW
 from evaluation.estimates.keys import is_attack
-from evaluation.estimates.metrics import EXPOSURE, METRICS, MISSED_RATE
+from evaluation.estimates.metrics import METRICS, MISSED_RATE, PLR
 from evaluation.estimates.paper import DATASET, PREDICTOR, PUBLISHED
 from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.address import AS_SHARED, Address
@@ -37,14 +37,14 @@ from evaluation.reporting.rows import Results, Scheme, schemes, source_rows
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80  # Of a file's name.
 _SHARED_LOOKS = {
-    EXPOSURE: Look(5),
+    PLR: Look(5),
     "ael": Look(4, hollow=True),
     "mel": Look(5, hollow=True),
 }
 _PAPER_LOOK = Look(LOOKS - 1)
 _PANELS = {
     "missed conflicts (%)": (MISSED_RATE,),
-    "PLR, shared (%)": (EXPOSURE,),
+    "PLR, shared (%)": (PLR,),
     "exposure, shared (s)": ("ael", "mel"),
 }
 
@@ -194,7 +194,7 @@ def _sweep_caption(scheme: Scheme, rows: pd.DataFrame) -> str:
     if len(missed):
         ends = _ends(missed["value"])
         parts.append(f"{robot_subject(robot)} misses {ends} of conflicts")
-    exposed = shown[(shown["metric"] == EXPOSURE) & (shown["consumer"] == SHARED)]
+    exposed = shown[(shown["metric"] == PLR) & (shown["consumer"] == SHARED)]
     if len(exposed):
         parts.append(f"PLR as shared is {_ends(exposed['value'])}")
     if not parts:
@@ -230,7 +230,7 @@ def _attacked(run: Results) -> Iterator[Figure]:
     An attack that only the oracle can run is hollow.
     """
     rows = after_attack(run.ours)
-    rows = rows[rows["metric"] == EXPOSURE]
+    rows = rows[rows["metric"] == PLR]
     chosen = [
         source
         for source in most_knowing(list_sources(rows))
@@ -247,7 +247,7 @@ def _attacked(run: Results) -> Iterator[Figure]:
     if not looks.keys() - {AS_SHARED}:
         return
     series = [
-        _Series(_label(source), look, source_rows(rows, source), EXPOSURE)
+        _Series(_label(source), look, source_rows(rows, source), PLR)
         for source, look in looks.items()
     ]
     series = [part for part in series if len(part.rows)]

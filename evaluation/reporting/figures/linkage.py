@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.estimates.linkability import LinkedTask
+from evaluation.estimates.linkability import TaskOutcomes
 from evaluation.plan.address import Address
 from evaluation.reporting.amounts import round_percent, sentence_case
 from evaluation.reporting.charts import (
@@ -91,7 +91,7 @@ def figures(run: Results) -> Iterator[Figure]:
     )
 
 
-def _strongest(run: Results, task: LinkedTask) -> _Linked:
+def _strongest(run: Results, task: TaskOutcomes) -> _Linked:
     """Return a task by the run's strongest attack, else by the best on average."""
     rows = {source: _rank1_rows(task, source) for source in task.attacks}
     named = run.strongest.get(task.name)
@@ -171,7 +171,7 @@ def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
     return ""
 
 
-def _rank1_rows(task: LinkedTask, source: Address) -> pd.DataFrame:
+def _rank1_rows(task: TaskOutcomes, source: Address) -> pd.DataFrame:
     """Return finite rank 1 of an attack, and chance, with the columns of a summary."""
     keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
     known = (block[source] for block in task.cells.values() if source in block)

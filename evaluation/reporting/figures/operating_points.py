@@ -8,7 +8,7 @@ import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, RAW
 from evaluation.estimates.keys import is_attack
-from evaluation.estimates.metrics import DESCRIPTORS, EXPOSURE, METRICS, MISSED_RATE
+from evaluation.estimates.metrics import DESCRIPTORS, METRICS, MISSED_RATE, PLR
 from evaluation.plan.presets import SHARED
 from evaluation.reporting.charts import (
     LOOKS,
@@ -44,7 +44,7 @@ def figures(run: Results) -> Iterator[Figure]:
             for x, value in zip(raw["x"], raw["value"], strict=True)
         ]
         if curves:
-            y = Axis(f"{style.head}, shared ({style.unit})", metric != EXPOSURE)
+            y = Axis(f"{style.head}, shared ({style.unit})", metric != PLR)
             chart = curves_chart(
                 curves, x=Axis("missed conflicts (%)"), y=y, marked=marked
             )
@@ -60,7 +60,7 @@ def figures(run: Results) -> Iterator[Figure]:
         panels=panels,
         columns=2,
         key=key,
-        caption=_caption(_plane(ours, predictor, EXPOSURE), predictor),
+        caption=_caption(_plane(ours, predictor, PLR), predictor),
         note="Down and to the left is better.",
     )
 

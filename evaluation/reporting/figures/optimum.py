@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
-from evaluation.estimates.bounds import Gap
+from evaluation.estimates.bounds import ClosestAttack
 from evaluation.reporting.bounds import world_error_law
 from evaluation.reporting.charts import PERCENT, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
@@ -50,14 +50,14 @@ def figures(run: Results) -> Iterator[Figure]:
     )
 
 
-def _level(run: Results, gap: Gap) -> str:
+def _level(run: Results, gap: ClosestAttack) -> str:
     """Return the plain name of the level of a gap."""
     return short_mechanism_name(
         find_family(run.families, gap.where.mechanism), gap.where.level
     )
 
 
-def _caption(gaps: Sequence[Gap]) -> str:
+def _caption(gaps: Sequence[ClosestAttack]) -> str:
     """Tell how far the closest attack stays below the optimum, at the worst level."""
     exact = [PERCENT * gap.gap.value for gap in gaps if gap.is_exact]
     if exact:

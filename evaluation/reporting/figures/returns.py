@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from evaluation.compute.return_columns import STRONGEST
-from evaluation.estimates.metrics import SUCCESS
+from evaluation.estimates.metrics import RANK1
 from evaluation.plan.consumer import FUSION
 from evaluation.reporting.charts import LOOKS, Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
@@ -37,7 +37,7 @@ def figures(run: Results) -> Iterator[Figure]:
     series = {
         name: (
             looks[name],
-            [find_number(numbers, where, plugin, SUCCESS) for where in levels],
+            [find_number(numbers, where, plugin, RANK1) for where in levels],
         )
         for name, plugin in shown.items()
     }

@@ -5,10 +5,10 @@ import pytest
 from helpers.addresses import address_at, entry_at
 
 from evaluation.estimates.best_robot import BEST, best_robots
-from evaluation.estimates.decisions import curve
+from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
-from evaluation.estimates.summary import Scored, bootstrap_weights
+from evaluation.estimates.summary import PredictorAnswers, bootstrap_weights
 from isac_track.intervals import FEW_CLUSTERS, Estimate, jackknife_interval
 from isac_track.rng import stream
 
@@ -40,7 +40,7 @@ def planted(noises, *, n_people, rng, scenes_each=6, levels=LEVELS):
                 "predicted_separation_m": foreseen,
             }
             entry = entry_at(name, kind="predictor", where=(mechanism, level))
-            scored.append(Scored(entry, cluster, columns))
+            scored.append(PredictorAnswers(entry, cluster, columns))
     return scored
 
 
@@ -63,7 +63,7 @@ def missed_by_hand(scored, name, people, weight, where, *, future=False):
     in_question = people[cluster] & ~(
         columns["conflict"] & columns["inside_now"] & future
     )
-    rates = curve(
+    rates = decision_curve(
         score=-columns["predicted_separation_m"][in_question],
         conflict=columns["conflict"][in_question],
         cluster=cluster[in_question],
@@ -193,7 +193,7 @@ def test_a_half_weighs_the_same_whoever_is_chosen():
         dict.fromkeys("ab", 0.4), n_people=60, rng=stream(0, "test", "fewer scenes")
     )
     few = [
-        Scored(
+        PredictorAnswers(
             robot.entry,
             robot.cluster[::3],
             {name: values[::3] for name, values in robot.columns.items()},

@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from evaluation import Settings, run
-from evaluation.estimates.bounds import Gap, gaps
+from evaluation.estimates.bounds import ClosestAttack, gaps
 from evaluation.estimates.weak_attacks import far_from_optimum, lines
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import DEFAULT, PRESETS
@@ -138,7 +138,7 @@ def test_linkers_stand_beside_the_optimal_ratio_where_errors_are_gaussian(
 
 def test_who_is_far_from_the_optimum_even_where_he_is_closest_is_flagged():
     near, far = (
-        Gap(
+        ClosestAttack(
             World(is_model=True),
             ("fid", 1.0),
             parse_consumer(name, "blind"),

@@ -8,17 +8,11 @@ import pytest
 from helpers.cards import made_up_card
 from statsmodels.stats.multitest import multipletests
 
-from evaluation.estimates.cards import (
-    AXES,
-    agreement,
-    card_score,
-    has_own_primary,
-    on_front,
-    places,
-    primary_scores,
-    same_board,
-)
+from evaluation.estimates.board_places import on_front, same_board, standings
+from evaluation.estimates.card_agreement import agreement
+from evaluation.estimates.cards import AXES, card_score, has_own_primary, primary_scores
 from evaluation.plan.protocol import read_protocol
+from evaluation.reporting.board_page import make_board
 from evaluation.reporting.cards import place_line
 from evaluation.store.cards import CardPlugin, CardScore
 from isac_track.errors import DataError
@@ -166,16 +160,36 @@ class TestFront:
         louder = made_up_card(known=0.1, followed=0.0, weaker=0.0, form="flag")
         assert on_front([flag, louder, made_up_card()]).tolist() == [True, False, True]
 
+    def test_a_card_without_a_rival_of_its_form_is_alone(self):
+        flag = made_up_card(weaker=0.0, form="flag")
+        cards = [made_up_card(), made_up_card(known=0.4), flag]
+        placed = standings(cards)
+        assert [place.kind for place in placed] == ["front", "beaten", "alone"]
+        assert place_line(flag, placed[2]) == (
+            f"{flag.label}: alone with its form of answer, nothing to compare"
+        )
+        finding = make_board(cards).worlds[0].finding
+        assert finding.startswith(
+            "1 of 3 entries is on the front. ou:0.4 is alone with its form of answer,"
+            " nothing to compare."
+        )
+
+    def test_a_card_without_a_primary_number_is_not_on_the_front(self):
+        card, unknown = made_up_card(), made_up_card(known=0.2)
+        nothing = replace(unknown.primary["known"], value=None)
+        unknown = replace(unknown, primary={**unknown.primary, "known": nothing})
+        assert on_front([card, unknown]).tolist() == [True, False]
+
     def test_the_clearest_of_those_who_beat_a_card_is_named(self):
         weak = made_up_card(known=0.5, mechanism="weak")  # [0.48, 0.52]
         near = made_up_card(known=0.49, mechanism="near")
         clear = made_up_card(known=0.47, missed=0.3, mechanism="clear")
-        own, first = places([weak, near])
+        own, first = standings([weak, near])
         assert (own.kind, own.beaten_by, own.is_within) == ("beaten", (near,), True)
         assert (first.kind, first.beats) == ("front", (weak,))
-        own, *_ = places([weak, near, clear])
+        own, *_ = standings([weak, near, clear])
         assert (own.beaten_by, own.is_within) == ((clear, near), False)
-        line = place_line(near, places([weak, near, clear])[1])
+        line = place_line(near, standings([weak, near, clear])[1])
         assert line == f"{near.label}: beaten by clear; beats weak (within intervals)"
 
     def test_a_card_that_met_fewer_attacks_neither_beats_nor_leads(self):
@@ -183,7 +197,7 @@ class TestFront:
         strong = made_up_card(known=0.1, weaker=0.0)
         weak = made_up_card(attacks=(*strong.attacks, further))
         assert on_front([strong, weak]).tolist() == [False, True]
-        assert [place.kind for place in places([strong, weak])] == ["unmet", "alone"]
+        assert [place.kind for place in standings([strong, weak])] == ["unmet", "alone"]
         met = replace(strong, attacks=weak.attacks)
         assert on_front([met, weak]).tolist() == [True, False]
 

@@ -6,7 +6,7 @@ import pytest
 
 from evaluation import matrix
 from evaluation.estimates.families import FID, Family, families_in
-from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.sweeps import Sweeps
 from isac_track.errors import PluginError
 from isac_track.plugins import parse
 

@@ -7,8 +7,8 @@ import pytest
 from helpers.mechanisms import RULE, make_sweeps
 from helpers.straight_lines import PREDICTORS, run
 
-from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE, frontier
-from evaluation.estimates.metrics import MISSED_RATE, SUCCESS_OF_100
+from evaluation.estimates.frontier import COLUMNS, TARGETS, WHITE_NOISE, frontier
+from evaluation.estimates.metrics import MISSED_RATE, RANK1_AMONG_100
 from evaluation.estimates.strongest import first_half
 from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -59,7 +59,7 @@ def test_straight_lines_are_read_where_the_rate_has_risen(robot, criterion, slop
 def test_intervals_white_noise_and_who_is_beaten():
     estimates = run(advantage=0.1)
     estimates |= {
-        key.at(WHITE, key.level): estimate
+        key.at(WHITE_NOISE, key.level): estimate
         for key, estimate in estimates.items()
         if key.mechanism == f"fixed{RULE}"
     }
@@ -72,7 +72,7 @@ def test_intervals_white_noise_and_who_is_beaten():
     )
     assert list(frame.columns) == COLUMNS
     fid, white, fixed = (
-        rows(frame, mechanism=name) for name in ("fid", WHITE, "fixed")
+        rows(frame, mechanism=name) for name in ("fid", WHITE_NOISE, "fixed")
     )
     assert (fid["ci_low"] < fid["value"]).all()
     assert (fid["value"] < fid["ci_high"]).all()
@@ -116,6 +116,37 @@ def test_raw_is_one_for_all_and_between_few_levels_there_is_no_interval():
     )
 
 
+ENDS = ["level_low", "level_high", "ci_low", "ci_high"]
+
+
+def first_price(estimates):
+    frame = rows(table(estimates), robot=PREDICTORS[0], criterion="missed")
+    return rows(frame, consumer="kalman_rts", metric="plr")
+
+
+def test_few_people_have_no_interval_and_no_comparison():
+    few = {key: replace(item, n=10) for key, item in run(advantage=0.1).items()}
+    frame = first_price(few)
+    assert frame["value"].notna().all()
+    assert frame[ENDS].isna().all(axis=None)
+    assert frame["dominated"].isna().all()
+
+
+def test_what_too_few_replicates_reach_is_not_compared():
+    """Fixed noise ends at the second target: about half of its replicates fall short."""
+    short = {
+        key: item
+        for key, item in run(advantage=0.1).items()
+        if key.mechanism != "fixed" or key.level < 0.3
+    }
+    frame = first_price(short)
+    ended, other = (rows(frame, mechanism=name) for name in ("fixed", f"fixed{RULE}"))
+    assert ended["value"].notna().tolist() == [True, True, False, False]
+    assert ended["ci_low"].notna().tolist() == [True, False, False, False]
+    assert ended["dominated"].notna().tolist() == [True, False, False, False]
+    assert other["dominated"].all()
+
+
 def test_the_strongest_on_each_mechanism_is_cross_fitted():
     """Two attacks, each better against one mechanism; the choice is scored by hand."""
     n, first, second = (
@@ -155,7 +186,7 @@ def test_the_strongest_on_each_mechanism_is_cross_fitted():
 def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_known():
     estimates = run()
     estimates |= {
-        key.measured(SUCCESS_OF_100): item
+        key.measured(RANK1_AMONG_100): item
         for key, item in estimates.items()
         if key.metric == "rank1"
     }
@@ -165,11 +196,13 @@ def test_a_target_out_of_reach_keeps_its_row_and_gallery_100_comes_first_if_know
         if key.mechanism in ("raw", "fixed") and (key.level or 0.0) < 0.3
     }
     frame = rows(table(few), robot=PREDICTORS[0], criterion="missed")
-    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {SUCCESS_OF_100}
+    assert set(rows(frame, consumer="rerelease/shape")["metric"]) == {RANK1_AMONG_100}
     for _, item in frame.groupby(["consumer", "metric"]):
         assert item["target"].tolist() == list(TARGETS)
         assert item["level"].notna().tolist() == [True, True, False, False]
-        assert item["dominated"].isna().tolist() == [False, False, True, True]
+        # Few replicates reach the second target: no interval, and no comparison.
+        assert item["ci_low"].isna().tolist() == [False, True, True, True]
+        assert item["dominated"].isna().tolist() == [False, True, True, True]
         assert item["vs_white"].isna().all()
     assert table(
         {key: item for key, item in estimates.items() if key.mechanism == "raw"}

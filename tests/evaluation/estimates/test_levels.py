@@ -10,9 +10,9 @@ from scipy.special import expit
 from evaluation.estimates.best_robot import BEST, BestRobots
 from evaluation.estimates.cross_fit import cross_fit
 from evaluation.estimates.families import Family
-from evaluation.estimates.levels import COLUMNS, levels, linked_share
+from evaluation.estimates.levels import COLUMNS, levels, linkage_share
 from evaluation.estimates.metrics import EQUAL_ALARMS, FUTURE_EQUAL_ALARMS
-from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_on_each
+from evaluation.estimates.strongest_table import SINGLE_RELEASE, strongest_attacks
 from evaluation.plan.world import World
 from isac_track.intervals import (
     LEAST_CLUSTERS,
@@ -35,10 +35,10 @@ def test_the_share_is_paired_with_raw_and_above_chance():
     # Of what raw has above its chance of 0.04 half is left, in each replicate, above
     # 0.02.
     half = 0.02 + 0.5 * (raw - 0.04)
-    share = linked_share(drawn(half), 0.02, drawn(raw), 0.04)
+    share = linkage_share(drawn(half), 0.02, drawn(raw), 0.04)
     assert (share.value, share.ci_low, share.ci_high) == pytest.approx((0.5, 0.5, 0.5))
     noisy = half + np.append(0.0, rng.normal(0.0, 0.05, 400))
-    share = linked_share(drawn(noisy), 0.02, drawn(raw), 0.04)
+    share = linkage_share(drawn(noisy), 0.02, drawn(raw), 0.04)
     by_hand = (noisy[1:] - 0.02) / (raw[1:] - 0.04)
     assert (share.ci_low, share.ci_high) == pytest.approx(percentile_interval(by_hand))
     # The upper end is at most a limit where the difference from so much of raw's is
@@ -57,7 +57,7 @@ def test_the_share_is_paired_with_raw_and_above_chance():
     ],
 )
 def test_where_raw_does_not_link_or_people_are_few_there_is_no_interval(raw, effective):
-    share = linked_share(
+    share = linkage_share(
         drawn([0.4, 0.4, 0.4]), 0.03, drawn(raw, effective=effective), 0.03
     )
     assert np.isnan(share.ci_high)
@@ -93,7 +93,7 @@ def test_the_share_s_interval_covers_where_linkers_are_chosen(n_people):
             )
             estimates.append(estimate)
         raw, linked = estimates
-        share = linked_share(linked, chance, raw, chance)
+        share = linkage_share(linked, chance, raw, chance)
         covered.append(share.ci_low <= truth <= share.ci_high)
         above.append(truth > share.ci_high)
     assert np.mean(covered) > 0.92
@@ -151,7 +151,7 @@ def run():
         },
         {BEST[FUTURE_EQUAL_ALARMS]: ("kalman_cv", "least_squares")},
     )
-    attacks = strongest_on_each(estimates, {}, known)
+    attacks = strongest_attacks(estimates, {}, known)
     about = {
         "attacks": attacks,
         "horizons": {World(horizon_s=3.0): horizon},

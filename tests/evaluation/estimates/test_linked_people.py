@@ -8,9 +8,9 @@ from helpers.small_runs import smoke, write_walks
 
 import evaluation
 from evaluation.estimates.families import entry_families
-from evaluation.estimates.linked_people import LinkedProbes, by_cluster, read_probes
-from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.linked_people import LinkedProbes, read_probes, sum_by_cluster
 from evaluation.estimates.strongest import first_half
+from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import parse_consumer
 from evaluation.store.manifest import read_manifest
 from isac_track.intervals import Estimate
@@ -58,7 +58,7 @@ def run(tmp_path_factory):
 
 def test_sums_over_clusters_are_the_summary_and_the_windows_of_who_is_linked(run):
     numbers, out, probes = run
-    for task in by_cluster(probes):
+    for task in sum_by_cluster(probes):
         assert task.gallery is None  # of thirty people
         assert [(item.mechanism, item.level) for item in task.levels] == list(SPECS)
         for item in task.levels:
@@ -131,7 +131,7 @@ def test_of_a_hundred_candidates_where_all_have_as_many(among, gallery):
         np.zeros((3, 1)),
         np.ones((3, 3), dtype=int),
     )
-    (task,) = by_cluster({"split": [result]})
+    (task,) = sum_by_cluster({"split": [result]})
     (level,) = task.levels
     assert (task.gallery, task.clusters) == (gallery, ("a", "b"))
     assert level.success.tolist() == ([1.5, 0.0] if gallery else [2.0, 0.0])

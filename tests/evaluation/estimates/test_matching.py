@@ -12,20 +12,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy.optimize import isotonic_regression, lsq_linear
 
-from evaluation.estimates.matching import (
-    AT_EQUAL_ALARMS,
-    COLUMNS,
-    MISSED,
-    N_ATTACK_POINTS,
-    N_POINTS,
-    PLR,
-    at_changes,
+from evaluation.estimates.interpolation import (
     interpolated,
-    joined,
-    matched,
-    places,
-    rising,
+    isotonic_joined,
+    isotonic_rows,
+    positions_at_change,
 )
+from evaluation.estimates.matching import COLUMNS, N_ATTACK_POINTS, N_POINTS, matched
+from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, EQUAL_PLR, MISSED, at_changes
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import SHARED
 
@@ -40,7 +34,7 @@ from evaluation.plan.presets import SHARED
 )
 def test_rising_is_isotonic_regression_of_scipy(values):
     expected = [isotonic_regression(row).x for row in values]
-    assert np.allclose(rising(values), expected, atol=1e-12)
+    assert np.allclose(isotonic_rows(values), expected, atol=1e-12)
 
 
 @settings(max_examples=40, deadline=None)
@@ -52,7 +46,7 @@ def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(
     rng = np.random.default_rng(seed)
     a, b = (np.round(rng.normal(size=(1, n)), 1) for n in rng.integers(2, 6, 2))
     b[:, -1] = a[:, -1]
-    first, second = joined([a, b], increasing=increasing)
+    first, second = isotonic_joined([a, b], increasing=increasing)
     assert first[0, -1] == second[0, -1]
     n = a.size + b.size - 1
     # Every level is raw less the steps between.
@@ -73,7 +67,7 @@ def test_two_curves_that_end_in_one_raw_are_the_nearest_that_are_monotone(
 
 def test_a_row_of_unknowns_stays_unknown():
     values = np.array([[1.0, np.nan, 2.0], [3.0, 1.0, 2.0]])
-    result = rising(values)
+    result = isotonic_rows(values)
     assert np.isnan(result[0]).any()
     assert result[1].tolist() == [2.0, 2.0, 2.0]
 
@@ -86,7 +80,7 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
     change -= change[:, -1:]
     values = np.sort(rng.random((3, 6)), axis=1) + 0.1
     at = rng.random(7)
-    result = interpolated(places(at, change), values, log=log)
+    result = interpolated(positions_at_change(at, change), values, log=log)
     for row in range(3):
         y = np.log(values[row]) if log else values[row]
         expected = np.interp(at - 1e-9, change[row, ::-1], y[::-1], right=np.nan)
@@ -98,7 +92,9 @@ def test_interpolated_equals_numpy_within_reach_and_is_unknown_beyond(seed, log)
 def test_rows_may_be_read_at_places_of_their_own():
     change = np.array([[1.0, 0.0], [2.0, 0.0]])
     values = np.array([[0.0, 1.0], [0.0, 1.0]])
-    result = interpolated(places(np.array([[0.5], [0.5]]), change), values, log=False)
+    result = interpolated(
+        positions_at_change(np.array([[0.5], [0.5]]), change), values, log=False
+    )
     assert result[:, 0] == pytest.approx([0.5, 0.75])
 
 
@@ -135,6 +131,14 @@ def frame(estimates):
     return matched(make_sweeps(estimates), predictors=PREDICTORS, dataset="students03")
 
 
+def test_few_effective_clusters_have_no_interval():
+    few = {key: replace(item, effective=8.0) for key, item in run().items()}
+    rows = frame(few)
+    assert rows["difference"].notna().any()
+    ends = ["fid_low", "fid_high", "fixed_low", "fixed_high", "ci_low", "ci_high"]
+    assert rows[ends].isna().all(axis=None)
+
+
 @pytest.fixture(scope="module")
 def table():
     return frame(run())
@@ -147,13 +151,13 @@ def better():
 
 
 def test_equal_mechanisms_do_not_differ_under_any_criterion(table):
-    assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, PLR}
+    assert set(table["criterion"]) == {MISSED, AT_EQUAL_ALARMS, EQUAL_PLR}
     assert np.allclose(table["difference"], 0.0, atol=2e-4)
     assert list(table.columns) == COLUMNS
 
 
 def test_an_advantage_is_read_at_equal_rate(better):
-    part = better[(better["consumer"] == SHARED) & (better["criterion"] != PLR)]
+    part = better[(better["consumer"] == SHARED) & (better["criterion"] != EQUAL_PLR)]
     # Towards raw both end in the same point.
     inner = part[(part["at"] > 0.03) & (part["defined"] >= 0.975)]
     assert np.allclose(np.log(inner["fid"] / inner["fixed"]), -0.1, atol=0.002)
@@ -162,7 +166,7 @@ def test_an_advantage_is_read_at_equal_rate(better):
 
 def test_at_equal_plr_the_linkers_are_compared(better):
     """FID reaches a PLR with 0.1 less noise, and so 0.03 more people are linked."""
-    part = better[(better["criterion"] == PLR) & (better["metric"] == "rank1")]
+    part = better[(better["criterion"] == EQUAL_PLR) & (better["metric"] == "rank1")]
     low = part[part["at"] < np.exp(-0.5 - 0.2)]
     assert len(low) > 10
     assert np.allclose(low["difference"], 0.03, atol=2e-4)
@@ -176,7 +180,7 @@ def test_what_is_compared_for_whom(table):
     shared = rates["consumer"] == SHARED
     assert set(rates[shared]["predictor"]) == set(PREDICTORS)
     assert set(rates[~shared]["predictor"]) == {PREDICTORS[0]}
-    assert set(table[table["criterion"] == PLR]["predictor"]) == {""}
+    assert set(table[table["criterion"] == EQUAL_PLR]["predictor"]) == {""}
     assert not table["consumer"].str.contains("control-").any()
     simulated = table["consumer"].str.startswith("new_traversal/")
     assert set(table[simulated]["dataset"]) == {"plaza-two-sessions"}
@@ -199,7 +203,7 @@ def test_nothing_is_extrapolated(table):
         (table["criterion"] == AT_EQUAL_ALARMS) & (table["consumer"] == SHARED)
     ]
     assert alarms["at"].max() == pytest.approx(0.24)
-    plr = table[table["criterion"] == PLR]
+    plr = table[table["criterion"] == EQUAL_PLR]
     assert plr["at"].min() == pytest.approx(np.exp(-1.3), rel=1e-6)
     assert plr["at"].max() < np.exp(-0.5)
 

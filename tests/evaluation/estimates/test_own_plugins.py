@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.own_plugins import Estimates, plugin_records
-from evaluation.estimates.strongest_table import strongest_on_each
+from evaluation.estimates.own_plugins import RunNumbers, plugin_records
+from evaluation.estimates.strongest_table import strongest_attacks
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
@@ -48,8 +48,8 @@ def make_run(rates, *, knowledge="blind", task="", metric="plr", more=(), later=
     own = {key: estimated(summed_rates) for key, summed_rates in sums.items()} | dict(
         more
     )
-    return Estimates(
-        own, dict(later), sums, KNOWN, strongest_on_each(own, sums, KNOWN), task
+    return RunNumbers(
+        own, dict(later), sums, KNOWN, strongest_attacks(own, sums, KNOWN), task
     )
 
 
@@ -114,7 +114,7 @@ def test_an_attack_that_only_the_oracle_can_run_is_still_compared():
         make_run({"radial_rts": PLR["radial_rts"]}),
         make_run({"mine": PLR["mine"]}, knowledge="oracle"),
     )
-    run = Estimates(
+    run = RunNumbers(
         {**usual.own, **oracle.own},
         {},
         {**usual.sums, **oracle.sums},
@@ -180,7 +180,7 @@ def test_fewer_than_fifteen_people_have_no_interval():
         for where in LEVELS
     }
     own = {key: estimated(summed_rates) for key, summed_rates in sums.items()}
-    run = Estimates(own, {}, sums, KNOWN, (), "")
+    run = RunNumbers(own, {}, sums, KNOWN, (), "")
     (record,) = plugin_records({"attacks": ["mine"]}, run)
     assert record["difference"]["value"] == pytest.approx(-0.2)
     assert record["difference"]["ci_low"] is None

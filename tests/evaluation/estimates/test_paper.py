@@ -10,6 +10,7 @@ from helpers.addresses import address_at
 from helpers.mechanisms import make_sweeps
 
 from evaluation.estimates import matching, paper
+from evaluation.estimates.sweeps import MISSED
 from isac_track.intervals import Estimate
 
 N = 200
@@ -23,9 +24,7 @@ def matched(estimates, *, dataset, predictors):
     table = matching.matched(
         make_sweeps(estimates), predictors=predictors, dataset=dataset
     )
-    return table[
-        (table["criterion"] == matching.MISSED) & (table["consumer"] == "shared")
-    ]
+    return table[(table["criterion"] == MISSED) & (table["consumer"] == "shared")]
 
 
 def claims(estimates, *, dataset="students03", points=366.0, interval_s=0.0834):
@@ -71,8 +70,11 @@ def claim(estimates, text, adding="linear", **history):
     return rows.iloc[0]
 
 
-def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history():
-    few = {key: replace(number, n=8) for key, number in results(advantage=0.05).items()}
+@pytest.mark.parametrize("size", [{"n": 8}, {"effective": 8.0}])
+def test_with_few_people_nothing_is_decided_and_elsewhere_nothing_of_the_history(size):
+    few = {
+        key: replace(number, **size) for key, number in results(advantage=0.05).items()
+    }
     table = claims(few, dataset="plaza", points=350.0)
     assert len(table) > 5
     assert set(table["answer"]) == {"not testable"}

@@ -9,7 +9,7 @@ from evaluation.estimates.strongest import (
     cross_fitted,
     first_half,
     naming_rules,
-    strongest,
+    strongest_by_task,
 )
 from evaluation.plan.address import parse_consumer
 from evaluation.store.linkage_outcomes import ClusterSums
@@ -66,7 +66,7 @@ AS_THEY_ARE = {parse_consumer("shared"): 0.9, parse_consumer("identity", "blind"
     ],
 )
 def test_which_it_is(estimates, expected):
-    assert strongest(estimates, make_families(estimates)) == expected
+    assert strongest_by_task(estimates, make_families(estimates)) == expected
 
 
 def test_its_mean_is_a_number():
@@ -154,5 +154,5 @@ def test_a_linker_counts_by_the_better_way_to_name_mates():
         among_100 = crossed.estimates[SHAPE.measured("rank1_g100").at(*where)]
         assert (among_all.value, among_100.value) == pytest.approx((0.8, 0.3))
     result = {key: Estimate(summed.sums[0].mean()) for key, summed in sums.items()}
-    assert strongest(result, known) == {"rerelease": DTW}
+    assert strongest_by_task(result, known) == {"rerelease": DTW}
     assert naming_rules(result)[DTW] == "rank1_assigned"

@@ -1,6 +1,7 @@
 """The weak-attack detector: each rule fires where it must, and nowhere else."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -59,6 +60,12 @@ def beaten(plr, attack=None):
         ("a blind .71, a informed .70", "a informed < a blind"),
         ("a blind .70, a informed .71", ""),
         ("a informed .70, a oracle .70", ""),
+        # Adversaries are no chain: each may know what the other does not.
+        ("a insider .4, a repeats .6", ""),
+        ("a repeats .4, a insider .6", "a repeats < a insider"),
+        ("a companions .4, a anchor .6", ""),
+        ("a companions .4, a informed .6", "a companions < a informed"),
+        ("savgol repeats .7, kalman_rts insider .6", ""),
         # Not in the list of simple ones: held against these alone.
         ("another blind .7, mine blind .6", ""),
         # Parameters change no rank.
@@ -163,6 +170,10 @@ def leaking(mechanism):
 
 
 FEW = {("savgol", BLIND): estimate(0.7, n=19), ("kalman_rts", BLIND): 0.6}
+FEW_EFFECTIVE = {
+    ("savgol", BLIND): replace(estimate(0.7), effective=3.0),
+    ("kalman_rts", BLIND): 0.6,
+}
 SLOW = parse_plr("kalman_rts blind .7, slow_one blind .6")
 
 
@@ -172,6 +183,7 @@ SLOW = parse_plr("kalman_rts blind .7, slow_one blind .6")
         (leaking("clean"), "all that is shared leaks already"),
         (leaking("mine"), "all that is shared leaks already"),
         (make_run(FEW), "fewer than 20 clusters"),
+        (make_run(FEW_EFFECTIVE), "fewer than 20 clusters"),
         (ends(0.7, 0.8, rmse=(1.0, 1.09)), "the noise hardly rises"),
         (ends(0.7, 0.8, shared=(0.5, 0.5)), "PLR as shared does not fall either"),
         (make_run(SLOW), "a slow attack, without the others on the same tracks"),

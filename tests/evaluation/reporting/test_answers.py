@@ -261,6 +261,18 @@ def test_a_level_is_proposed_with_its_cost_and_what_breaks_it():
     )
 
 
+def test_an_adversary_that_too_few_people_tell_of_neither_breaks_it_nor_holds():
+    planted = table((PLANTED_RAW, changed(beyond={"anchor": 0.2})))
+    is_anchor = planted["adversary"] == "anchor"
+    planted.loc[is_anchor, ["ci_low", "ci_high"]] = np.nan
+    named = planted["dataset"].str.replace("walks", "students03")
+    run = make_run(levels=planted.assign(dataset=named))
+    assert answers(run)[4].sentence.endswith(
+        "The run cannot say whether it holds against an adversary with one true"
+        " position."
+    )
+
+
 def test_without_a_level_within_the_limits_the_nearest_is_named_but_never_a_control():
     sentence = share_sentence(BAD, SHIFTED)
     limits = "50 % of positions known and 50 % of the raw re-identification"

@@ -11,7 +11,7 @@ from helpers.summaries import BAD, GOOD, PATROLS, RAW, changed, write_run
 from rich.console import Console
 
 from evaluation.reporting.design_words import answer_question, show, to_json
-from evaluation.verdict.what_to_share import USUAL, Question
+from evaluation.verdict.question import USUAL, Question
 
 INDEPENDENT = ("independent",)
 

@@ -21,7 +21,7 @@ from helpers.finished_runs import (
 from helpers.pages import assert_as_approved, tells_rows_apart
 
 from evaluation.estimates.families import families_in
-from evaluation.estimates.linkability import linked_tasks
+from evaluation.estimates.linkability import task_outcomes
 from evaluation.reporting import tables
 from evaluation.reporting.answer_tables import effect, paper_table
 from evaluation.reporting.markup import markdown
@@ -58,7 +58,7 @@ def find_cells(table, *start):
 
 def ranks(frame):
     run = make_run(at=[*STRANGER, *levels()], linkability=frame)
-    return rank_table(run, linked_tasks(frame)[0])
+    return rank_table(run, task_outcomes(frame)[0])
 
 
 def test_what_is_shown_of_a_run_is_letter_for_letter_what_was_read_and_approved(

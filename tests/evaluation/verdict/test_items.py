@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm, t
 
 from evaluation.verdict import rules
-from evaluation.verdict.items import Draft, critical, decided
+from evaluation.verdict.items import Draft, band_quantile, decided_items
 from isac_track.intervals import Estimate
 
 
@@ -26,13 +26,13 @@ def draft(effect, *, parted_at=0.0, unit="fraction", **more):
 @pytest.mark.parametrize("n_items", [1, 3, 50])
 def test_the_quantile_is_that_of_the_largest_of_independent_normal_numbers(n_items):
     drawn = np.random.default_rng(n_items).standard_normal((n_items, 40_000))
-    quantile = critical([make_effect(0.0, drawn_row) for drawn_row in drawn], 0.95)
+    quantile = band_quantile([make_effect(0.0, drawn_row) for drawn_row in drawn], 0.95)
     assert quantile == pytest.approx(
         norm.ppf((1 + 0.95 ** (1 / n_items)) / 2), abs=0.05
     )
     # Ten times the same item is one item.
-    assert critical([make_effect(0.0, drawn[0])] * 10) == pytest.approx(
-        critical([make_effect(7.0, drawn[0])])
+    assert band_quantile([make_effect(0.0, drawn[0])] * 10) == pytest.approx(
+        band_quantile([make_effect(7.0, drawn[0])])
     )
 
 
@@ -40,9 +40,9 @@ def test_an_item_with_wild_replicates_does_not_widen_the_others():
     rng = np.random.default_rng(0)
     calm = [make_effect(0.0, drawn_row) for drawn_row in rng.standard_normal((9, 4000))]
     wild = rng.standard_normal(4000) * np.where(rng.random(4000) < 0.03, 4.0, 1.0)
-    assert critical([*calm, make_effect(0.0, wild)]) < 1.15 * critical(calm)
+    assert band_quantile([*calm, make_effect(0.0, wild)]) < 1.15 * band_quantile(calm)
     wild[:40] = np.nan  # where an effect has no replicate it is not counted
-    assert np.isfinite(critical([*calm, make_effect(0.0, wild)]))
+    assert np.isfinite(band_quantile([*calm, make_effect(0.0, wild)]))
 
 
 @pytest.mark.slow
@@ -58,7 +58,9 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
         items = [
             draft(make_effect(v, d, n=40)) for v, d in zip(mean, drawn.T, strict=True)
         ]
-        missed += any(drawn_row["sign"] for drawn_row in decided(rules.CLAIM, items))
+        missed += any(
+            drawn_row["sign"] for drawn_row in decided_items(rules.CLAIM, items)
+        )
     assert missed <= 9  # 3.2 are expected; 10 or more in 1 of 500 such tests
 
 
@@ -68,7 +70,7 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
 )
 def test_an_item_is_decided_by_its_band(value, decision):
     drawn = 0.01 * np.random.default_rng(2).standard_normal(2000)
-    (item,) = decided(rules.CLAIM, [draft(make_effect(value, drawn, n=31))])
+    (item,) = decided_items(rules.CLAIM, [draft(make_effect(value, drawn, n=31))])
     assert item["decision"] == decision
     half, wide = (item[high] - value for high in ("ci_high", "band_high"))
     assert half == pytest.approx(t.ppf(0.975, 30) * 0.01, rel=0.05)
@@ -78,7 +80,7 @@ def test_an_item_is_decided_by_its_band(value, decision):
 
 def test_a_ratio_is_tested_as_logarithm_and_told_as_it_is():
     drawn = 0.1 * np.random.default_rng(3).standard_normal(2000)
-    (item,) = decided(
+    (item,) = decided_items(
         rules.INFLATION, [draft(make_effect(np.log(1.5), drawn), unit="ratio")]
     )
     assert item["effect"] == pytest.approx(1.5)
@@ -112,10 +114,10 @@ def test_what_cannot_be_tested_says_why_and_is_in_no_band(
     effect, more, why, has_interval
 ):
     sure = draft(make_effect(9.0, NOISE))
-    items = decided(rules.CLAIM, [draft(effect, **more), sure])
+    items = decided_items(rules.CLAIM, [draft(effect, **more), sure])
     assert items[0]["decision"] == "not testable"
     assert why in items[0]["why"]
     assert items[0]["band_low"] is None
     assert (items[0]["ci_low"] is not None) == has_interval
-    assert items[1] == decided(rules.CLAIM, [sure])[0]
-    assert decided(rules.CLAIM, []) == []
+    assert items[1] == decided_items(rules.CLAIM, [sure])[0]
+    assert decided_items(rules.CLAIM, []) == []

@@ -86,6 +86,18 @@ def test_least_is_known_within_the_limit():
     assert not result["has_interval"]
 
 
+def test_an_adversary_without_a_number_hides_no_other():
+    made = numbers(OPTIONS)
+    unknown = [
+        number._replace(estimate=Estimate(np.nan))
+        if number.address.adversary == "blind"
+        else number
+        for number in made
+    ]
+    best = chosen(unknown)["best"]
+    assert (best["policy"], best["known"]) == ("state:2", pytest.approx(0.19))
+
+
 def test_with_intervals_the_upper_end_of_the_loss_counts():
     # The paired loss of state:2 is 3 points +- 4: too much for a limit of 5.
     result = chosen(numbers(OPTIONS, half=0.02))

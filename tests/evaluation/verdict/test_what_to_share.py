@@ -20,16 +20,16 @@ from helpers.summaries import (
     table,
 )
 
+from evaluation.plan.address import parse_consumer
+from evaluation.verdict.offers import AttackNumbers, Check
+from evaluation.verdict.question import USUAL as LIMITS
+from evaluation.verdict.question import Criterion, Question
 from evaluation.verdict.what_to_share import (
     MOST_PROPOSALS,
-    Check,
-    Criterion,
-    Question,
     cheapest,
     non_dominated,
     recommend,
 )
-from evaluation.verdict.what_to_share import USUAL as LIMITS
 from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 
@@ -117,6 +117,26 @@ class TestEachLimit:
         expected = {("plr", "not met"), ("plr_wide", "not met")}
         assert failing((RAW, broken), against=(name,)) == expected
         assert asked((RAW, GOOD), against=("repeats", "anchor")).met
+
+    @pytest.mark.parametrize(
+        ("plr", "wide", "breaks"),
+        [
+            (Estimate(0.1, 0.0, 0.2, 50), Estimate(0.2, 0.1, 0.3, 50), False),
+            (Estimate(0.1, 0.0, 0.2, 50), Estimate(0.5, 0.4, 0.6, 50), True),
+            # Without an interval, or with too few people, nothing is known.
+            (Estimate(0.1, n=14), Estimate(0.1, n=14), None),
+            (Estimate(0.1, 0.0, 0.2, 19), Estimate(0.9, 0.8, 1.0, 19), None),
+            (Estimate(0.1, 0.0, 0.2, 50), Estimate(0.1), None),
+            (Estimate(0.1), Estimate(0.9, 0.8, 1.0, 50), True),
+        ],
+    )
+    def test_an_adversary_breaks_a_limit_only_where_that_is_known(
+        self, plr, wide, breaks
+    ):
+        source = parse_consumer("ou_rts", "insider")
+        side = AttackNumbers("insider", source, {"plr": plr, "plr_wide": wide})
+        assert side.breaks(0.5) is breaks
+        assert AttackNumbers("insider").breaks(0.5) is None
 
     def test_beyond_epsilon_counts_for_an_adversary_too(self):
         near = changed(

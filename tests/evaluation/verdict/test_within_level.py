@@ -4,13 +4,15 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
+from scipy.special import ndtri
 
-from evaluation.estimates.matching import Sweeps
+from evaluation.estimates.sweeps import Sweeps
+from evaluation.verdict.items import around
 from evaluation.verdict.within_level import (
     LinkedTracks,
     clustered_mean,
     partial_correlation,
-    within,
+    within_level_items,
 )
 
 
@@ -64,6 +66,17 @@ def test_its_interval_covers_zero_as_often_as_it_says():
     assert 0.92 <= covered <= 0.98
 
 
+def test_its_interval_is_that_of_the_item():
+    """Unequal clusters: t has the degrees of freedom of the effective clusters."""
+    tracks = draw(np.random.default_rng(4), own=1.0)
+    cluster = np.minimum(np.arange(400) // 2, 60)
+    result = partial_correlation([replace(tracks, cluster=cluster)])
+    assert result.n_effective < 5 < result.n
+    normal = float(ndtri(0.975))
+    expected = around(result, result.standard_error, normal)
+    assert (result.ci_low, result.ci_high) == pytest.approx(expected)
+
+
 def test_nothing_varies_nothing_is_known():
     rng = np.random.default_rng(6)
     tracks = draw(rng)
@@ -81,4 +94,8 @@ def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
 
 
 def test_a_task_whose_windows_failed_has_no_item():
-    assert not [*within({"split": []}, Sweeps({}, {}), success={"split": None}, seed=0)]
+    assert not [
+        *within_level_items(
+            {"split": []}, Sweeps({}, {}), success={"split": None}, seed=0
+        )
+    ]

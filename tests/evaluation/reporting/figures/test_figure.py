@@ -19,7 +19,7 @@ from helpers.finished_runs import (
     with_links,
 )
 
-from evaluation.estimates.frontier import WHITE
+from evaluation.estimates.frontier import WHITE_NOISE
 from evaluation.reporting.charts import Axis, Curve, Look, Mark, curves_chart
 from evaluation.reporting.figures.figure import make_figures, write
 from evaluation.reporting.rows import schemes
@@ -221,7 +221,7 @@ def test_the_frontier_stands_beside_white_noise_and_further_adversaries_are_holl
     usual = make_frontier().assign(
         criterion="missed_at_equal_false_alarms", robot="kalman_cv"
     )
-    white = usual[usual["mechanism"] == "fixed"].assign(mechanism=WHITE)
+    white = usual[usual["mechanism"] == "fixed"].assign(mechanism=WHITE_NOISE)
     many = [
         white,
         *(

@@ -1,0 +1,27 @@
+"""Numbers and intervals as in JSON, which has no NaN."""
+
+import math
+
+from isac_track.intervals import Estimate
+
+
+def json_number(value: float) -> float | None:
+    """Return a number as a plain float, or None if it is not finite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def json_interval(
+    name: str, estimate: Estimate | None, *, ends: str = ""
+) -> dict[str, float | None]:
+    """Return a number and its interval by key: `name`, `ENDS_low` and `ENDS_high`.
+
+    `ends` is by default the name. All are None for an estimate that is None.
+    """
+    if estimate is None:
+        estimate = Estimate(math.nan)
+    ends = ends or name
+    return {
+        name: json_number(estimate.value),
+        f"{ends}_low": json_number(estimate.ci_low),
+        f"{ends}_high": json_number(estimate.ci_high),
+    }
