@@ -5,6 +5,7 @@ Nothing heavy is imported here: the command that plans a run reads it, too.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -168,12 +169,12 @@ def _gallery_notices(plan: Plan) -> list[str]:
 
 
 def cost_text(cost_s: float) -> str:
-    """Return a rounded duration: `about 25 s`, `about 3 min`."""
+    """Return a rounded duration: `about 25 s`, `about 3 min`; NaN is unknown."""
+    if math.isnan(cost_s):
+        return "an unknown time"
     if cost_s < _MINUTES_FROM_S:
         return f"about {cost_s:.0f} s"
-    if cost_s >= _MINUTES_FROM_S:
-        return f"about {cost_s / 60.0:.0f} min"
-    return "an unknown time"  # NaN
+    return f"about {cost_s / 60.0:.0f} min"
 
 
 def notices(manifest: Mapping[str, Any]) -> list[str]:

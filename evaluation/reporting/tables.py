@@ -54,7 +54,6 @@ from evaluation.reporting.notices import (
     used_are_slower,
 )
 from evaluation.reporting.patrol_tables import patrol_tables
-from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.return_tables import return_tables
 from evaluation.reporting.return_words import no_scenes_line
 from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
@@ -149,13 +148,14 @@ def _everything(run: Results) -> Iterator[Part]:
 
 
 def _answer_lines(run: Results) -> Iterator[Part]:
-    """Yield the five answers with their details, and all doubts."""
+    """Yield the five answers with their details, the tracking, and all doubts.
+
+    Patrols are in the details of what to share.
+    """
     table = run.headline
     yield ""
     for answer in answers(run, table):
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
-    if sentence := patrol_sentence(run):
-        yield f"On patrol: {sentence}"
     if sentence := tracking_sentence(run):
         yield f"Tracking: {sentence}"
     yield from (f"Doubt: {text}." for text in doubts(run, table))

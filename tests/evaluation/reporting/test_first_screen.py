@@ -21,7 +21,7 @@ from helpers.summaries import BAD, GOOD, RAW, table
 
 from evaluation.reporting.announcements import condense_notices
 from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
-from evaluation.reporting.notices import data_notices, geometry, notices
+from evaluation.reporting.notices import cost_text, data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
 from evaluation.reporting.recommendation import named_levels
 
@@ -235,6 +235,14 @@ def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
         make_run(tmp_path / "run", summary=make_summary(predictors=()))
     )
     assert "evaluation.report --verbose" in no_robot[-2] + no_robot[-1]
+
+
+@pytest.mark.parametrize(
+    ("cost_s", "text"),
+    [(25.2, "about 25 s"), (180, "about 3 min"), (np.nan, "an unknown time")],
+)
+def test_a_cost_is_rounded_and_an_unknown_cost_says_so(cost_s, text):
+    assert cost_text(cost_s) == text
 
 
 def test_notices_are_cut_where_they_can_be_read_in_full():
