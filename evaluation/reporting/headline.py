@@ -97,7 +97,7 @@ class Headline:
     attacked: HeadlineColumn | None  # After the strongest reconstruction.
     worst: HeadlineColumn | None  # The same of the most exposed tenth of the people.
     linked: Sequence[HeadlineColumn]  # By the strongest linker of each task.
-    wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
+    wheres: Sequence[Where]  # All levels of the run: clean positions come last.
     epsilon_m: float  # A position that is closer to the truth is known.
     horizon_s: float | None = None  # The longest further horizon of the run.
     # Numbers at that horizon.

@@ -69,14 +69,14 @@ def proposal_sentence(
         nearest = proposal["nearest"]
         failing = listed(_excess_texts(nearest, proposal))
         return (
-            f"No policy tried will do if {limits}. The nearest is"
+            f"No policy of this run keeps within the limits: {limits}. The nearest is"
             f" {_option_text(nearest, families)}: {failing}. {counted}"
         )
     all_sent = f"{_percent(everything['known'])} of person-time"
     if (best["mechanism"], best["policy"]) == (RAW, EVERYTHING):
         return (
-            f"A log of all answers knows {all_sent}, and under no policy tried it"
-            f" knows less if {limits}. {counted}"
+            f"A log of all answers knows {all_sent}, and no policy of this run lowers"
+            f" that within the limits: {limits}. {counted}"
         )
     return (
         f"Under {_option_text(best, families)} a log knows {_percent(best['known'])}"

@@ -55,7 +55,10 @@ _LABEL_WIDTH = 30
 _FUTURE = (
     "Missed future: of conflicts in which nobody is inside the safety radius at step 0."
 )
-_ORACLE = "The oracle is a reference: it stands where nobody less can run the attack."
+_ORACLE = (
+    "The oracle is a reference. It has a column only for attacks that a weaker"
+    " adversary cannot run."
+)
 _STILL = (
     "Standing still: constant_position, which expects nobody to move; each interval by"
     " itself."
@@ -340,7 +343,7 @@ def rank_table(run: Results, task: LinkedTask) -> Table:
         "Cells without a mark link people, by the ranks of all mates.",
     ]
     if Where(CLEAN) in wheres:
-        notes.append("clean: no error at all, the ceiling.")
+        notes.append("clean: no error at all, an upper limit.")
     return make.build_table(
         f"linkage-{task.name}",
         f"{task.name}: {task.about}; rank 1 in %, 95 % intervals",

@@ -94,7 +94,7 @@ def unequal_pair(points: Sequence[Point]) -> str:
 
 
 def within_limit(points: Sequence[Point], limit: float) -> str:
-    """Tell how many levels stay below a limit of y, and which of them costs least x."""
+    """Tell how many levels stay below a limit of y, and which misses fewest conflicts (x)."""
     below = [point for point in points if point.y.value < limit]
     bound = f"{PERCENT * limit:g} %"
     if not below:
@@ -105,8 +105,8 @@ def within_limit(points: Sequence[Point], limit: float) -> str:
         )
     cheapest = min(below, key=lambda point: point.x.value)
     return (
-        f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; "
-        f"of these, {cheapest.name} costs the robot least."
+        f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; of"
+        f" these, {cheapest.name} misses fewest conflicts, {bare_percent(cheapest.x)}."
     )
 
 

@@ -96,7 +96,7 @@ def _notes(
     )
     readers = (
         f"Known: stated within {stages['privacy.epsilon_m']:g} m, of all person-time, by"
-        " an adversary who knows to whom each track belongs. Followed: by an attack"
+        " an adversary that knows to whom each track belongs. Followed: by an attack"
         " that joins tracks by predicted places; rejoined: breaks of a track that it mends."
     )
     notes = [sensing, readers]
@@ -135,7 +135,8 @@ def tracking_sentence(run: Results) -> str:
         f"Raw {form} {by} {plugin_label(tracker)} reveal {100 * known[0]:.0f} % of"
         f" person-time (perfect association {100 * known[1]:.0f} %), and"
         f" {robot_subject(robot)} misses {100 * missed[0]:.0f} % of future"
-        f" conflicts{ahead_text(horizon_s)} ({100 * missed[1]:.0f} % with it)."
+        f" conflicts{ahead_text(horizon_s)} ({100 * missed[1]:.0f} % with"
+        " perfect association)."
     )
 
 
