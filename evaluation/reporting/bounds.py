@@ -15,6 +15,7 @@ from evaluation.estimates.metrics import (
 from evaluation.plan.address import Where
 from evaluation.plan.world import World
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
@@ -110,7 +111,7 @@ def _table(
 def gap_text(known: Sequence[Gap], where: Where, task: str = "") -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
     lacks = [
-        f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"
+        f"{'' if gap.is_exact else 'at most '}{max(PERCENT * gap.gap.value, 0.0):.1f}"
         for gap in known
         if gap.where == where and gap.attack.task == task
     ]

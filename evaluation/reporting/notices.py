@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from evaluation.plan.address import parse_label
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.reporting.amounts import counted, listed
+from evaluation.reporting.amounts import PERCENT, counted, listed, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -280,7 +280,7 @@ def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
         f"Geometry: people are {known['distance_m']:.4g} m from the station ({usual})"
     )
     if known["at_cap"] > USUAL_AT_CAP:
-        text += f"; {100.0 * known['at_cap']:.0f} % have the largest error"
+        text += f"; {whole_percent(known['at_cap'])} have the largest error"
     return [f"{text}."]
 
 
@@ -294,11 +294,11 @@ def geometry(manifest: Mapping[str, Any]) -> list[str]:
     is_far = not low_m <= known["distance_m"] <= high_m
     usual_m = f" (usual: {low_m:.0f} to {high_m:.0f} m)" if is_far else ""
     is_capped = known["at_cap"] > USUAL_AT_CAP
-    usual_share = f" (usual: up to {100.0 * USUAL_AT_CAP:.0f} %)" if is_capped else ""
+    usual_share = f" (usual: up to {whole_percent(USUAL_AT_CAP)})" if is_capped else ""
     text = (
         "Geometry: the median distance to the base station is"
         f" {known['distance_m']:.0f} m{usual_m}; the median raw error is"
-        f" {known['sigma_raw_m']:.2f} m. {100.0 * known['at_cap']:.0f} % of tracks have"
+        f" {known['sigma_raw_m']:.2f} m. {whole_percent(known['at_cap'])} of tracks have"
         f" the largest error, {stages['sensing.sigma_cap_m']:g} m{usual_share}."
     )
     if is_far and stages["sensing.place"] == "file":
@@ -331,7 +331,7 @@ def approximation(manifest: Mapping[str, Any], task: str) -> str:
         return ""
     per_probe = manifest["settings"]["stages"]["linkage.candidates"]
     linker = parse_label(lost["consumer"]).without_task.label
-    mean, most = (round(100.0 * lost[name], 1) + 0.0 for name in ("loss", "most"))
+    mean, most = (round(PERCENT * lost[name], 1) + 0.0 for name in ("loss", "most"))
     return (
         f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f}"
         f" points of rank 1 on average, and at most {most:.1f} ({linker} at"

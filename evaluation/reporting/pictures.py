@@ -10,10 +10,10 @@ from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.plan.address import Where, parse_consumer
 from evaluation.reporting import takeaways
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Chart,
     Look,
     Point,
@@ -123,7 +123,7 @@ def _choice_plane(table: Headline) -> Picture | None:
         table,
         curves,
         title=(
-            f"PLR after attack, over what {name} misses; dashed: {100 * MOST_PLR:g} %"
+            f"PLR after attack, over what {name} misses; dashed: {PERCENT * MOST_PLR:g} %"
         ),
         caption=takeaways.within_limit(noisy, MOST_PLR) if noisy else "",
         x_label=_MISSED,
@@ -297,11 +297,11 @@ def walks_takeaway(walks: Sequence[Panel]) -> str:
     noisy = [walk for walk in walks if walk.mechanism != RAW]
     if not noisy:
         return ""
-    sent = PERCENT * float(np.mean([walk.shared for walk in noisy]))
-    rebuilt = PERCENT * float(np.mean([walk.rebuilt for walk in noisy]))
+    sent = float(np.mean([walk.shared for walk in noisy]))
+    rebuilt = float(np.mean([walk.rebuilt for walk in noisy]))
     return (
-        f"Under noise these walks leak {sent:.0f} % as sent and {rebuilt:.0f} %"
-        " rebuilt."
+        f"Under noise these walks leak {whole_percent(sent)} as sent and"
+        f" {whole_percent(rebuilt)} rebuilt."
     )
 
 

@@ -12,9 +12,14 @@ import numpy as np
 from attacks.tasks.task_list import ALL_TASKS, RETURNS
 from evaluation.estimates.families import AT_RAW
 from evaluation.plan.address import Where
-from evaluation.reporting.amounts import counted, listed, sentence_case
+from evaluation.reporting.amounts import (
+    counted,
+    listed,
+    precise_percent,
+    sentence_case,
+    tenth_percent,
+)
 from evaluation.reporting.answers import reference_level
-from evaluation.reporting.charts import share_text
 from evaluation.reporting.headline import Headline, HeadlineColumn
 from evaluation.reporting.names import adversary_name, family_name, task_phrase
 from evaluation.reporting.rows import Results
@@ -119,10 +124,12 @@ def _reidentified(
         phrase = task_phrase(task.measure.source.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
         text = (
-            f"{level_name(table, where)}: {share_text(linked)} of people linked"
+            f"{level_name(table, where)}: {precise_percent(linked)} of people linked"
             f" {phrase}{among}"
         )
-        beside = f"; raw positions {share_text(raw)}" if raw and where != AT_RAW else ""
+        beside = (
+            f"; raw positions {precise_percent(raw)}" if raw and where != AT_RAW else ""
+        )
         sentences.append(
             f"{sentence_case(text)}{beside}. {_against_chance(task, linked.ci_low)}"
         )
@@ -133,7 +140,7 @@ def _against_chance(task: HeadlineColumn, low: float) -> str:
     """Compare the lower end of an interval with chance; empty if either is unknown."""
     if not (np.isfinite(low) and np.isfinite(task.chance)):
         return ""
-    chance = f"chance, {100 * task.chance:.1f} %"
+    chance = f"chance, {tenth_percent(task.chance)}"
     if low > task.chance:
         return f"The risk is not ruled out: this is above {chance}."
     return f"The run does not show more than {chance}."
@@ -147,12 +154,12 @@ def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
     sentences = []
     if sent:
         sentences.append(
-            f"{sentence_case(name)}: {share_text(sent)} of positions are sent within"
+            f"{sentence_case(name)}: {precise_percent(sent)} of positions are sent within"
             f" {distance}."
         )
     if attacked:
         sentences.append(
-            f"The strongest attack infers {share_text(attacked)} to {distance}."
+            f"The strongest attack infers {precise_percent(attacked)} to {distance}."
         )
     return (*sentences, "Names, homes and habits of people are not inferred here.")
 

@@ -30,6 +30,7 @@ from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.notices import approximation
 from evaluation.reporting.rows import (
@@ -166,11 +167,9 @@ def standing_table(robots: Iterable[Mapping[str, Any]]) -> Table:
         make.text_column(
             "level", lambda row: where_text(row["mechanism"], row["level"])
         ),
-        make.number_column("missed", "%", "missed", scale=100.0, digits=1),
-        make.number_column(
-            "standing still", "%", "standing_still", scale=100.0, digits=1
-        ),
-        make.number_column("more", "points", *ends, scale=100.0, digits=1, sign="+"),
+        make.share_column("missed", "missed"),
+        make.share_column("standing still", "standing_still"),
+        make.share_column("more", *ends, unit="points", sign="+"),
     ]
     title = "Robots that miss more than standing still; 95 % intervals, paired"
     return make.build_table(
@@ -383,7 +382,7 @@ def _control_notes(task: LinkedTask) -> list[str]:
         expected = f"{LEVEL * len(outcomes):.1f} expected"
         texts.append(
             f"Controls: {sum(outcomes)} of {len(outcomes)} beat chance at"
-            f" {100 * LEVEL:g} % ({'; '.join([expected, *worst])})."
+            f" {PERCENT * LEVEL:g} % ({'; '.join([expected, *worst])})."
         )
     cells = (
         ",".join(row[INVALID] for row in block.values())

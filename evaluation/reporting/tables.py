@@ -32,6 +32,7 @@ from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.world import OWN_WORLD
 from evaluation.pool.failures import failed_lines
 from evaluation.reporting import answer_tables, result_tables, terminal
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers
 from evaluation.reporting.bounds import bound_table, linked_bound_table
@@ -230,7 +231,7 @@ def _linkage(summary: pd.DataFrame) -> Table:
             keys: dict[str, Any] = {
                 "task": source.task,
                 "linker": source.attack_spec,
-                "chance": f"{100 * metrics['chance'].value:.1f}",
+                "chance": f"{PERCENT * metrics['chance'].value:.1f}",
             }
             record = records.setdefault(source, keys)
             record[f"{where}"] = estimate_cell(SUCCESS, metrics.get(SUCCESS))

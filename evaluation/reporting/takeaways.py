@@ -9,8 +9,8 @@ import numpy as np
 from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.pareto import front
 from evaluation.plan.address import Where
-from evaluation.reporting.amounts import bare_percent, round_percent
-from evaluation.reporting.charts import PERCENT, Point
+from evaluation.reporting.amounts import PERCENT, bare_percent, round_percent
+from evaluation.reporting.charts import Point
 from evaluation.reporting.headline import Headline
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase

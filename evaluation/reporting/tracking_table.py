@@ -19,6 +19,7 @@ from evaluation.plan.address import parse_dataset, parse_policy
 from evaluation.plan.axes import LOG, PERFECT, TRACKER
 from evaluation.plan.constants import SHARED
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import whole_percent
 from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
 from evaluation.reporting.rows import Results
@@ -132,10 +133,10 @@ def tracking_sentence(run: Results) -> str:
     form, _, tracker = release.partition(":")
     by = "of" if form == "tracks" else "tracked by"
     return (
-        f"Raw {form} {by} {plugin_label(tracker)} reveal {100 * known[0]:.0f} % of"
-        f" person-time (perfect association {100 * known[1]:.0f} %), and"
-        f" {robot_subject(robot)} misses {100 * missed[0]:.0f} % of future"
-        f" conflicts{ahead_text(horizon_s)} ({100 * missed[1]:.0f} % with"
+        f"Raw {form} {by} {plugin_label(tracker)} reveal {whole_percent(known[0])} of"
+        f" person-time (perfect association {whole_percent(known[1])}), and"
+        f" {robot_subject(robot)} misses {whole_percent(missed[0])} of future"
+        f" conflicts{ahead_text(horizon_s)} ({whole_percent(missed[1])} with"
         " perfect association)."
     )
 

@@ -234,7 +234,8 @@ class TestOnPatrol:
                 (
                     "No policy of this run keeps within the limits: a Kalman robot may"
                     " miss 25 % of conflicts. The nearest is policy everything with raw"
-                    " positions: a Kalman robot misses up to 31 %. Conflicts within 3 s are counted,"
+                    " positions: a Kalman robot misses up to 31 %. Conflicts within 3 s"
+                    " are counted,"
                 ),
             ),
             (

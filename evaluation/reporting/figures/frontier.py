@@ -12,10 +12,10 @@ from evaluation.estimates.metrics import EXPOSURE
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.plan.presets import BASELINE
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.answer_tables import price_text
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
@@ -118,10 +118,10 @@ def _caption(run: Results, rows: pd.DataFrame) -> str:
     text = (
         f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _CAPTION_RISE:g}"
         f" points more, {name} has the lowest PLR after attack:"
-        f" {PERCENT * best['value']:.0f} %"
+        f" {whole_percent(best['value'])}"
     )
     white = usual.loc[usual["mechanism"] == WHITE, "value"]
-    beside = f"; white noise {PERCENT * white.iloc[0]:.0f} %" if len(white) else ""
+    beside = f"; white noise {whole_percent(white.iloc[0])}" if len(white) else ""
     return f"{text}{beside}."
 
 

@@ -17,9 +17,9 @@ from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.address import AS_SHARED, Address
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
@@ -205,7 +205,7 @@ def _sweep_caption(scheme: Scheme, rows: pd.DataFrame) -> str:
 
 def _ends(values: "pd.Series[float]") -> str:
     """Return the first and the last of some fractions, in percent."""
-    return f"{PERCENT * values.iloc[0]:.0f} % to {PERCENT * values.iloc[-1]:.0f} %"
+    return f"{whole_percent(values.iloc[0])} to {whole_percent(values.iloc[-1])}"
 
 
 def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:

@@ -10,9 +10,8 @@ import pandas as pd
 from evaluation.estimates.families import RAW
 from evaluation.estimates.linkability import LinkedTask
 from evaluation.plan.address import Address
-from evaluation.reporting.amounts import round_percent, sentence_case
+from evaluation.reporting.amounts import PERCENT, round_percent, sentence_case
 from evaluation.reporting.charts import (
-    PERCENT,
     Axis,
     Chart,
     Curve,

@@ -15,9 +15,9 @@ from evaluation.estimates.metrics import (
     METRICS,
 )
 from evaluation.plan.world import World
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
@@ -131,5 +131,5 @@ def _point_name(run: Results, row: Mapping[str, Any]) -> str:
     """Return a level with its numbers, for the pointer."""
     level = None if pd.isna(row["level"]) else row["level"]
     name = short_mechanism_name(find_family(run.families, row["mechanism"]), level)
-    missed, known = PERCENT * row["value"], PERCENT * row["value_x"]
-    return f"{name} {missed:.0f} % missed, {known:.0f} %"
+    missed, known = whole_percent(row["value"]), whole_percent(row["value_x"])
+    return f"{name} {missed} missed, {known}"
