@@ -62,7 +62,7 @@ class Run:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.adversary)
-        if is_attack and self.table.known[where.mechanism].family not in (
+        if is_attack and self.table.families[where.mechanism].family not in (
             *SWEPT,
             CLEAN,
         ):

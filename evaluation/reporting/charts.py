@@ -103,8 +103,8 @@ class Curve(NamedTuple):
     label: str = ""  # Text at the right end of the line, if there is room.
 
 
-class Mark(NamedTuple):
-    """A mark of its own, on no curve."""
+class LonePoint(NamedTuple):
+    """A point of its own, on no curve."""
 
     look: Look
     x: float  # In the unit of the axis; infinite: at the right edge.
@@ -295,7 +295,7 @@ def curves_chart(
     x: Axis,
     y: Axis,
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[Mark] = (),
+    marked: Sequence[LonePoint] = (),
 ) -> Chart:
     """Return a chart of curves on two axes.
 

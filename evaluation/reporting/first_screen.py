@@ -23,20 +23,17 @@ from evaluation.reporting.answers import (
     answers,
     best_robot,
     lead_robot,
-    level_phrase,
     reference_level,
 )
 from evaluation.reporting.error_sources import DOCS_PAGE
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.headline import Headline, HeadlineColumn, choose_levels
-from evaluation.reporting.lookups import HEADLINE, find_family
+from evaluation.reporting.lookups import MAIN_LEVELS
 from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
     dataset_title,
-    mechanism_name,
     robot_name,
-    short_mechanism_name,
     shortcut_name,
 )
 from evaluation.reporting.notices import (
@@ -202,7 +199,7 @@ def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
     known = [
         where
         for where in _known_levels(table, columns)
-        if table.known[where.mechanism].family != CLEAN
+        if table.families[where.mechanism].family != CLEAN
     ]
     chance = _chance_row(columns)
     named = [reference_level(table), *named_levels(run)]
@@ -279,12 +276,7 @@ def short_table(table: Headline) -> Table:
         Column(head, partial(_short_cell, table, column))
         for head, column in zip(heads, columns, strict=True)
     ]
-    names = make.text_column(
-        "shared",
-        lambda where: mechanism_name(
-            find_family(table.known, where.mechanism), where.level
-        ),
-    )
+    names = make.text_column("shared", table.name)
     return make.build_table("screen", "", levels, [names, *cells])
 
 
@@ -307,8 +299,7 @@ def _estimated(table: Headline, column: HeadlineColumn, where: Where) -> make.Ce
 
 def _label(table: Headline, where: Where) -> str:
     """Return the name of a level in the first column."""
-    name = short_mechanism_name(find_family(table.known, where.mechanism), where.level)
-    return shorten_name(name, room=_LABEL_WIDTH)
+    return shorten_name(table.short_name(where), room=_LABEL_WIDTH)
 
 
 def _legend(labels: Sequence[str]) -> list[str]:
@@ -322,7 +313,7 @@ def _level_line(table: Headline) -> str:
     """Return the level of the sentences, with the meaning of its abbreviation."""
     where = reference_level(table)
     meaning = " (Fisher information density)" if "fid" in where.mechanism else ""
-    return f"With {level_phrase(table, where)}{meaning}:"
+    return f"With {table.phrase(where)}{meaning}:"
 
 
 def screen_columns(
@@ -359,7 +350,7 @@ def screen_levels(
     without_level = [where for where in known if where.level is None]
     lead: dict[str, Where] = {}
     for where in known:
-        if (table.known[where.mechanism].name, where.level) in HEADLINE:
+        if (table.families[where.mechanism].name, where.level) in MAIN_LEVELS:
             lead.setdefault(where.mechanism, where)
     candidates = dict.fromkeys(
         [*without_level, *named, *lead.values(), *choose_levels(table)]
@@ -367,12 +358,12 @@ def screen_levels(
     wanted = [where for where in candidates if where in known]
     always = [*without_level, *named]
     first = {
-        (table.known[where.mechanism].name, where.level): where
+        (table.families[where.mechanism].name, where.level): where
         for where in reversed(wanted)
     }
 
     def repeats_noise(where: Where) -> bool:
-        same_noise = table.known[where.mechanism].name, where.level
+        same_noise = table.families[where.mechanism].name, where.level
         return where not in always and first[same_noise] != where
 
     wanted.sort(key=repeats_noise)  # Sorting keeps the order of equals.
@@ -381,8 +372,8 @@ def screen_levels(
 
 def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
     """Return the sort key of a level: families as in the run, both rules together."""
-    families = list(dict.fromkeys(family.family for family in table.known.values()))
-    family = table.known[where.mechanism]
+    families = list(dict.fromkeys(family.family for family in table.families.values()))
+    family = table.families[where.mechanism]
     level = -math.inf if where.level is None else where.level
     return families.index(family.family), family.name, level, family.mechanism
 

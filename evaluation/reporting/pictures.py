@@ -28,11 +28,9 @@ from evaluation.reporting.names import (
     INDEPENDENT_NOTE,
     family_name,
     robot_name,
-    short_mechanism_name,
     spec_text,
     task_phrase,
 )
-from evaluation.reporting.takeaways import level_name
 from evaluation.verdict.what_to_share import MOST_PLR
 from isac_track.types import Bools, Floats
 
@@ -200,17 +198,14 @@ def _levels(
         series["after attack, isotropic errors"] = isotropic
     looks = dict(zip(series, _SERIES, strict=False))
     chart = rows_chart(
-        [
-            short_mechanism_name(table.known[where.mechanism], where.level)
-            for where in levels
-        ],
+        [table.short_name(where) for where in levels],
         {name: (look, series[name]) for name, look in looks.items()},
         x_label=x_label,
         across=[
             (look, shown[name].chance) for name, look in looks.items() if name in shown
         ],
     )
-    families = {where: table.known[where.mechanism] for where in levels}
+    families = {where: table.families[where.mechanism] for where in levels}
     chart.hints = {
         text: (
             f"{spec_text(families[where], where.level)}:"
@@ -236,12 +231,12 @@ def _curves(
     """
     ordered = sorted(among or table.wheres, key=lambda where: where.level or 0.0)
     curves = list[list[Point]]()
-    for mechanism, look in mechanism_looks(table.known.values()).items():
+    for mechanism, look in mechanism_looks(table.families.values()).items():
         points = []
         for where in ordered:
             x_value, y_value = table.at(where, x), table.at(where, y)
             if where.mechanism == mechanism and x_value and y_value:
-                points.append(Point(look, level_name(table, where), x_value, y_value))
+                points.append(Point(look, table.name(where), x_value, y_value))
         if points:
             curves.append(points)
     return curves
@@ -270,8 +265,8 @@ def _plane(
     )
     drawn = {curve[0].look for curve in curves}
     key = {
-        family_name(table.known[mechanism]): look
-        for mechanism, look in mechanism_looks(table.known.values()).items()
+        family_name(table.families[mechanism]): look
+        for mechanism, look in mechanism_looks(table.families.values()).items()
         if look in drawn
     }
     return Picture(title, caption, chart, key)

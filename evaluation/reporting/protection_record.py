@@ -23,7 +23,6 @@ from evaluation.reporting.answers import reference_level
 from evaluation.reporting.headline import Headline, HeadlineColumn
 from evaluation.reporting.names import adversary_name, family_name, task_phrase
 from evaluation.reporting.rows import Results
-from evaluation.reporting.takeaways import level_name
 
 OPINION: Final = (
     "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
@@ -84,7 +83,7 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
     """Return the recorded data and the contents of a release."""
     data = run.manifest["dataset"]
     people = "simulated people" if data.get("simulated") else "people"
-    added = [family for family in table.known.values() if family.is_added]
+    added = [family for family in table.families.values() if family.is_added]
     names = list(dict.fromkeys(family_name(family) for family in added))
     rest = len(names) - _MOST_NAMED
     shown = [*names[:_MOST_NAMED], f"{rest} more"] if rest > 0 else names
@@ -124,7 +123,7 @@ def _reidentified(
         phrase = task_phrase(task.measure.source.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
         text = (
-            f"{level_name(table, where)}: {precise_percent(linked)} of people linked"
+            f"{table.name(where)}: {precise_percent(linked)} of people linked"
             f" {phrase}{among}"
         )
         beside = (
@@ -150,7 +149,7 @@ def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
     """Return the share of positions known as sent and after the strongest attack."""
     sent = table.at(where, table.shared)
     attacked = table.at(where, table.attacked) if table.attacked else None
-    name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
+    name, distance = table.name(where), f"{table.epsilon_m:g} m"
     sentences = []
     if sent:
         sentences.append(

@@ -47,9 +47,9 @@ from isac_track.linkability import LEVEL
 from isac_track.mechanisms.protections import Laplace
 
 PAPER_REPORTS: Final = 366  # Samples of a track of the paper.
-MARKS = dict(zip(REMARKS, "~^!", strict=True))
+REMARK_SIGNS = dict(zip(REMARKS, "~^!", strict=True))
 """By remark: the mark of a linkage cell that does not simply link."""
-MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
+MEANING = {mark: REMARKS[remark] for remark, mark in REMARK_SIGNS.items()}
 _SCORES_TELL = "1 - Cllr_min"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
@@ -478,7 +478,7 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
     """Return rank 1 of a linkage cell with its marks; empty without a cell."""
     if row is None:
         return Cell()
-    mark = "".join(MARKS[remark] for remark in remarks(row))
+    mark = "".join(REMARK_SIGNS[remark] for remark in remarks(row))
     return make.metric_cell(
         SUCCESS, row["rank1"], row["ci_low"], row["ci_high"], mark=mark
     )

@@ -16,7 +16,7 @@ from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.lookups import estimates, find_family
 from evaluation.reporting.names import mechanism_name, short_mechanism_name
 from evaluation.reporting.return_words import (
-    CONTROLS,
+    CONTROL_PHRASES,
     control_text,
 )
 from evaluation.reporting.rows import Results
@@ -115,7 +115,7 @@ def _control_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     where = Where(CLEAN)
     names = [
         name
-        for name in CONTROLS
+        for name in CONTROL_PHRASES
         if find_number(numbers, where, control_name(name), SUCCESS)
     ]
 

@@ -15,7 +15,7 @@ from isac_track.linkability.return_rule import POWER, TRUE_GAIN
 
 QUESTION: Final = "Does a walk identify a person in another run?"
 TOPIC: Final = "Return"
-CONTROLS: Final = {
+CONTROL_PHRASES: Final = {
     "queue-place": "the place in the queue",
     "density": "the density of the run",
     "speed": "the speed",
@@ -98,7 +98,7 @@ def no_scenes_line(manifest: Mapping[str, Any]) -> str:
 
 def control_text(name: str) -> str:
     """Return a control of people who come back in a sentence."""
-    return CONTROLS.get(name, name.replace("-", " "))
+    return CONTROL_PHRASES.get(name, name.replace("-", " "))
 
 
 def _evidence(run: Results) -> Mapping[str, Any]:

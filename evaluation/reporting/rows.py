@@ -35,7 +35,7 @@ from evaluation.plan.address import (
 )
 from evaluation.plan.presets import DISSOCIATION, SHARED
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family
+from evaluation.reporting.lookups import ENDS, MAIN_LEVELS, estimates, find_family
 from evaluation.reporting.names import FAMILY_NAMES
 from evaluation.reporting.table import Column, level_cell, text_column
 from isac_track.errors import SettingsError, did_you_mean
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
     from evaluation.verdict.what_to_share import Question, Recommendation
     from isac_track.intervals import Estimate
 
-CONTROLS: Final = frozenset(map(plugin_name, DISSOCIATION))
+CONTROL_FAMILIES: Final = frozenset(map(plugin_name, DISSOCIATION))
 """Families of controls: they separate a descriptor from linkability."""
 # Ratio of the levels' ends from which an unknown mechanism has a logarithmic axis.
 _LOG_SPAN = 30.0
@@ -564,13 +564,13 @@ def representative_levels(
     for mechanism, level in wheres:
         levels.setdefault(mechanism, []).append(level)
     families = {mechanism: find_family(known, mechanism) for mechanism in levels}
-    headline_names = {name for name, _ in HEADLINE}
+    headline_names = {name for name, _ in MAIN_LEVELS}
     chosen: dict[str, list[float | None]] = {}
     for mechanism, own in levels.items():
         family = families[mechanism]
         if family.name in headline_names:
-            chosen[mechanism] = [x for x in own if (family.name, x) in HEADLINE]
-        elif family.family in CONTROLS:
+            chosen[mechanism] = [x for x in own if (family.name, x) in MAIN_LEVELS]
+        elif family.family in CONTROL_FAMILIES:
             chosen[mechanism] = [x for x in own if controls or x is None]
         else:
             chosen[mechanism] = list(dict.fromkeys([own[0], own[-1]]))
@@ -639,7 +639,7 @@ def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
         for family in families_in(summary).values()
         if family.mechanism in levels.index
         and family.is_added
-        and family.family not in CONTROLS
+        and family.family not in CONTROL_FAMILIES
     ]
     most = min(_LEAST_LEVELS, levels["nunique"].max()) if swept else 0
     if not as_points:

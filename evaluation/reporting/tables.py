@@ -217,15 +217,15 @@ def _linkage(summary: pd.DataFrame) -> Table:
     rows = summary[
         summary["metric"].isin([SUCCESS, "chance"]) & (summary["knowledge"] == INFORMED)
     ]
-    known, numbers = families_in(rows), estimates_by_level(rows)
+    families, numbers = families_in(rows), estimates_by_level(rows)
     columns = [
         text_column("task"),
         replace(text_column("chance"), unit="%", align="right"),
         text_column("linker"),
     ]
     records: dict[Address, dict[str, Any]] = {}
-    for where in representative_levels(numbers, known, controls=False):
-        heading = mechanism_name(known[where.mechanism], where.level)
+    for where in representative_levels(numbers, families, controls=False):
+        heading = mechanism_name(families[where.mechanism], where.level)
         columns.append(cell_column(heading, f"{where}"))
         for source, metrics in numbers[where].items():
             keys: dict[str, Any] = {

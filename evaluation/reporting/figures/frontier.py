@@ -19,8 +19,8 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
@@ -88,7 +88,7 @@ def _panel(
     `key` gets the curves for which there is no room to label them.
     """
     parts = {str(name): part for name, part in rows.groupby("mechanism", sort=False)}
-    curves, marked = list[Curve](), list[Mark]()
+    curves, marked = list[Curve](), list[LonePoint]()
     for place, name in enumerate(names):
         if name in parts:
             title = "white"
@@ -125,9 +125,9 @@ def _caption(run: Results, rows: pd.DataFrame) -> str:
     return f"{text}{beside}."
 
 
-def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark]]:
+def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[LonePoint]]:
     """Return the line of a family, and a hollow mark for each adversary beyond it."""
-    is_usual, marks = rows["knowledge"].isin(HEADLINE), list[Mark]()
+    is_usual, marks = rows["knowledge"].isin(HEADLINE), list[LonePoint]()
     usual = rows[is_usual]
     values = usual[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
     x = usual["target"].to_numpy(dtype=np.float64) * PERCENT
@@ -138,5 +138,5 @@ def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark
         rise, value = PERCENT * row["target"], PERCENT * row["value"]
         attack = parse_consumer(row["consumer"], row["knowledge"]).label
         name = f"{title}, after {attack}: {value:.0f} %"
-        marks.append(Mark(look._replace(hollow=True), rise, value, name))
+        marks.append(LonePoint(look._replace(hollow=True), rise, value, name))
     return Curve(look, f"{title}: {points}", x, values, title), marks

@@ -23,8 +23,8 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
@@ -83,7 +83,7 @@ def _panel(
     *,
     y: Axis,
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[Mark] = (),
+    marked: Sequence[LonePoint] = (),
 ) -> Iterator[tuple[str, Chart]]:
     """Yield a panel over the levels of a scheme, its curves named by their ends.
 
@@ -208,7 +208,7 @@ def _ends(values: "pd.Series[float]") -> str:
     return f"{whole_percent(values.iloc[0])} to {whole_percent(values.iloc[-1])}"
 
 
-def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:
+def _paper_marks(metric: str, scheme: Scheme) -> list[LonePoint]:
     """Return the paper's numbers; raw, without a level, is at the edge next to it."""
     if scheme.name not in _FILES or "linear" not in scheme.rules:
         return []
@@ -220,7 +220,7 @@ def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:
                 x, place = level, scheme.describe_level(level)
             y = share * style.scale
             name = f"paper: {style.head} {y:.4g} {style.unit} at {place}"
-            marks.append(Mark(_PAPER_LOOK, x, y, name))
+            marks.append(LonePoint(_PAPER_LOOK, x, y, name))
     return marks
 
 

@@ -14,8 +14,8 @@ from evaluation.reporting.charts import (
     LOOKS,
     Axis,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
@@ -40,7 +40,7 @@ def figures(run: Results) -> Iterator[Figure]:
         ]
         raw = plane[plane["mechanism"] == RAW]
         marked = [
-            Mark(Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed")
+            LonePoint(Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed")
             for x, value in zip(raw["x"], raw["value"], strict=True)
         ]
         if curves:

@@ -21,8 +21,8 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
 )
 from evaluation.reporting.figures.figure import Figure
@@ -116,10 +116,10 @@ def _curves(
             )
 
 
-def _raw_marks(both: pd.DataFrame, looks: Mapping[str, Look]) -> Iterator[Mark]:
+def _raw_marks(both: pd.DataFrame, looks: Mapping[str, Look]) -> Iterator[LonePoint]:
     """Yield the mark of each policy with raw positions."""
     for row in row_dicts(both[both["mechanism"] == RAW]):
-        yield Mark(
+        yield LonePoint(
             look=looks[row["policy"]],
             name=f"{row['policy']} with raw positions",
             x=PERCENT * row["value_x"],
