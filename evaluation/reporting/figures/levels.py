@@ -32,7 +32,8 @@ from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import attack_name, robot_name, robot_subject
 from evaluation.reporting.result_tables import after_attack, list_sources
-from evaluation.reporting.rows import Results, Scheme, schemes, source_rows
+from evaluation.reporting.rows import Results, source_rows
+from evaluation.reporting.schemes import Scheme, schemes
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80  # Of a file's name.

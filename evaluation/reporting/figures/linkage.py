@@ -22,7 +22,8 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import INDEPENDENT_MARK, task_head, task_phrase
-from evaluation.reporting.rows import Results, Scheme, schemes
+from evaluation.reporting.rows import Results
+from evaluation.reporting.schemes import Scheme, schemes
 
 _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "after a silence": ("handover-1s", "handover-2s", "handover-5s"),

@@ -22,7 +22,8 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import robot_name, robot_subject
-from evaluation.reporting.rows import Results, Scheme, schemes
+from evaluation.reporting.rows import Results
+from evaluation.reporting.schemes import Scheme, schemes
 
 
 def figures(run: Results) -> Iterator[Figure]:

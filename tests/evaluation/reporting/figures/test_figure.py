@@ -22,7 +22,7 @@ from helpers.finished_runs import (
 from evaluation.estimates.frontier import WHITE
 from evaluation.reporting.charts import Axis, Curve, LonePoint, Look, curves_chart
 from evaluation.reporting.figures.figure import make_figures, write
-from evaluation.reporting.rows import schemes
+from evaluation.reporting.schemes import schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
