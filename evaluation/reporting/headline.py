@@ -74,13 +74,25 @@ _METRICS = (
 class HeadlineColumn:
     """A column of the first table: a number for every level."""
 
-    above: str  # Heading of several columns, such as `re-identified`.
+    subject: str  # What several columns are about, such as `re-identified`.
     name: str
     measure: Address
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
-    is_later: bool = False  # Whether it is read at the further horizon.
+    horizon_s: float | None = None  # The further horizon at which it is read, if any.
     is_joint: bool = False  # Whether all probes are matched at once.
+
+    @property
+    def is_later(self) -> bool:
+        """Whether it is read at the further horizon."""
+        return self.horizon_s is not None
+
+    @property
+    def above(self) -> str:
+        """The heading of several columns."""
+        if self.horizon_s is None:
+            return self.subject
+        return f"{self.subject}, {self.horizon_s:g} s"
 
     @property
     def title(self) -> str:
@@ -124,15 +136,14 @@ class Headline:
     @property
     def future(self) -> list[HeadlineColumn]:
         """The robots' missed rates of future conflicts, at the further horizon."""
-        above = ""
-        if self.horizon_s is not None:
-            above = f"missed future conflicts, {self.horizon_s:g} s"
+        if self.horizon_s is None:
+            return []
         columns = [
             replace(
                 robot,
-                above=above,
+                subject="missed future conflicts",
                 measure=robot.measure.measured(MISSED_FUTURE),
-                is_later=True,
+                horizon_s=self.horizon_s,
             )
             for robot in self.robots
         ]
@@ -325,7 +336,11 @@ def _linked(
     for task in [name for name in SHOWN_TASKS if name in attacks] or own_tasks[:3]:
         source, head = replace(attacks[task], task=task), task_head(task)
         column = HeadlineColumn(
-            _LINKED, head, source.measured(SUCCESS_OF_100), 1.0 / GALLERY, GALLERY
+            _LINKED,
+            head,
+            source.measured(SUCCESS_OF_100),
+            chance=1.0 / GALLERY,
+            candidates=GALLERY,
         )
         if column.measure not in values:
             column = HeadlineColumn(

@@ -98,13 +98,19 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
     return texts
 
 
-def few_people(dataset: Mapping[str, Any]) -> str:
-    """Return a text if a recording has too few people to decide anything, else none."""
-    way_out = dataset.get("would_help")
-    if not way_out or not dataset["tracks_used"]:  # A run without scenes says so.
+def too_few_people(dataset: Mapping[str, Any]) -> str:
+    """Return that a recording has too few people to decide anything; else empty."""
+    # A run without scenes says so itself.
+    if not dataset.get("would_help") or not dataset["tracks_used"]:
         return ""
     tracks = counted(dataset["tracks_used"], "usable track")
-    return f"{tracks}: too few to decide anything ({way_out})."
+    return f"{tracks}: too few to decide anything"
+
+
+def few_people(dataset: Mapping[str, Any]) -> str:
+    """Return that a recording has too few people, with a way out; else empty."""
+    too_few = too_few_people(dataset)
+    return f"{too_few} ({dataset['would_help']})." if too_few else ""
 
 
 class SlowAttack(NamedTuple):

@@ -36,10 +36,10 @@ from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers
 from evaluation.reporting.bounds import bound_table, linked_bound_table
+from evaluation.reporting.doubts import doubts
 from evaluation.reporting.first_screen import (
     TABLES,
     data_line,
-    doubts,
     first_screen,
     short_table,
 )
@@ -159,7 +159,7 @@ def _answer_lines(run: Results) -> Iterator[Part]:
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
     if sentence := tracking_sentence(run):
         yield f"Tracking: {sentence}"
-    yield from (f"Doubt: {text}." for text in doubts(run, table))
+    yield from (f"Doubt: {text}." for text in doubts(run))
 
 
 def page_tables(run: Results) -> dict[str, Table]:

@@ -20,7 +20,8 @@ from helpers.finished_runs import (
 from helpers.summaries import BAD, GOOD, RAW, table
 
 from evaluation.reporting.announcements import condense_notices
-from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
+from evaluation.reporting.doubts import doubts
+from evaluation.reporting.first_screen import LINES, first_screen, fitting_lines
 from evaluation.reporting.notices import cost_text, data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
 from evaluation.reporting.recommendation import named_levels
@@ -139,7 +140,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert text.startswith("Simulated crowd students03: 428 people, 106 long enough")
     assert "Doubts: 1 cell FAILED (it broke)" in text
     assert re.search(r"Doubts: .* \d more in tables.txt\.", text)
-    texts = doubts(run, run.headline)
+    texts = doubts(run)
     assert texts[1:4] == [
         "1 sign of a weak attack",
         "6 of 96 linkage results invalid (track length)",
@@ -170,7 +171,7 @@ def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
     }
     bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
     run.manifest["dataset"]["repairs"] = [doubt, bent]
-    assert "units of the recording may be wrong" in " ".join(doubts(run, run.headline))
+    assert "units of the recording may be wrong" in " ".join(doubts(run))
     first, second = data_notices(run.manifest["dataset"])
     assert first == doubt["detail"]
     assert "1,234 pieces of walks made straight where a spline overshoots" in second
