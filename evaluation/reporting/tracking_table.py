@@ -1,7 +1,8 @@
 """Tracks of a network's detections: the table, and the sentence of the first screen."""
 
+import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -123,21 +124,34 @@ def tracking_sentence(run: Results) -> str:
         return ""
     release = releases[-1]
     oracle = next(name for name in rows["policy"].unique() if _is_perfect(name))
-    known = [_value(rows, policy, LOG, KNOWN_SHARE) for policy in (release, oracle)]
-    at_horizon = _at_horizon(rows, horizon_s)
-    missed = [
-        _value(at_horizon, policy, robot, MISSED_FUTURE) for policy in (release, oracle)
-    ]
-    if any(pd.isna(value) for value in (*known, *missed)):
+    tracked = _release_shares(rows, release, robot)
+    perfect = _release_shares(rows, oracle, robot)
+    if any(map(math.isnan, (*tracked, *perfect))):
         return ""
     form, _, tracker = release.partition(":")
     by = "of" if form == "tracks" else "tracked by"
     return (
-        f"Raw {form} {by} {plugin_label(tracker)} reveal {whole_percent(known[0])} of"
-        f" person-time (perfect association {whole_percent(known[1])}), and"
-        f" {robot_subject(robot)} misses {whole_percent(missed[0])} of future"
-        f" conflicts{ahead_text(horizon_s)} ({whole_percent(missed[1])} with"
+        f"Raw {form} {by} {plugin_label(tracker)} reveal {whole_percent(tracked.known)} of"
+        f" person-time (perfect association {whole_percent(perfect.known)}), and"
+        f" {robot_subject(robot)} misses {whole_percent(tracked.missed)} of future"
+        f" conflicts{ahead_text(horizon_s)} ({whole_percent(perfect.missed)} with"
         " perfect association)."
+    )
+
+
+class ReleaseShares(NamedTuple):
+    """What a release of tracks reveals and costs; NaN where it is unknown."""
+
+    known: float  # Of person-time.
+    missed: float  # Of the future conflicts at the farthest horizon, by a robot.
+
+
+def _release_shares(rows: pd.DataFrame, release: str, robot: str) -> ReleaseShares:
+    """Return the shares of a release."""
+    at_horizon = _at_horizon(rows, _farthest_s(rows))
+    return ReleaseShares(
+        known=_value(rows, release, LOG, KNOWN_SHARE),
+        missed=_value(at_horizon, release, robot, MISSED_FUTURE),
     )
 
 
