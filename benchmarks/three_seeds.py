@@ -62,7 +62,7 @@ class Run:
         """Return the manifest's cell behind a number of the first table."""
         source = column.measure.source
         is_attack = bool(source.adversary)
-        if is_attack and self.table.known[where.mechanism].family not in (
+        if is_attack and self.table.families[where.mechanism].family not in (
             *PAPER_FAMILIES,
             CLEAN,
         ):
@@ -149,9 +149,11 @@ def _show(outs: Sequence[Path]) -> int:
     runs = [read(out) for out in outs]
     first = runs[0].table
     # The levels of the first table, under both adding rules.
-    tabled = {(first.known[name].name, level) for name, level in choose_levels(first)}
+    tabled = {
+        (first.families[name].name, level) for name, level in choose_levels(first)
+    }
     for where in first.wheres:
-        if (first.known[where.mechanism].name, where.level) not in tabled:
+        if (first.families[where.mechanism].name, where.level) not in tabled:
             continue
         for number, column in enumerate(runs[0].columns):
             if results := pooled(runs, where, number):

@@ -1,4 +1,12 @@
-"""Numbers, shares and lists as sentences have them: used by every text of a run."""
+"""Numbers, shares and lists as sentences have them: used by every text of a run.
+
+A share is a fraction in code and a percentage in text. Its roundings are
+
+- `percent`, `bare_percent`, `percent_cell`: without decimals, `<1` below half a percent;
+- `whole_percent`: without decimals;
+- `tenth_percent`, `precise_percent`, `share_interval`: with a decimal;
+- `fine_share`, `fine_interval`: without decimals from 1 %, with a decimal below.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +19,8 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 PERCENT: Final = 100.0
+_FINE_BELOW: Final = 1.0  # %; below, a fine share has a decimal.
+_FINE_FROM: Final = 0.05  # %; below, it is 0.
 _AT_LEAST_TWO: Final = 2
 
 
@@ -49,6 +59,55 @@ def bare_percent(estimate: Estimate) -> str:
     """Return a share without its half-width: `34 %`."""
     known = math.isfinite(estimate.value)
     return f"{round_percent(PERCENT * estimate.value)} %" if known else "unknown"
+
+
+def whole_percent(share: float) -> str:
+    """Return a share without decimals: `34 %`, `0 %`."""
+    return f"{PERCENT * share:.0f} %"
+
+
+def tenth_percent(share: float) -> str:
+    """Return a share with a decimal: `34.1 %`."""
+    return f"{PERCENT * share:.1f} %"
+
+
+def share_interval(
+    value: float | None, low: float | None, high: float | None, *, unit: str = " %"
+) -> str:
+    """Return a share with its interval, if known: `12.3 % [10.1, 14.5]`.
+
+    An unknown share is `-`. The unit stands behind the value.
+    """
+    if value is None:
+        return "-"
+    text = f"{PERCENT * value:.1f}{unit}"
+    if low is None or high is None or not math.isfinite(low):
+        return text
+    return f"{text} [{PERCENT * low:.1f}, {PERCENT * high:.1f}]"
+
+
+def precise_percent(estimate: Estimate) -> str:
+    """Return an estimated share with its interval, if known: `12.3 % [10.1, 14.5]`."""
+    return share_interval(estimate.value, estimate.ci_low, estimate.ci_high)
+
+
+def fine_share(share: float | None) -> str:
+    """Return a share in percent without unit: `34`, `0.5`; `?` if it is unknown."""
+    if share is None or not math.isfinite(share):
+        return "?"
+    percentage = PERCENT * share
+    is_small = _FINE_FROM <= percentage < _FINE_BELOW
+    return f"{percentage:.1f}" if is_small else f"{percentage:.0f}".replace("-0", "0")
+
+
+def fine_interval(
+    value: float | None, low: float | None, high: float | None, *, unit: str = " %"
+) -> str:
+    """Return a share with its interval: `2 % [0.5, 8]`; unit behind the value."""
+    text = f"{fine_share(value)}{unit}"
+    if low is None or high is None or not math.isfinite(low + high):
+        return text
+    return f"{text} [{fine_share(low)}, {fine_share(high)}]"
 
 
 def counted(n: int, noun: str, plural: str = "") -> str:

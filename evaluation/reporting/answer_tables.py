@@ -22,6 +22,7 @@ from evaluation.estimates.strongest import HEADLINE
 from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, FUTURE, MISSED
 from evaluation.plan.address import AS_SHARED, parse_consumer, parse_dataset
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.result_tables import laplace_notes
 from evaluation.reporting.rows import Results, mechanism_columns
@@ -178,7 +179,7 @@ def frontier_table(run: Results) -> Table:
         if head == f"{METRICS[PLR].head}, attacked":
             ends_of_heads[f"{head}, less white"] = VS_WHITE
         for name, ends in ends_of_heads.items():
-            record[name] = make.number_cell(*(row[end] for end in ends), scale=100.0)
+            record[name] = make.number_cell(*(row[end] for end in ends), scale=PERCENT)
             heads[name] = None
     columns = [
         make.text_column("robot"),
@@ -186,7 +187,7 @@ def frontier_table(run: Results) -> Table:
             "mechanism", lambda row: find_family(run.families, row["mechanism"]).name
         ),
         make.text_column("adding"),
-        make.number_column("rise", "points", "target", scale=100.0, sign="+"),
+        make.share_column("rise", "target", unit="points", sign="+"),
         make.number_column("level", "", *LEVEL_READ, digits=2),
         *(replace(make.cell_column(head), unit="%") for head in heads),
         make.text_column(
@@ -258,7 +259,7 @@ def flag_table(run: Results) -> Table:
             lambda row: parse_consumer(row["by"], row["by_knowledge"]).label,
         ),
         *mechanism_columns(run.families),
-        make.number_column("PLR difference", "points", *ends, scale=100.0, sign="+"),
+        make.share_column("PLR difference", *ends, unit="points", sign="+"),
     ]
     return make.build_table("flags", "All flags", row_dicts(texts), columns, n_keys=6)
 
@@ -291,7 +292,7 @@ def _section_table(section: str, records: Sequence[Mapping[str, Any]]) -> Table:
             Column("people that show an equal", _people_needed),
             make.text_column("evidence", lambda row: ", ".join(row["evidence"])),
             make.text_column("power to show", _power),
-            make.number_column("prediction error", "points", *ends, scale=100.0),
+            make.share_column("prediction error", *ends, unit="points"),
         ]
     return make.build_table(
         f"verdict-{section}",
@@ -336,8 +337,8 @@ def _people_needed(row: Mapping[str, Any]) -> Cell:
 def _power(item: Mapping[str, Any]) -> str:
     power = item["power"]
     return (
-        f"equal {100 * power[rules.TRACKS]:.0f} %, 10 points"
-        f" {100 * power[rules.DOES_NOT]:.0f} %"
+        f"equal {whole_percent(power[rules.TRACKS])}, 10 points"
+        f" {whole_percent(power[rules.DOES_NOT])}"
     )
 
 

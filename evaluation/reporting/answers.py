@@ -19,13 +19,12 @@ from evaluation.reporting.amounts import (
 )
 from evaluation.reporting.bounds import gap_text
 from evaluation.reporting.headline import Headline, HeadlineColumn
-from evaluation.reporting.lookups import HEADLINE, find_family
+from evaluation.reporting.lookups import MAIN_LEVELS, find_family
 from evaluation.reporting.names import (
     adding_phrase,
     attack_name,
     descriptor_name,
     is_built_in_robot,
-    mechanism_phrase,
     robot_subject,
     task_phrase,
 )
@@ -74,54 +73,54 @@ class LosingRobot:
 
 
 def answers(
-    run: Results, first: Headline | None = None, *, names_level: bool = True
+    run: Results, table: Headline | None = None, *, names_level: bool = True
 ) -> tuple[Answer, ...]:
     """Return the five answers of a run in their order, and of people who come back.
 
-    A run without scenes has that last answer alone. `first` is the first table of the
+    A run without scenes has that last answer alone. `table` is the first table of the
     run, if it is at hand. Without `names_level` the first three answers do not name
-    their level: it is `reference_level(first)`.
+    their level: it is `reference_level(table)`.
     """
     returning = _returning_answers(run)
     if not run.has_scenes:
         return returning
-    table = run.headline if first is None else first
+    table = run.headline if table is None else table
     where, items = reference_level(table), run.verdict.get("items", ())
     robot = lead_robot(table, best=best_robot(run))
     losing = losing_robots(table, run.verdict.get("robots", ()))
-    start = f"With {level_phrase(table, where)}, " if names_level else ""
+    start = f"With {table.phrase(where)}, " if names_level else ""
     on_patrol = patrol_sentence(run)
     patrols = (f"On patrol: {on_patrol}",) if on_patrol else ()
     return (
         Answer(
-            "What does the robot lose?",
-            "Robot",
-            _robot_sentence(table, where, robot, losing, start=start),
-            _robot_details(table, where, robot),
+            question="What does the robot lose?",
+            topic="Robot",
+            sentence=_robot_sentence(table, where, robot, losing, start=start),
+            details=_robot_details(table, where, robot),
         ),
         Answer(
-            "What still leaks?",
-            "Leak",
-            _leak_sentence(table, where, start=start),
-            _leak_details(table, where),
+            question="What still leaks?",
+            topic="Leak",
+            sentence=_leak_sentence(table, where, start=start),
+            details=_leak_details(table, where),
         ),
         Answer(
-            "Can people be linked?",
-            "Links",
-            _links_sentence(table, where, start=start),
-            _links_details(table, where),
+            question="Can people be linked?",
+            topic="Links",
+            sentence=_links_sentence(table, where, start=start),
+            details=_links_details(table, where),
         ),
         Answer(
-            "Do the descriptors tell?",
-            "Descriptors",
-            _descriptors_sentence(items),
-            _descriptors_details(items, table, where),
+            question="Do the descriptors tell?",
+            topic="Descriptors",
+            sentence=_descriptors_sentence(items),
+            details=_descriptors_details(items, table, where),
         ),
         Answer(
-            "What should I share?",
-            "Share",
-            share_answer(run),
-            (*patrols, *share_details(run)),
+            question="What should I share?",
+            topic="Share",
+            sentence=share_answer(run),
+            details=(*patrols, *share_details(run)),
         ),
         *returning,
     )
@@ -137,8 +136,10 @@ def _returning_answers(run: Results) -> tuple[Answer, ...]:
 
 def reference_level(table: Headline) -> Where:
     """Return the level of the answers: strictest FID, else the costliest, else raw."""
-    wheres = [where for where in table.wheres if table.known[where.mechanism].is_added]
-    if named := [where for where in HEADLINE if where in wheres]:
+    wheres = [
+        where for where in table.wheres if table.families[where.mechanism].is_added
+    ]
+    if named := [where for where in MAIN_LEVELS if where in wheres]:
         return named[0]
     costs = {
         where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
@@ -253,7 +254,7 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
     column = table.attacked
     if column is None or table.at(where, column) is None:
         return ()
-    family = table.known.get(where.mechanism)
+    family = table.families.get(where.mechanism)
     is_headline = family is None or family.family in (*PAPER_FAMILIES, CLEAN)
     source = column.measure.source
     attack = f"the {attack_name(source.consumer)} ({source.label})"
@@ -314,11 +315,6 @@ def _linked_numbers(
     """Return the columns of linkage tasks that have a number at a level, with it."""
     numbers = [(column, table.at(where, column)) for column in table.linked]
     return [(column, rank1) for column, rank1 in numbers if rank1 is not None]
-
-
-def level_phrase(table: Headline, where: Where) -> str:
-    """Return the name of a level for the middle of a sentence."""
-    return mechanism_phrase(find_family(table.known, where.mechanism), where.level)
 
 
 def _descriptor_items(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
@@ -444,8 +440,8 @@ def _other_rule(
     A number clearly differs if the intervals are apart and the values differ by at
     least five points.
     """
-    own = find_family(table.known, where.mechanism)
-    for twin in table.known.values():
+    own = find_family(table.families, where.mechanism)
+    for twin in table.families.values():
         if twin.name != own.name or twin.adding in ("", own.adding):
             continue
         pairs = [

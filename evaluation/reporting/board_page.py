@@ -14,7 +14,13 @@ from evaluation.estimates.board_places import Standing, is_control, standings
 from evaluation.estimates.cards import AXES, FOLLOWED, KNOWN, MISSED
 from evaluation.estimates.families import RAW
 from evaluation.plan.protocol import read_protocol
-from evaluation.reporting.amounts import counted, listed
+from evaluation.reporting.amounts import (
+    PERCENT,
+    counted,
+    listed,
+    tenth_percent,
+    whole_percent,
+)
 from evaluation.reporting.cards import entry_name, gap_line, place_text
 from evaluation.reporting.charts import LOOKS, Look, Point, plane_chart
 from evaluation.reporting.figures.figure import Figure
@@ -207,8 +213,8 @@ def _followed_always(cards: Sequence[Card]) -> list[str]:
     ]
     if len(shares) < _FEW_NOISES or min(shares) < _MOST_PEOPLE:
         return []
-    least = f"{100 * min(shares):.0f}"
-    return [f"Every noise alone leaves {least} % or more of people followed for 10 s."]
+    least = whole_percent(min(shares))
+    return [f"Every noise alone leaves {least} or more of people followed for 10 s."]
 
 
 def _table(
@@ -237,7 +243,7 @@ def _table(
 def _axis_column(axis: str) -> Column:
     def make_cell(record: tuple[Card, Standing]) -> Cell:
         score = record[0].primary[axis]
-        return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0)
+        return number_cell(score.value, score.ci_low, score.ci_high, scale=PERCENT)
 
     return Column(axis, make_cell, "%")
 
@@ -287,7 +293,7 @@ def _readings(card: Card) -> Readings:
     )
     if card.digits is not None and card.digits.is_message:
         sentence += (
-            f" Low-order digits explain {100 * card.digits.explained:.0f} % of where"
+            f" Low-order digits explain {whole_percent(card.digits.explained)} of where"
             " people are: the release hides a message."
         )
     return Readings(card, _anchor("entry", card), sentence, table)
@@ -301,11 +307,13 @@ def _scored(score: CardScore) -> Cell:
         return number_cell(
             score.value, score.ci_low, score.ci_high, digits=2, unit="/min"
         )
-    return number_cell(score.value, score.ci_low, score.ci_high, scale=100.0, unit="%")
+    return number_cell(
+        score.value, score.ci_low, score.ci_high, scale=PERCENT, unit="%"
+    )
 
 
 def _percent(score: CardScore) -> str:
-    return "-" if score.value is None else f"{100 * score.value:.1f} %"
+    return "-" if score.value is None else tenth_percent(score.value)
 
 
 def _figure(

@@ -15,24 +15,25 @@ from evaluation.estimates.metrics import (
 from evaluation.plan.address import Where
 from evaluation.plan.world import World
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 
 _MODEL = (
-    "Everybody walks as the fitted motion says, with the errors of the recording: where"
-    " attacks rebuild, each person has an own motion, else all share one. optimum: the"
-    " exact posterior of who knows the motion, which no attack exceeds in the fitted"
-    " model world, in expectation."
+    "People walk by the fitted motion, with the errors of the recording. Where attacks"
+    " rebuild, each person has an own motion, else all share one. optimum: the exact"
+    " posterior of an adversary that knows the motion. In the fitted model world no"
+    " attack exceeds it, in expectation."
 )
 _GENIE = (
-    "ceiling: a genie who knows the scale of every error; the gap is at most that. On"
+    "ceiling: a genie that knows the scale of every error; the gap is at most that. On"
     " recorded walks, which follow no model, the genie's value is no bound: attacks do"
     " exceed it."
 )
 _RATIO = (
     "Of linkers: the exact likelihood ratio of each pair, of Gaussian errors of known"
-    " variance. Nobody who looks at one probe at a time finds more people, in"
+    " variance. No linker that treats each probe alone re-identifies more people, in"
     " expectation."
 )
 
@@ -112,7 +113,7 @@ def _table(
 def gap_text(known: Sequence[ClosestAttack], where: Where, task: str = "") -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
     lacks = [
-        f"{'' if gap.is_exact else 'at most '}{max(100 * gap.gap.value, 0.0):.1f}"
+        f"{'' if gap.is_exact else 'at most '}{max(PERCENT * gap.gap.value, 0.0):.1f}"
         for gap in known
         if gap.where == where and gap.attack.task == task
     ]

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from evaluation.estimates.board_places import intervals_overlap, unmet_attacks
 from evaluation.estimates.cards import AXES, FOLLOWED, KNOWN, MISSED
-from evaluation.reporting.amounts import counted, listed
+from evaluation.reporting.amounts import counted, listed, share_interval
 from evaluation.reporting.table import plugin_label
 
 if TYPE_CHECKING:
@@ -18,13 +18,8 @@ HEADS: Final = {MISSED: "missed", KNOWN: "known", FOLLOWED: "followed"}
 
 
 def score_text(score: CardScore) -> str:
-    """Return a share in percent with its interval."""
-    if score.value is None:
-        return "-"
-    text = f"{100 * score.value:.1f}"
-    if score.ci_low is not None and score.ci_high is not None:
-        text += f" [{100 * score.ci_low:.1f}, {100 * score.ci_high:.1f}]"
-    return text
+    """Return a share in percent with its interval, without unit."""
+    return share_interval(score.value, score.ci_low, score.ci_high, unit="")
 
 
 def card_line(card: Card) -> str:
@@ -52,8 +47,7 @@ def attack_line(
 
 def _in_percent(score: CardScore) -> str:
     """Return a share with its interval: `27.7 % [26.3, 29.2]`."""
-    value, gap, interval = score_text(score).partition(" ")
-    return f"{value} %{gap}{interval}"
+    return share_interval(score.value, score.ci_low, score.ci_high)
 
 
 def place_text(place: Standing) -> str:

@@ -13,13 +13,13 @@ import numpy as np
 from evaluation.estimates.families import FID, FIXED, RAW, Family
 from evaluation.estimates.keys import level_text
 from evaluation.estimates.pareto import front
+from evaluation.reporting.amounts import PERCENT, precise_percent
 from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
 WIDTH: Final = 360.0
 # How wide a character is at most on average, in units of a chart.
 CHARACTER: Final = 5.6
-PERCENT: Final = 100.0
 INKS: Final = (
     "#0072b2",
     "#d55e00",
@@ -103,8 +103,8 @@ class Curve(NamedTuple):
     label: str = ""  # Text at the right end of the line, if there is room.
 
 
-class Mark(NamedTuple):
-    """A mark of its own, on no curve."""
+class LonePoint(NamedTuple):
+    """A point of its own, on no curve."""
 
     look: Look
     x: float  # In the unit of the axis; infinite: at the right edge.
@@ -227,7 +227,7 @@ def rows_chart(
             if estimate := estimates[n_row]:
                 y = middle + 4.5 * (n_series - 0.5 * (len(series) - 1))
                 x, *ends = to_x(_percents([estimate]))
-                text = f"{row}: {name} {share_text(estimate)}"
+                text = f"{row}: {name} {precise_percent(estimate)}"
                 chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
                 chart.marks.append(ChartMark(look, [(x, y)], text))
     for look, value in across:
@@ -271,8 +271,8 @@ def plane_chart(
         bars = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
         chart.lines.append((f"bar k{point.look.place}", bars))
         name = (
-            f"{point.name}: {x_name} {share_text(point.x)},"
-            f" {y_name} {share_text(point.y)}"
+            f"{point.name}: {x_name} {precise_percent(point.x)},"
+            f" {y_name} {precise_percent(point.y)}"
         )
         chart.marks.append(ChartMark(point.look, [(x, y)], name))
     return chart
@@ -295,7 +295,7 @@ def curves_chart(
     x: Axis,
     y: Axis,
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[Mark] = (),
+    marked: Sequence[LonePoint] = (),
 ) -> Chart:
     """Return a chart of curves on two axes.
 
@@ -367,15 +367,6 @@ def bar(ends: Sequence[float], *, at: float, upright: bool = False) -> list[Stro
     """Return the line of an interval; an empty list without an interval."""
     line = [(at, end) if upright else (end, at) for end in ends]
     return [line] if np.isfinite(ends).all() else []
-
-
-def share_text(estimate: Estimate) -> str:
-    """Return a share in % with its interval, if known: `12.3 % [10.1, 14.5]`."""
-    value = f"{PERCENT * estimate.value:.1f} %"
-    if not np.isfinite(estimate.ci_low):
-        return value
-    low, high = PERCENT * estimate.ci_low, PERCENT * estimate.ci_high
-    return f"{value} [{low:.1f}, {high:.1f}]"
 
 
 def _percents(estimates: Sequence[Estimate]) -> Floats:

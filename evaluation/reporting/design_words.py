@@ -60,7 +60,7 @@ _ENDS: Final = ("value", "ci_low", "ci_high")
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class DesignAnswer:
     """The answer of `design` about a run."""
 
     out: Path
@@ -77,7 +77,7 @@ class Answer:
 
 def answer_question(
     out: Path, question: Question, *, limits: PatrolLimits = USUAL_LIMITS
-) -> Answer:
+) -> DesignAnswer:
     """Return the answer of a run to a question; `limits` are those on patrols.
 
     Raises DataError if there is no run, or a file of it is missing or broken. Raises
@@ -101,10 +101,10 @@ def answer_question(
             f"{' or '.join(question.adding)}; run it again with --mechanism "
             f"fid:1..1000/10,adding={question.adding[0]}"
         )
-    return Answer(out, manifest, advice, on_patrol)
+    return DesignAnswer(out, manifest, advice, on_patrol)
 
 
-def to_json(answer: Answer) -> dict[str, Any]:
+def to_json(answer: DesignAnswer) -> dict[str, Any]:
     """Return the answer as plain values; an unknown value is None."""
     advice, manifest = answer.recommendation, answer.manifest
     identity, dataset = manifest["identity"], manifest["dataset"]
@@ -138,7 +138,7 @@ def to_json(answer: Answer) -> dict[str, Any]:
     }
 
 
-def _offer(offer: Offer, answer: Answer) -> dict[str, Any]:
+def _offer(offer: Offer, answer: DesignAnswer) -> dict[str, Any]:
     """Return a level as plain values."""
     advice = answer.recommendation
     mechanism, level = offer.where
@@ -186,7 +186,7 @@ def _linked(linked: TaskLinkage) -> dict[str, Any]:
     }
 
 
-def _check(check: Check, answer: Answer) -> dict[str, Any]:
+def _check(check: Check, answer: DesignAnswer) -> dict[str, Any]:
     """Return the check of a limit as plain values."""
     epsilon = words.epsilon_m(answer.manifest)
     return {
@@ -216,7 +216,7 @@ def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
     return list(nearest.values())
 
 
-def notes(answer: Answer) -> list[str]:
+def notes(answer: DesignAnswer) -> list[str]:
     """Return further texts that a reader must know about the run and the question."""
     advice, dataset = answer.recommendation, answer.manifest["dataset"]
     epsilon = words.epsilon_m(answer.manifest)
@@ -241,14 +241,14 @@ def notes(answer: Answer) -> list[str]:
     if split := [offer for offer in advice.refused if offer.lacks_rule]:
         offer = split[0]
         texts.append(
-            f"{sentence_case(words.level_name(offer))} keeps within the limits, but no"
+            f"{sentence_case(words.offer_name(offer))} keeps within the limits, but no"
             f" level of its mechanism does with {adding_phrase(offer.lacks_rule)}:"
             " --adding leaves that rule out."
         )
     return texts
 
 
-def _closed_form_notes(answer: Answer) -> list[str]:
+def _closed_form_notes(answer: DesignAnswer) -> list[str]:
     """Return the noise that the closed forms name, which need no run."""
     question = answer.recommendation.question
     limit = question.limits.get(PLR, 0.0)
@@ -262,7 +262,7 @@ def _closed_form_notes(answer: Answer) -> list[str]:
 
 
 def show(
-    answer: Answer, *, verbose: bool = False, console: Console | None = None
+    answer: DesignAnswer, *, verbose: bool = False, console: Console | None = None
 ) -> None:
     """Print the answer and the nearest levels in a few lines, or with all details."""
     console = console or terminal.standard_output()
@@ -271,7 +271,7 @@ def show(
     _print(parts, console)
 
 
-def _short_parts(answer: Answer, *, width: int) -> list[Part]:
+def _short_parts(answer: DesignAnswer, *, width: int) -> list[Part]:
     """Return the answer and its levels in at most `_LINES` lines."""
     advice, manifest = answer.recommendation, answer.manifest
     epsilon, dataset = words.epsilon_m(manifest), manifest["dataset"]
@@ -327,7 +327,7 @@ def _limited_side(offer: Offer, advice: Recommendation) -> AttackNumbers:
     return offer.attacked
 
 
-def _full_parts(answer: Answer) -> list[Part]:
+def _full_parts(answer: DesignAnswer) -> list[Part]:
     """Return the answer, the levels with intervals, the failures, and notes."""
     advice, manifest = answer.recommendation, answer.manifest
     epsilon, identity = words.epsilon_m(manifest), manifest["identity"]
@@ -352,7 +352,7 @@ def _full_parts(answer: Answer) -> list[Part]:
         parts += ["", "The other mechanisms, each at its nearest level:"]
     for offer in refused:
         failures = "; ".join(words.failures(offer, advice, epsilon_m=epsilon))
-        parts.append(f"- {sentence_case(words.level_name(offer))}: {failures}.")
+        parts.append(f"- {sentence_case(words.offer_name(offer))}: {failures}.")
     parts += ["", answer.on_patrol.text]
     if options := answer.on_patrol.options:
         parts += [patrol_table(options, entry_families(manifest["cells"]))]

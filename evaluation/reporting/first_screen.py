@@ -4,17 +4,16 @@ import math
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from evaluation.estimates import weak_attacks
 from evaluation.estimates.families import CLEAN
 from evaluation.plan.address import Where
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import (
     PERCENT,
     counted,
-    listed,
     percent_cell,
     round_percent,
 )
@@ -23,33 +22,26 @@ from evaluation.reporting.answers import (
     answers,
     best_robot,
     lead_robot,
-    level_phrase,
     reference_level,
 )
+from evaluation.reporting.doubts import doubts
 from evaluation.reporting.error_sources import DOCS_PAGE
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.headline import Headline, HeadlineColumn, choose_levels
-from evaluation.reporting.lookups import HEADLINE, find_family
-from evaluation.reporting.my_plugin import plugin_doubts, plugin_lines
+from evaluation.reporting.lookups import MAIN_LEVELS
+from evaluation.reporting.my_plugin import plugin_lines
 from evaluation.reporting.names import (
     INDEPENDENT_MARK,
     dataset_title,
-    mechanism_name,
     robot_name,
-    short_mechanism_name,
-    shortcut_name,
 )
 from evaluation.reporting.notices import (
     cost_text,
-    few_people,
-    notices,
     unusual_geometry,
-    used_are_slower,
 )
 from evaluation.reporting.paper_hint import paper_hint
 from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.recommendation import named_levels
-from evaluation.reporting.result_tables import control_tests
 from evaluation.reporting.return_tables import return_tables, screen_table
 from evaluation.reporting.return_words import (
     TOPIC,
@@ -60,8 +52,6 @@ from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, printable, shorten_name
 from evaluation.reporting.tracking_table import tracking_sentence
 from evaluation.store.files import PAGE
-from evaluation.verdict.rules import DOES_NOT
-from isac_track.linkability import LEVEL
 
 LINES: Final = 24
 TABLES: Final = "tables.txt"
@@ -73,12 +63,47 @@ _LABEL_WIDTH: Final = 27
 _CORNER: Final = ("± half of a 95 % interval", "what is shared")
 _ROBOT_WIDTH: Final = 8  # Characters of a name over a column.
 _MOST_LINKED: Final = 2  # Tasks that have a column.
-# Relative difference of mean speed, used tracks to all tracks, that raises a doubt.
-_MUCH: Final = 0.2
 # Missed conflicts above those of raw positions that the next command allows.
 _SLACK: Final = 0.05
 _CUTS: Final = ("split", "jump", "clock", "id-reuse")
 """Repairs that make several tracks of one person."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ScreenParts:
+    """The lines of a first screen without its table, in their order."""
+
+    top: Sequence[str]  # The data, and an unusual geometry.
+    sentences: Sequence[str]  # The answers, and patrols or tracks.
+    plugins: Sequence[str]  # The user's own plug-ins.
+    end: Sequence[str]  # Doubts and the page.
+    following: Sequence[str]  # The next commands.
+
+    @property
+    def n_lines(self) -> int:
+        """Number of lines."""
+        return len(self.lines_around([]))
+
+    def lines_around(self, grid: Sequence[str]) -> list[str]:
+        """Return the lines of the screen with its table."""
+        texts = [*self.sentences, *self.plugins]
+        return [*self.top, *grid, *texts, *self.end, *self.following]
+
+
+class _Extras(NamedTuple):
+    """What a first screen has beside its answers."""
+
+    patrols: bool
+    sweep: bool  # The command of the paper's sweep.
+
+
+_EXTRAS: Final = (
+    _Extras(patrols=True, sweep=True),
+    _Extras(patrols=False, sweep=True),
+    _Extras(patrols=False, sweep=False),
+)
+"""People who come back take the place of patrols, then of the sweep; the page has both.
+"""
 
 
 def first_screen(run: Results, *, before: int = 0) -> list[str]:
@@ -89,30 +114,39 @@ def first_screen(run: Results, *, before: int = 0) -> list[str]:
     """
     if not run.has_scenes:
         return _returning_screen(run, before=before)
-    table = run.headline
-    top = [*wrap_lines(data_line(run.manifest)), *unusual_geometry(run.manifest)]
-    end = [*_doubt_lines(doubts(run, table)), *_page_lines(run)]
-    texts = [_level_line(table)]
-    shown = answers(run, table, names_level=False)
-    texts += [f"{answer.topic}: {answer.sentence}" for answer in shown]
-    patrols = _patrol_lines(run)
-    own = [line for text in plugin_lines(run) for line in wrap_lines(text)]
-    fixed = [*top, *_table_lines(run, table, room=0), *own, *end]
-    # People who come back take the place of patrols, then of the sweep's command; the
-    # page has both.
-    for further, names_sweep in ((patrols, True), ([], True), ([], False)):
-        following = _next_lines(run, names_sweep=names_sweep)
-        most = LINES - len([*fixed, *following])
+    screen = _run_table(run)
+    parts = _fitting_parts(run, n_grid=len(_table_lines(screen, room=0)))
+    room = LINES - before - parts.n_lines
+    grid = _table_lines(screen, room=room)
+    return parts.lines_around(_with_margins(grid, room=room))
+
+
+def _fitting_parts(run: Results, *, n_grid: int) -> ScreenParts:
+    """Return the parts of a screen that fit beside a table of `n_grid` lines."""
+    shown = answers(run, run.headline, names_level=False)
+    answered = [f"{answer.topic}: {answer.sentence}" for answer in shown]
+    texts, patrols = [_level_line(run.headline), *answered], _patrol_lines(run)
+    has_returns = shown[-1].topic == TOPIC
+    bare = ScreenParts(
+        top=[*wrap_lines(data_line(run.manifest)), *unusual_geometry(run.manifest)],
+        sentences=[],
+        plugins=[line for text in plugin_lines(run) for line in wrap_lines(text)],
+        end=[*_doubt_lines(doubts(run)), *_page_lines(run)],
+        following=[],
+    )
+    for extras in _EXTRAS:
+        further = patrols if extras.patrols else []
+        parts = replace(bare, following=_next_lines(run, names_sweep=extras.sweep))
+        most = LINES - n_grid - parts.n_lines
         sentences = fitting_lines([*texts, *further], most=most)
-        if len(sentences) <= most or shown[-1].topic != TOPIC:
+        if len(sentences) <= most or not has_returns:
             break
-    last = [*end, *following]
-    sentences += own
-    room = LINES - before - len([*top, *sentences, *last])
-    grid = _table_lines(run, table, room=room)
-    if grid and room > len(grid) + 1:
-        grid = ["", *grid, ""]
-    return [*top, *grid, *sentences, *last]
+    return replace(parts, sentences=sentences)
+
+
+def _with_margins(grid: Sequence[str], *, room: int) -> list[str]:
+    """Return a table between empty lines, if there is room for them."""
+    return ["", *grid, ""] if grid and room > len(grid) + 1 else list(grid)
 
 
 def _returning_screen(run: Results, *, before: int) -> list[str]:
@@ -120,23 +154,24 @@ def _returning_screen(run: Results, *, before: int) -> list[str]:
     manifest = run.manifest
     texts = [f"{answer.topic}: {answer.sentence}" for answer in answers(run)]
     texts += [detail for answer in answers(run) for detail in answer.details[:1]]
-    top = wrap_lines(data_line(manifest))
-    last = [
-        *(line for text in texts for line in wrap_lines(text)),
-        *wrap_lines(no_scenes_line(manifest)),
-        *_doubt_lines(doubts(run, run.headline)),
-        *_page_lines(run),
-        *_next_lines(run),
-    ]
-    room = LINES - before - len([*top, *last])
+    parts = ScreenParts(
+        top=wrap_lines(data_line(manifest)),
+        sentences=[line for text in texts for line in wrap_lines(text)],
+        plugins=[],
+        end=[
+            *wrap_lines(no_scenes_line(manifest)),
+            *_doubt_lines(doubts(run)),
+            *_page_lines(run),
+        ],
+        following=_next_lines(run),
+    )
+    room = LINES - before - parts.n_lines
     for most in range(_MOST_RETURN_ROWS, _LEAST_ROWS - 1, -1):
         labels, grid = screen_table(run, most=most)
         grid += _legend(labels)
         if len(grid) <= room:
             break
-    if room > len(grid) + 1:
-        grid = ["", *grid, ""]
-    return [*top, *grid, *last]
+    return parts.lines_around(_with_margins(grid, room=room))
 
 
 def _patrol_lines(run: Results) -> list[str]:
@@ -191,66 +226,84 @@ def fitting_lines(texts: Sequence[str], *, most: int) -> list[str]:
     return [line for text_lines in lines for line in text_lines]
 
 
-def _table_lines(run: Results, table: Headline, *, room: int) -> list[str]:
+@dataclass(frozen=True, eq=False, slots=True)
+class ScreenTable:
+    """The first table as the first screen has it: few columns, few levels."""
+
+    table: Headline
+    groups: Sequence[Group]
+    columns: Sequence[HeadlineColumn]  # Of all groups.
+    named: Sequence[Where]  # Levels that come first.
+
+    def levels(self, *, most: int, has_clean: bool = True) -> list[Where]:
+        """Return at most `most` levels that have a number in any column."""
+        table = self.table
+        numbered = [
+            where
+            for where in table.wheres
+            if any(table.at(where, column) for column in self.columns)
+        ]
+        if not has_clean:
+            families = table.families
+            numbered = [
+                where for where in numbered if families[where.mechanism].family != CLEAN
+            ]
+        return screen_levels(table, numbered, most=most, named=self.named)
+
+    def row(self, where: Where) -> list[str]:
+        """Return the texts of a level: its name, then a share in each column."""
+        name = shorten_name(self.table.short_name(where), room=_LABEL_WIDTH)
+        shares = [self.table.at(where, column) for column in self.columns]
+        return [name, *map(percent_cell, shares)]
+
+
+def _make_screen_table(
+    table: Headline, robot: HeadlineColumn | None, *, named: Sequence[Where] = ()
+) -> ScreenTable:
+    """Return the table of a screen with a robot; the level of the answers has a row."""
+    pairs = screen_columns(table, robot)
+    return ScreenTable(
+        table,
+        groups=[group for group, _ in pairs],
+        columns=[column for _, columns in pairs for column in columns],
+        named=[reference_level(table), *named],
+    )
+
+
+def _run_table(run: Results) -> ScreenTable:
+    """Return the table of the first screen of a run."""
+    robot = lead_robot(run.headline, best=best_robot(run))
+    return _make_screen_table(run.headline, robot, named=named_levels(run))
+
+
+def _table_lines(screen: ScreenTable, *, room: int) -> list[str]:
     """Return the first table in lines, with as many levels as fit into `room` lines.
 
     It has heads, levels, chance, and the meaning of its marks.
     """
-    pairs = screen_columns(table, lead_robot(table, best=best_robot(run)))
-    groups = [group for group, _ in pairs]
-    columns = _flat_columns(pairs)
-    known = [
-        where
-        for where in _known_levels(table, columns)
-        if table.known[where.mechanism].family != CLEAN
-    ]
-    chance = _chance_row(columns)
-    named = [reference_level(table), *named_levels(run)]
+    chance = _chance_row(screen.columns)
     for most in range(_MOST_ROWS - len(chance), _LEAST_ROWS - 1, -1):
-        levels = screen_levels(table, known, most=most, named=named)
-        rows = []
-        for where in levels:
-            cells = [percent_cell(table.at(where, column)) for column in columns]
-            rows.append([_label(table, where), *cells])
-        grid = grid_lines([*rows, *chance], groups, corner=_CORNER)
+        rows = [
+            screen.row(where) for where in screen.levels(most=most, has_clean=False)
+        ]
+        grid = grid_lines([*rows, *chance], screen.groups, corner=_CORNER)
         lines = [*grid, *_legend([row[0] for row in rows])]
         if len(lines) <= room:
             break
-    return lines if levels else []
-
-
-def _flat_columns(
-    pairs: Sequence[tuple[Group, Sequence[HeadlineColumn]]],
-) -> list[HeadlineColumn]:
-    """Return the columns of all groups."""
-    return [column for _, columns in pairs for column in columns]
-
-
-def _known_levels(table: Headline, columns: Sequence[HeadlineColumn]) -> list[Where]:
-    """Return the levels that have a number in any of the columns."""
-    return [
-        where
-        for where in table.wheres
-        if any(table.at(where, column) for column in columns)
-    ]
+    return lines if rows else []
 
 
 def first_table(run: Results) -> Table:
     """Return the table of the first screen with all its columns, for a notebook."""
     if not run.has_scenes:
         return next(iter(return_tables(run)), make.build_table("first", "", [], []))
-    table = run.headline
-    robot = lead_robot(table, best=best_robot(run))
-    columns = _flat_columns(screen_columns(table, robot))
-    named = [reference_level(table), *named_levels(run)]
-    levels = screen_levels(
-        table, _known_levels(table, columns), most=_MOST_ROWS, named=named
-    )
+    screen = _run_table(run)
     cells = [
-        Column(column.title, partial(_estimated, table, column), "%")
-        for column in columns
+        Column(column.title, partial(_estimated, run.headline, column), "%")
+        for column in screen.columns
     ]
-    name = make.text_column("what is shared", table.name)
+    name = make.text_column("what is shared", run.headline.name)
+    levels = screen.levels(most=_MOST_ROWS)
     return make.build_table("first", "", levels, [name, *cells])
 
 
@@ -260,31 +313,22 @@ def short_table(table: Headline) -> Table:
     Without the run at hand, its robot is that which misses least.
     """
     robot = min(table.future or table.robots, key=partial(_mean_missed, table))
-    columns = _flat_columns(screen_columns(table, robot))
-    levels = screen_levels(
-        table,
-        _known_levels(table, columns),
-        most=_MOST_ROWS,
-        named=[reference_level(table)],
-    )
+    screen = _make_screen_table(table, robot)
     heads = [
         f"{robot_name(robot.measure.consumer)} misses (%)",
         "known as sent (%)",
         "attacked (%)",
     ]
-    tasks = [column.name.removeprefix("after ") for column in columns[len(heads) :]]
+    linked = screen.columns[len(heads) :]
+    tasks = [column.name.removeprefix("after ") for column in linked]
     for n, task in enumerate(tasks):
         heads.append(f"linked, {task} (%)" if n == 0 else f"{task} (%)")
     cells = [
         Column(head, partial(_short_cell, table, column))
-        for head, column in zip(heads, columns, strict=True)
+        for head, column in zip(heads, screen.columns, strict=True)
     ]
-    names = make.text_column(
-        "shared",
-        lambda where: mechanism_name(
-            find_family(table.known, where.mechanism), where.level
-        ),
-    )
+    names = make.text_column("shared", table.name)
+    levels = screen.levels(most=_MOST_ROWS)
     return make.build_table("screen", "", levels, [names, *cells])
 
 
@@ -305,12 +349,6 @@ def _estimated(table: Headline, column: HeadlineColumn, where: Where) -> make.Ce
     return make.estimate_cell(column.measure.metric, table.at(where, column))
 
 
-def _label(table: Headline, where: Where) -> str:
-    """Return the name of a level in the first column."""
-    name = short_mechanism_name(find_family(table.known, where.mechanism), where.level)
-    return shorten_name(name, room=_LABEL_WIDTH)
-
-
 def _legend(labels: Sequence[str]) -> list[str]:
     """Return the meaning of the mark of a label in a line; no line without a mark."""
     is_marked = any(label.endswith(INDEPENDENT_MARK) for label in labels)
@@ -322,7 +360,7 @@ def _level_line(table: Headline) -> str:
     """Return the level of the sentences, with the meaning of its abbreviation."""
     where = reference_level(table)
     meaning = " (Fisher information density)" if "fid" in where.mechanism else ""
-    return f"With {level_phrase(table, where)}{meaning}:"
+    return f"With {table.phrase(where)}{meaning}:"
 
 
 def screen_columns(
@@ -359,30 +397,32 @@ def screen_levels(
     without_level = [where for where in known if where.level is None]
     lead: dict[str, Where] = {}
     for where in known:
-        if (table.known[where.mechanism].name, where.level) in HEADLINE:
+        if (table.families[where.mechanism].name, where.level) in MAIN_LEVELS:
             lead.setdefault(where.mechanism, where)
     candidates = dict.fromkeys(
         [*without_level, *named, *lead.values(), *choose_levels(table)]
     )
     wanted = [where for where in candidates if where in known]
-    always = [*without_level, *named]
-    first = {
-        (table.known[where.mechanism].name, where.level): where
-        for where in reversed(wanted)
-    }
-
-    def repeats_noise(where: Where) -> bool:
-        same_noise = table.known[where.mechanism].name, where.level
-        return where not in always and first[same_noise] != where
-
-    wanted.sort(key=repeats_noise)  # Sorting keeps the order of equals.
+    repeated = _repeated_noises(table, wanted) - {*without_level, *named}
+    wanted.sort(key=lambda where: where in repeated)  # Equals keep their order.
     return sorted(wanted[:most], key=lambda where: _order(table, where))
+
+
+def _repeated_noises(table: Headline, levels: Sequence[Where]) -> set[Where]:
+    """Return the levels whose noise stands before them under the other adding rule."""
+    noises, repeated = set[tuple[str, float | None]](), set[Where]()
+    for where in levels:
+        noise = table.families[where.mechanism].name, where.level
+        if noise in noises:
+            repeated.add(where)
+        noises.add(noise)
+    return repeated
 
 
 def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
     """Return the sort key of a level: families as in the run, both rules together."""
-    families = list(dict.fromkeys(family.family for family in table.known.values()))
-    family = table.known[where.mechanism]
+    families = list(dict.fromkeys(family.family for family in table.families.values()))
+    family = table.families[where.mechanism]
     level = -math.inf if where.level is None else where.level
     return families.index(family.family), family.name, level, family.mechanism
 
@@ -402,92 +442,6 @@ def _chance_row(columns: Sequence[HeadlineColumn]) -> list[list[str]]:
         for column in columns
     ]
     return [[f"guessing{among}", *chances]]
-
-
-def doubts(run: Results, table: Headline) -> list[str]:
-    """Return the reasons to doubt the numbers, the gravest first."""
-    manifest = run.manifest
-    linkage = manifest.get("linkage") or {}
-    skipped = list(linkage.get("skipped", ()))
-    n_units = sum(
-        repair["kind"] == "doubt" for repair in manifest["dataset"]["repairs"]
-    )
-    n_controls = sum(
-        item["decision"] == DOES_NOT for item in run.verdict.get("controls", ())
-    )
-    n_weak = len(weak_attacks.lines(run.flags))
-    n_frozen = max(
-        (task.get("frozen", 0) for task in linkage.get("tasks", {}).values()), default=0
-    )
-    failures = list(run.failed["why"])
-    controls = f"{counted(n_controls, 'positive control')} of the descriptors failed"
-    texts = [
-        f"{counted(len(failures), 'cell')} FAILED ({failures[0]})" if failures else "",
-        *plugin_doubts(run),
-        few_people(manifest["dataset"]).partition(" (")[0],
-        _untried_text(run),
-        "units of the recording may be wrong" if n_units else "",
-        _no_interval_text(table),
-        controls if n_controls else "",
-        f"{counted(n_weak, 'sign')} of a weak attack" if n_weak else "",
-        _invalid_text(run),
-        _control_text(run),
-        f"not linked: {listed(skipped)}" if skipped else "",
-        f"{counted(n_frozen, 'track')} nearly frozen" if n_frozen else "",
-        used_are_slower(manifest, least=_MUCH),
-        counted(len(notices(manifest)), "notice") if notices(manifest) else "",
-    ]
-    return [text for text in texts if text]
-
-
-def _untried_text(run: Results) -> str:
-    """Return that no further adversary was tried on the proposal; empty if any was."""
-    proposals = run.recommendation().proposals[:1]
-    is_untried = any(
-        all(side.source is None for side in offer.beyond) for offer in proposals
-    )
-    return "the proposal was tried against one release only" if is_untried else ""
-
-
-def _no_interval_text(table: Headline) -> str:
-    """Return which numbers have no interval at any level; empty if all have."""
-    bare = []
-    for column in table.columns:
-        numbers = [table.at(where, column) for where in table.wheres]
-        known = [number for number in numbers if number is not None]
-        if known and not any(math.isfinite(number.ci_low) for number in known):
-            bare.append(column.above.partition(",")[0])
-    subjects = listed(list(dict.fromkeys(bare)))
-    return f"no intervals on {subjects} (few people)" if bare else ""
-
-
-def _invalid_text(run: Results) -> str:
-    """Return how many linkage results measure a shortcut instead of the attack."""
-    texts = (
-        run.linkability[["cohort", "knowledge", "invalid"]].astype(object).fillna("")
-    )
-    is_linked = (texts["cohort"] == "all") & (texts["knowledge"] != "")
-    invalid = texts.loc[is_linked, "invalid"]
-    shortcuts = sorted({name for text in invalid if text for name in text.split(", ")})
-    if not shortcuts:
-        return ""
-    names = listed([shortcut_name(name) for name in shortcuts])
-    n_invalid = int((invalid != "").sum())
-    return f"{n_invalid} of {len(invalid)} linkage results invalid ({names})"
-
-
-def _control_text(run: Results) -> str:
-    """Return how many controls link people; empty if no more than chance explains."""
-    tests = [
-        is_linked
-        for task in run.tasks
-        for control in control_tests(task).values()
-        for is_linked in control
-    ]
-    n_linked, expected = sum(tests), LEVEL * len(tests)
-    if not n_linked > expected:
-        return ""
-    return f"{n_linked} of {len(tests)} controls link people ({expected:.0f} expected)"
 
 
 def _doubt_lines(texts: Sequence[str]) -> list[str]:

@@ -40,21 +40,27 @@ from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.presets import BASELINE
 from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, World
 from evaluation.reporting import table as make
-from evaluation.reporting.lookups import HEADLINE, estimates, find_family
-from evaluation.reporting.names import mechanism_name, robot_name, task_head
+from evaluation.reporting.lookups import MAIN_LEVELS, estimates, find_family
+from evaluation.reporting.names import (
+    mechanism_name,
+    mechanism_phrase,
+    robot_name,
+    short_mechanism_name,
+    task_head,
+)
 from evaluation.reporting.table import Cell, Column, Table
 from isac_track.config import PrivacySettings
 from isac_track.intervals import Estimate
 from isac_track.linkability import GALLERY
 
-ROBOTS: Final = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
+SHOWN_ROBOTS: Final = ("least_squares", "kalman_cv", "kalman_cv:aware=true")
 """Predictors that are shown if a run has them, in this order."""
 
 _BESIDE: Final = ("kalman_ca", "kalman_imm", BASELINE)
-"""Predictors that only the tables show if a run has two of `ROBOTS`."""
+"""Predictors that only the tables show if a run has two of `SHOWN_ROBOTS`."""
 
 _MOST_ROBOTS: Final = 3
-TASKS: Final = ("handover-1s", "handover-5s", "cross_session", "rerelease")
+SHOWN_TASKS: Final = ("handover-1s", "handover-5s", "cross_session", "rerelease")
 """Tasks that are shown if a run has them, in this order."""
 MOST_LEVELS: Final = 14
 _MISSED, _LINKED = "missed conflicts", "re-identified"
@@ -74,13 +80,25 @@ _METRICS = (
 class HeadlineColumn:
     """A column of the first table: a number for every level."""
 
-    above: str  # Heading of several columns, such as `re-identified`.
+    subject: str  # What several columns are about, such as `re-identified`.
     name: str
     measure: Address
     chance: float = math.nan
     candidates: float = math.nan  # Mean size of the gallery, where people are linked.
-    is_later: bool = False  # Whether it is read at the further horizon.
+    horizon_s: float | None = None  # The further horizon at which it is read, if any.
     is_joint: bool = False  # Whether all probes are matched at once.
+
+    @property
+    def is_later(self) -> bool:
+        """Whether it is read at the further horizon."""
+        return self.horizon_s is not None
+
+    @property
+    def above(self) -> str:
+        """The heading of several columns."""
+        if self.horizon_s is None:
+            return self.subject
+        return f"{self.subject}, {self.horizon_s:g} s"
 
     @property
     def title(self) -> str:
@@ -93,7 +111,7 @@ class HeadlineColumn:
 class Headline:
     """The columns of the first table, and the numbers of a run that fill them."""
 
-    known: Mapping[str, Family]
+    families: Mapping[str, Family]  # By mechanism.
     numbers: Mapping[Address, Estimate]
     # The same under the other error law, where the run has it.
     other_law: Mapping[Address, Estimate]
@@ -103,7 +121,7 @@ class Headline:
     attacked: HeadlineColumn | None  # After the strongest reconstruction.
     worst: HeadlineColumn | None  # The same of the most exposed tenth of the people.
     linked: Sequence[HeadlineColumn]  # By the strongest linker of each task.
-    wheres: Sequence[Where]  # All levels of the run: the ceiling comes last.
+    wheres: Sequence[Where]  # All levels of the run: clean positions come last.
     epsilon_m: float  # A position that is closer to the truth is known.
     horizon_s: float | None = None  # The longest further horizon of the run.
     # Numbers at that horizon.
@@ -124,15 +142,14 @@ class Headline:
     @property
     def future(self) -> list[HeadlineColumn]:
         """The robots' missed rates of future conflicts, at the further horizon."""
-        above = ""
-        if self.horizon_s is not None:
-            above = f"missed future conflicts, {self.horizon_s:g} s"
+        if self.horizon_s is None:
+            return []
         columns = [
             replace(
                 robot,
-                above=above,
+                subject="missed future conflicts",
                 measure=robot.measure.measured(MISSED_FUTURE),
-                is_later=True,
+                horizon_s=self.horizon_s,
             )
             for robot in self.robots
         ]
@@ -162,7 +179,17 @@ class Headline:
 
     def name(self, where: Where) -> str:
         """Return the plain name of a level."""
-        return mechanism_name(find_family(self.known, where.mechanism), where.level)
+        return mechanism_name(find_family(self.families, where.mechanism), where.level)
+
+    def short_name(self, where: Where) -> str:
+        """Return the name of a level for a narrow column."""
+        family = find_family(self.families, where.mechanism)
+        return short_mechanism_name(family, where.level)
+
+    def phrase(self, where: Where) -> str:
+        """Return the name of a level for the middle of a sentence."""
+        family = find_family(self.families, where.mechanism)
+        return mechanism_phrase(family, where.level)
 
 
 def headline(
@@ -183,9 +210,9 @@ def headline(
     rows = summary[summary["metric"].isin(_METRICS)]
     world = row_worlds(rows)
     own = rows[world == OWN_WORLD]
-    numbers, known = estimates(own), families_in(own)
+    numbers, families = estimates(own), families_in(own)
     if attacks is None:
-        best = strongest_by_task(numbers, known)
+        best = strongest_by_task(numbers, families)
         attacks = {task: source.without_task for task, source in best.items()}
     horizons_s = {other.horizon_s for other in world.unique()} - {None}
     horizon_s = max(horizons_s, default=None)
@@ -193,7 +220,7 @@ def headline(
     if horizon_s is not None:
         later = estimates(rows[world == World(horizon_s=horizon_s)])
     predictors = own.loc[own["metric"] == MISSED_RATE, "consumer"].unique().tolist()
-    by_mechanism = _own_strongest(numbers, known, attacks)
+    by_mechanism = _own_strongest(numbers, families, attacks)
     if attacked is not None and not attacked.empty:
         worst_tenths = _only_metric(by_mechanism, WORST_TENTH)
         by_mechanism = worst_tenths | _cross_fitted(attacked, attacks)
@@ -207,7 +234,7 @@ def headline(
         )
     wheres = dict.fromkeys(key.where for key in numbers)
     return Headline(
-        known=known,
+        families=families,
         numbers=numbers | by_mechanism,
         other_law=estimates(rows[world == OTHER_LAW_WORLD]),
         gaps=gaps(summary),
@@ -218,15 +245,17 @@ def headline(
         linked=_linked(attacks, numbers, linkability),
         horizon_s=horizon_s,
         later=later,
-        wheres=sorted(wheres, key=lambda where: known[where.mechanism].family == CLEAN),
+        wheres=sorted(
+            wheres, key=lambda where: families[where.mechanism].family == CLEAN
+        ),
         epsilon_m=epsilon_m,
     )
 
 
 def _robots(predictors: Sequence[str]) -> list[HeadlineColumn]:
     """Return the predictors that are shown; a user's own come second."""
-    usual = [name for name in ROBOTS if name in predictors]
-    others = [name for name in predictors if name not in ROBOTS]
+    usual = [name for name in SHOWN_ROBOTS if name in predictors]
+    others = [name for name in predictors if name not in SHOWN_ROBOTS]
     added = [name for name in others if name not in _BESIDE]
     ordered = dict.fromkeys([*usual[:1], *added, *(usual[1:] or others)])
     return [
@@ -263,7 +292,7 @@ def _cross_fitted(
 
 def _own_strongest(
     numbers: Mapping[Address, Estimate],
-    known: Mapping[str, Family],
+    families: Mapping[str, Family],
     attacks: Mapping[str, Address],
 ) -> dict[Address, Estimate]:
     """Return the numbers of the strongest attack on each mechanism.
@@ -287,7 +316,7 @@ def _own_strongest(
                 replace(attacks[task], task=task),
             )
             for where, metric in product(blocks, metrics):
-                is_usual = known[where.mechanism].family in (*PAPER_FAMILIES, CLEAN)
+                is_usual = families[where.mechanism].family in (*PAPER_FAMILIES, CLEAN)
                 source = headline if is_usual else best.get(where.mechanism, headline)
                 rule = rules.get(source, RANK1) if metric == RANK1 else metric
                 if (key := source.at(*where, rule)) in numbers:
@@ -302,7 +331,7 @@ def _linked(
 ) -> list[HeadlineColumn]:
     """Return a column for each linkage task that is shown.
 
-    These are the tasks of `TASKS`; if the run has none of them, its first three.
+    These are the tasks of `SHOWN_TASKS`; if the run has none of them, its first three.
     """
     values = {
         key.measure: estimate.value
@@ -311,10 +340,14 @@ def _linked(
     }
     rules, columns = naming_rules(numbers), []
     own_tasks = [task for task in attacks if task]
-    for task in [name for name in TASKS if name in attacks] or own_tasks[:3]:
+    for task in [name for name in SHOWN_TASKS if name in attacks] or own_tasks[:3]:
         source, head = replace(attacks[task], task=task), task_head(task)
         column = HeadlineColumn(
-            _LINKED, head, source.measured(RANK1_AMONG_100), 1.0 / GALLERY, GALLERY
+            _LINKED,
+            head,
+            source.measured(RANK1_AMONG_100),
+            chance=1.0 / GALLERY,
+            candidates=GALLERY,
         )
         if column.measure not in values:
             column = HeadlineColumn(
@@ -348,7 +381,7 @@ def choose_levels(
     the strictest FID. Of these the `named` levels come first; the first of them has a
     row in any case.
     """
-    first = [where for where in HEADLINE if where in table.wheres]
+    first = [where for where in MAIN_LEVELS if where in table.wheres]
     rest = [where for where in table.wheres if where not in first]
     if len(table.wheres) <= most:
         return [*first, *rest]
@@ -359,9 +392,11 @@ def choose_levels(
     first = first[: max(1, most - len(others[:1]))]
     shown = {name for name, _ in [*first, *others]}
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
-        family = table.known[name].name
+        family = table.families[name].name
         usual = [
-            Where(name, level) for mechanism, level in HEADLINE if mechanism == family
+            Where(name, level)
+            for mechanism, level in MAIN_LEVELS
+            if mechanism == family
         ]
         levels = [where for where in rest if where.mechanism == name]
         closest = min(levels, key=lambda where: abs(cost.get(where, math.inf) - target))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from evaluation.plan.address import Address
     from isac_track.intervals import Estimate
 
-HEADLINE: Final = (
+MAIN_LEVELS: Final = (
     Where("raw"),
     Where("fid", 1.0),
     Where("fid", 1000.0),

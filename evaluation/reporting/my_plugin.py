@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from evaluation.estimates.keys import level_text
 from evaluation.estimates.own_plugins import ATTACK, LINKER, MECHANISM, PREDICTOR
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.names import attack_name, robot_name, task_phrase
 from evaluation.reporting.rows import Results
 
@@ -112,7 +113,7 @@ def _ahead(record: Mapping[str, Any]) -> str:
 
 def _percent(interval: Mapping[str, float | None]) -> str:
     value = interval["value"]
-    return "an unknown share" if value is None else f"{100 * value:.0f} %"
+    return "an unknown share" if value is None else whole_percent(value)
 
 
 def _points(interval: Mapping[str, float | None]) -> str:
@@ -121,5 +122,7 @@ def _points(interval: Mapping[str, float | None]) -> str:
     if value is None:
         return "unknown"
     if low is None or high is None:
-        return f"{100 * value:+.0f} points (too few people for an interval)"
-    return f"{100 * value:+.0f} points [{100 * low:+.0f}, {100 * high:+.0f}]"
+        return f"{PERCENT * value:+.0f} points (too few people for an interval)"
+    return (
+        f"{PERCENT * value:+.0f} points [{PERCENT * low:+.0f}, {PERCENT * high:+.0f}]"
+    )

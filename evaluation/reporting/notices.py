@@ -5,12 +5,13 @@ Nothing heavy is imported here: the command that plans a run reads it, too.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from evaluation.plan.address import parse_label
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.reporting.amounts import counted, listed
+from evaluation.reporting.amounts import PERCENT, counted, listed, whole_percent
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -97,13 +98,19 @@ def data_notices(dataset: Mapping[str, Any]) -> list[str]:
     return texts
 
 
-def few_people(dataset: Mapping[str, Any]) -> str:
-    """Return a text if a recording has too few people to decide anything, else none."""
-    way_out = dataset.get("would_help")
-    if not way_out or not dataset["tracks_used"]:  # A run without scenes says so.
+def too_few_people(dataset: Mapping[str, Any]) -> str:
+    """Return that a recording has too few people to decide anything; else empty."""
+    # A run without scenes says so itself.
+    if not dataset.get("would_help") or not dataset["tracks_used"]:
         return ""
     tracks = counted(dataset["tracks_used"], "usable track")
-    return f"{tracks}: too few to decide anything ({way_out})."
+    return f"{tracks}: too few to decide anything"
+
+
+def few_people(dataset: Mapping[str, Any]) -> str:
+    """Return that a recording has too few people, with a way out; else empty."""
+    too_few = too_few_people(dataset)
+    return f"{too_few} ({dataset['would_help']})." if too_few else ""
 
 
 class SlowAttack(NamedTuple):
@@ -168,12 +175,12 @@ def _gallery_notices(plan: Plan) -> list[str]:
 
 
 def cost_text(cost_s: float) -> str:
-    """Return a rounded duration: `about 25 s`, `about 3 min`."""
+    """Return a rounded duration: `about 25 s`, `about 3 min`; NaN is unknown."""
+    if math.isnan(cost_s):
+        return "an unknown time"
     if cost_s < _MINUTES_FROM_S:
         return f"about {cost_s:.0f} s"
-    if cost_s >= _MINUTES_FROM_S:
-        return f"about {cost_s / 60.0:.0f} min"
-    return "an unknown time"  # NaN
+    return f"about {cost_s / 60.0:.0f} min"
 
 
 def notices(manifest: Mapping[str, Any]) -> list[str]:
@@ -279,7 +286,7 @@ def unusual_geometry(manifest: Mapping[str, Any]) -> list[str]:
         f"Geometry: people are {known['distance_m']:.4g} m from the station ({usual})"
     )
     if known["at_cap"] > USUAL_AT_CAP:
-        text += f"; {100.0 * known['at_cap']:.0f} % have the largest error"
+        text += f"; {whole_percent(known['at_cap'])} have the largest error"
     return [f"{text}."]
 
 
@@ -293,11 +300,11 @@ def geometry(manifest: Mapping[str, Any]) -> list[str]:
     is_far = not low_m <= known["distance_m"] <= high_m
     usual_m = f" (usual: {low_m:.0f} to {high_m:.0f} m)" if is_far else ""
     is_capped = known["at_cap"] > USUAL_AT_CAP
-    usual_share = f" (usual: up to {100.0 * USUAL_AT_CAP:.0f} %)" if is_capped else ""
+    usual_share = f" (usual: up to {whole_percent(USUAL_AT_CAP)})" if is_capped else ""
     text = (
         "Geometry: the median distance to the base station is"
         f" {known['distance_m']:.0f} m{usual_m}; the median raw error is"
-        f" {known['sigma_raw_m']:.2f} m. {100.0 * known['at_cap']:.0f} % of tracks have"
+        f" {known['sigma_raw_m']:.2f} m. {whole_percent(known['at_cap'])} of tracks have"
         f" the largest error, {stages['sensing.sigma_cap_m']:g} m{usual_share}."
     )
     if is_far and stages["sensing.place"] == "file":
@@ -330,7 +337,7 @@ def approximation(manifest: Mapping[str, Any], task: str) -> str:
         return ""
     per_probe = manifest["settings"]["stages"]["linkage.candidates"]
     linker = parse_label(lost["consumer"]).without_task.label
-    mean, most = (round(100.0 * lost[name], 1) + 0.0 for name in ("loss", "most"))
+    mean, most = (round(PERCENT * lost[name], 1) + 0.0 for name in ("loss", "most"))
     return (
         f"Linkers scored {per_probe} candidates of each probe. That cost {mean:.1f}"
         f" points of rank 1 on average, and at most {most:.1f} ({linker} at"

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import RAW
-from evaluation.reporting.charts import PERCENT
+from evaluation.reporting.amounts import whole_percent
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.names import attack_name
 from isac_track.types import Bools, Floats, lengths
@@ -74,12 +74,12 @@ def _walk(rows: pd.DataFrame) -> Walk:
 
 def caption(walk: Walk, *, level_name: str) -> str:
     """Return the shares of the walk that are known as shared and as rebuilt."""
-    sent = PERCENT * float(walk.leaks_shared.mean())
-    rebuilt = PERCENT * float(walk.leaks_rebuilt.mean())
+    sent = float(walk.leaks_shared.mean())
+    rebuilt = float(walk.leaks_rebuilt.mean())
     return (
-        f"{level_name}: {sent:.0f} % of the shared positions are within"
+        f"{level_name}: {whole_percent(sent)} of the shared positions are within"
         f" {walk.epsilon_m:g} m of the walk; after a {attack_name(walk.attack)},"
-        f" {rebuilt:.0f} % are."
+        f" {whole_percent(rebuilt)} are."
     )
 
 

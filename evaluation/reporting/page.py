@@ -38,7 +38,6 @@ from evaluation.reporting.return_words import no_scenes_line, return_sentence
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import decision_cell
 from evaluation.reporting.tables import page_tables
-from evaluation.reporting.takeaways import level_name
 from evaluation.store.files import PAGE, write_whole
 
 
@@ -140,6 +139,6 @@ def title(run: Results) -> str:
 def level_names(table: Headline) -> dict[str, str]:
     """Return the plain name of each level by its SPEC, as `gallery.parquet` has it."""
     return {
-        spec_text(table.known[where.mechanism], where.level): level_name(table, where)
+        spec_text(table.families[where.mechanism], where.level): table.name(where)
         for where in table.wheres
     }

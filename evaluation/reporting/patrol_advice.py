@@ -102,9 +102,7 @@ def patrol_table(options: Sequence[Option], families: Mapping[str, Family]) -> T
         make.text_column("policy", lambda option: option["policy"]),
         make.text_column("mechanism", lambda option: shared_name(option, families)),
         *(
-            make.number_column(
-                head, "%", name, f"{name}_low", f"{name}_high", scale=100.0
-            )
+            make.share_column(head, name, f"{name}_low", f"{name}_high")
             for name, head in _COLUMNS.items()
         ),
     ]

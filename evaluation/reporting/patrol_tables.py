@@ -10,6 +10,7 @@ from evaluation.estimates.metrics import FUTURE_EQUAL_ALARMS, METRICS, WITHHELD
 from evaluation.estimates.patrols import MAP
 from evaluation.plan.address import parse_dataset
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import tenth_percent
 from evaluation.reporting.names import robot_name
 from evaluation.reporting.patrol_words import shared_name
 from evaluation.reporting.rows import Results
@@ -74,7 +75,7 @@ def _log_table(run: Results, rows: pd.DataFrame, notes: list[str]) -> Table:
         f" within {stages['privacy.epsilon_m']:g} m, % of person-time."
     )
     for share in rows.loc[rows["consumer"] == MAP, "value"].unique()[:1]:
-        about += f" A map without a log knows {100 * share:.1f} %."
+        about += f" A map without a log knows {tenth_percent(share)}."
     return make.build_table(
         "patrol-logs",
         "Patrols: what the log of a fleet tells, by disclosure policy",

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from evaluation.estimates.families import RAW, Family
-from evaluation.reporting.amounts import listed
+from evaluation.reporting.amounts import PERCENT, listed, whole_percent
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, mechanism_phrase, robot_subject
 from evaluation.reporting.rows import Results
@@ -69,17 +69,17 @@ def proposal_sentence(
         nearest = proposal["nearest"]
         failing = listed(_excess_texts(nearest, proposal))
         return (
-            f"No policy tried will do if {limits}. The nearest is"
+            f"No policy of this run keeps within the limits: {limits}. The nearest is"
             f" {_option_text(nearest, families)}: {failing}. {counted}"
         )
-    all_sent = f"{_percent(everything['known'])} of person-time"
+    all_sent = f"{whole_percent(everything['known'])} of person-time"
     if (best["mechanism"], best["policy"]) == (RAW, EVERYTHING):
         return (
-            f"A log of all answers knows {all_sent}, and under no policy tried it"
-            f" knows less if {limits}. {counted}"
+            f"A log of all answers knows {all_sent}, and no policy of this run lowers"
+            f" that within the limits: {limits}. {counted}"
         )
     return (
-        f"Under {_option_text(best, families)} a log knows {_percent(best['known'])}"
+        f"Under {_option_text(best, families)} a log knows {whole_percent(best['known'])}"
         f" instead of {all_sent}, if {limits}. {counted}"
     )
 
@@ -109,7 +109,7 @@ def _limit_texts(proposal: Mapping[str, Any]) -> dict[str, str]:
         "followed": "a log may follow {points:.4g} % of people for 10 s",
     }
     return {
-        name: texts[name].format(points=100.0 * limit)
+        name: texts[name].format(points=PERCENT * limit)
         for name, limit in proposal["limits"].items()
     }
 
@@ -125,10 +125,8 @@ def _excess_texts(option: Option, proposal: Mapping[str, Any]) -> list[str]:
     }
     above = exceeded(option, PatrolLimits(**{"lost": None} | proposal["limits"]))
     return [
-        texts[name].format("an unknown share" if upper is None else _percent(upper))
+        texts[name].format(
+            "an unknown share" if upper is None else whole_percent(upper)
+        )
         for name, upper in above.items()
     ]
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"

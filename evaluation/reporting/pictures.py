@@ -10,10 +10,10 @@ from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.plan.address import Where, parse_consumer
 from evaluation.reporting import takeaways
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.answers import reference_level
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Chart,
     Look,
     Point,
@@ -28,11 +28,9 @@ from evaluation.reporting.names import (
     INDEPENDENT_NOTE,
     family_name,
     robot_name,
-    short_mechanism_name,
     spec_text,
     task_phrase,
 )
-from evaluation.reporting.takeaways import level_name
 from evaluation.verdict.question import MOST_PLR
 from isac_track.types import Bools, Floats
 
@@ -123,7 +121,7 @@ def _choice_plane(table: Headline) -> Picture | None:
         table,
         curves,
         title=(
-            f"PLR after attack, over what {name} misses; dashed: {100 * MOST_PLR:g} %"
+            f"PLR after attack, over what {name} misses; dashed: {PERCENT * MOST_PLR:g} %"
         ),
         caption=takeaways.within_limit(noisy, MOST_PLR) if noisy else "",
         x_label=_MISSED,
@@ -200,17 +198,14 @@ def _levels(
         series["after attack, isotropic errors"] = isotropic
     looks = dict(zip(series, _SERIES, strict=False))
     chart = rows_chart(
-        [
-            short_mechanism_name(table.known[where.mechanism], where.level)
-            for where in levels
-        ],
+        [table.short_name(where) for where in levels],
         {name: (look, series[name]) for name, look in looks.items()},
         x_label=x_label,
         across=[
             (look, shown[name].chance) for name, look in looks.items() if name in shown
         ],
     )
-    families = {where: table.known[where.mechanism] for where in levels}
+    families = {where: table.families[where.mechanism] for where in levels}
     chart.hints = {
         text: (
             f"{spec_text(families[where], where.level)}:"
@@ -236,12 +231,12 @@ def _curves(
     """
     ordered = sorted(among or table.wheres, key=lambda where: where.level or 0.0)
     curves = list[list[Point]]()
-    for mechanism, look in mechanism_looks(table.known.values()).items():
+    for mechanism, look in mechanism_looks(table.families.values()).items():
         points = []
         for where in ordered:
             x_value, y_value = table.at(where, x), table.at(where, y)
             if where.mechanism == mechanism and x_value and y_value:
-                points.append(Point(look, level_name(table, where), x_value, y_value))
+                points.append(Point(look, table.name(where), x_value, y_value))
         if points:
             curves.append(points)
     return curves
@@ -270,8 +265,8 @@ def _plane(
     )
     drawn = {curve[0].look for curve in curves}
     key = {
-        family_name(table.known[mechanism]): look
-        for mechanism, look in mechanism_looks(table.known.values()).items()
+        family_name(table.families[mechanism]): look
+        for mechanism, look in mechanism_looks(table.families.values()).items()
         if look in drawn
     }
     return Picture(title, caption, chart, key)
@@ -297,11 +292,11 @@ def walks_takeaway(walks: Sequence[Panel]) -> str:
     noisy = [walk for walk in walks if walk.mechanism != RAW]
     if not noisy:
         return ""
-    sent = PERCENT * float(np.mean([walk.shared for walk in noisy]))
-    rebuilt = PERCENT * float(np.mean([walk.rebuilt for walk in noisy]))
+    sent = float(np.mean([walk.shared for walk in noisy]))
+    rebuilt = float(np.mean([walk.rebuilt for walk in noisy]))
     return (
-        f"Under noise these walks leak {sent:.0f} % as sent and {rebuilt:.0f} %"
-        " rebuilt."
+        f"Under noise these walks leak {whole_percent(sent)} as sent and"
+        f" {whole_percent(rebuilt)} rebuilt."
     )
 
 

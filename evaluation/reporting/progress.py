@@ -8,7 +8,7 @@ from datetime import timedelta
 from importlib import import_module
 from typing import Final, TypeVar
 
-from evaluation.reporting.amounts import counted
+from evaluation.reporting.amounts import counted, whole_percent
 
 Item = TypeVar("Item")
 
@@ -159,7 +159,7 @@ def _bar(lines: list[str]) -> Iterator[Callable[[int, int | None, str], None]]:
             if is_due and not console.is_terminal:
                 while marks and share >= marks[0]:
                     del marks[0]
-                part = "all cells" if share >= 1.0 else f"{100 * share:.0f} %"
+                part = "all cells" if share >= 1.0 else whole_percent(share)
                 line = f"{part} after {text} ({step.partition(':')[0]})"
                 lines.append(line)
                 sys.stderr.write(f"{line}\n")

@@ -12,13 +12,17 @@ import numpy as np
 from attacks.tasks.task_list import ALL_TASKS, RETURNS
 from evaluation.estimates.families import AT_RAW
 from evaluation.plan.address import Where
-from evaluation.reporting.amounts import counted, listed, sentence_case
+from evaluation.reporting.amounts import (
+    counted,
+    listed,
+    precise_percent,
+    sentence_case,
+    tenth_percent,
+)
 from evaluation.reporting.answers import reference_level
-from evaluation.reporting.charts import share_text
 from evaluation.reporting.headline import Headline, HeadlineColumn
 from evaluation.reporting.names import adversary_name, family_name, task_phrase
 from evaluation.reporting.rows import Results
-from evaluation.reporting.takeaways import level_name
 
 OPINION: Final = (
     "Article 29 Working Party, Opinion 05/2014 on anonymisation techniques (WP 216)"
@@ -79,7 +83,7 @@ def _processed(run: Results, table: Headline) -> tuple[str, ...]:
     """Return the recorded data and the contents of a release."""
     data = run.manifest["dataset"]
     people = "simulated people" if data.get("simulated") else "people"
-    added = [family for family in table.known.values() if family.is_added]
+    added = [family for family in table.families.values() if family.is_added]
     names = list(dict.fromkeys(family_name(family) for family in added))
     rest = len(names) - _MOST_NAMED
     shown = [*names[:_MOST_NAMED], f"{rest} more"] if rest > 0 else names
@@ -119,10 +123,12 @@ def _reidentified(
         phrase = task_phrase(task.measure.source.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
         text = (
-            f"{level_name(table, where)}: {share_text(linked)} of people linked"
+            f"{table.name(where)}: {precise_percent(linked)} of people linked"
             f" {phrase}{among}"
         )
-        beside = f"; raw positions {share_text(raw)}" if raw and where != AT_RAW else ""
+        beside = (
+            f"; raw positions {precise_percent(raw)}" if raw and where != AT_RAW else ""
+        )
         sentences.append(
             f"{sentence_case(text)}{beside}. {_against_chance(task, linked.ci_low)}"
         )
@@ -133,7 +139,7 @@ def _against_chance(task: HeadlineColumn, low: float) -> str:
     """Compare the lower end of an interval with chance; empty if either is unknown."""
     if not (np.isfinite(low) and np.isfinite(task.chance)):
         return ""
-    chance = f"chance, {100 * task.chance:.1f} %"
+    chance = f"chance, {tenth_percent(task.chance)}"
     if low > task.chance:
         return f"The risk is not ruled out: this is above {chance}."
     return f"The run does not show more than {chance}."
@@ -143,16 +149,16 @@ def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
     """Return the share of positions known as sent and after the strongest attack."""
     sent = table.at(where, table.shared)
     attacked = table.at(where, table.attacked) if table.attacked else None
-    name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
+    name, distance = table.name(where), f"{table.epsilon_m:g} m"
     sentences = []
     if sent:
         sentences.append(
-            f"{sentence_case(name)}: {share_text(sent)} of positions are sent within"
+            f"{sentence_case(name)}: {precise_percent(sent)} of positions are sent within"
             f" {distance}."
         )
     if attacked:
         sentences.append(
-            f"The strongest attack infers {share_text(attacked)} to {distance}."
+            f"The strongest attack infers {precise_percent(attacked)} to {distance}."
         )
     return (*sentences, "Names, homes and habits of people are not inferred here.")
 

@@ -73,14 +73,14 @@ def epsilon_m(manifest: Mapping[str, Any]) -> float:
     return float(manifest["settings"]["stages"]["privacy.epsilon_m"])
 
 
-def level_name(offer: Offer) -> str:
+def offer_name(offer: Offer) -> str:
     """Return a level in the middle of a sentence."""
     return mechanism_phrase(offer.family, offer.where.level)
 
 
 def levels_text(offers: Sequence[Offer]) -> str:
     """Return the first levels by name, and how many more there are."""
-    names = [level_name(offer) for offer in offers]
+    names = [offer_name(offer) for offer in offers]
     n_more = len(names) - _MOST_NAMED
     if n_more <= 0:
         return listed(names)
@@ -103,7 +103,7 @@ def _share_text(run: Results) -> str:
         offer = answer.proposals[0]
         limits = " and ".join(_short_limits(answer))
         sentences = [
-            f"{sentence_case(level_name(offer))} is the cheapest level with {limits}.",
+            f"{sentence_case(offer_name(offer))} is the cheapest level with {limits}.",
             _brief_cost(answer, offer),
         ]
         return " ".join([*sentences, *_screen_standing(offer, answer)])
@@ -119,7 +119,7 @@ def _share_text(run: Results) -> str:
     failing = failing or failures(nearest, answer, epsilon_m=epsilon)
     limits = " and ".join(_short_limits(answer))
     sentences = [
-        f"No level has {limits}; the nearest is {level_name(nearest)}.",
+        f"No level has {limits}; the nearest is {offer_name(nearest)}.",
         f"{sentence_case(failing[0])}.",
     ]
     if answer.robot:
@@ -166,7 +166,7 @@ def share_details(run: Results) -> tuple[str, ...]:
     limits = "; ".join(limit_texts(answer, epsilon_m=epsilon))
     sentences = [f"Limits: {limits}."] if shown else []
     sentences += [offer_text(offer, answer, epsilon_m=epsilon) for offer in shown[:1]]
-    if others := [level_name(offer) for offer in shown[1:]]:
+    if others := [offer_name(offer) for offer in shown[1:]]:
         sentences.append(f"Further levels: {listed(others)}.")
     return tuple(sentences)
 
@@ -201,7 +201,7 @@ def answer_text(
     if n_more := len(texts) - len(shown):
         shown.append(counted(n_more, "further limit fails", "further limits fail"))
     failing = "; ".join(shown)
-    nearest = f"The nearest is {level_name(answer.nearest)}: {failing}."
+    nearest = f"The nearest is {offer_name(answer.nearest)}: {failing}."
     return f"No{people}: no level keeps within the limits. {limits} {nearest}"
 
 
@@ -232,7 +232,7 @@ def _break_sentences(answer: Recommendation) -> list[str]:
             if side.breaks(_plr_limit(answer)):
                 known = percent(_worse(side, _plr_limit(answer)))
                 sentences.append(
-                    f"With {level_name(offer)}, {adversary_name(side.adversary)} knows"
+                    f"With {offer_name(offer)}, {adversary_name(side.adversary)} knows"
                     f" {known} of positions; to make it count: --against"
                     f" {side.adversary}."
                 )
@@ -325,7 +325,7 @@ def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str
     wide_m = WIDE_TIMES * epsilon_m
     near, wide = percent(side.value(PLR)), percent(side.value(PLR_WIDE))
     reach = f"{near} of positions to {epsilon_m:.4g} m and {wide} to {wide_m:.4g} m"
-    sentences = [f"{sentence_case(level_name(offer))}: {subject} knows {reach}."]
+    sentences = [f"{sentence_case(offer_name(offer))}: {subject} knows {reach}."]
     if answer.robot:
         sentences.append(cost_sentence(answer, offer))
     if math.isfinite(side.value(MEDIAN_ERROR).value):

@@ -30,6 +30,7 @@ from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.notices import approximation
 from evaluation.reporting.rows import (
@@ -46,16 +47,19 @@ from isac_track.linkability import LEVEL
 from isac_track.mechanisms.protections import Laplace
 
 PAPER_REPORTS: Final = 366  # Samples of a track of the paper.
-MARKS = dict(zip(REMARKS, "~^!", strict=True))
+REMARK_SIGNS = dict(zip(REMARKS, "~^!", strict=True))
 """By remark: the mark of a linkage cell that does not simply link."""
-MEANING = {mark: REMARKS[remark] for remark, mark in MARKS.items()}
+MEANING = {mark: REMARKS[remark] for remark, mark in REMARK_SIGNS.items()}
 _SCORES_TELL = "1 - Cllr_min"
 _USUAL = "informed"
 _LABEL_WIDTH = 30
 _FUTURE = (
     "Missed future: of conflicts in which nobody is inside the safety radius at step 0."
 )
-_ORACLE = "The oracle is a reference: it stands where nobody less can run the attack."
+_ORACLE = (
+    "The oracle is a reference. It has a column only for attacks that a weaker"
+    " adversary cannot run."
+)
 _STILL = (
     "Standing still: constant_position, which expects nobody to move; each interval by"
     " itself."
@@ -163,11 +167,9 @@ def standing_table(robots: Iterable[Mapping[str, Any]]) -> Table:
         make.text_column(
             "level", lambda row: where_text(row["mechanism"], row["level"])
         ),
-        make.number_column("missed", "%", "missed", scale=100.0, digits=1),
-        make.number_column(
-            "standing still", "%", "standing_still", scale=100.0, digits=1
-        ),
-        make.number_column("more", "points", *ends, scale=100.0, digits=1, sign="+"),
+        make.share_column("missed", "missed"),
+        make.share_column("standing still", "standing_still"),
+        make.share_column("more", *ends, unit="points", sign="+"),
     ]
     title = "Robots that miss more than standing still; 95 % intervals, paired"
     return make.build_table(
@@ -338,7 +340,7 @@ def rank_table(run: Results, task: TaskOutcomes) -> Table:
         "Cells without a mark link people, by the ranks of all mates.",
     ]
     if Where(CLEAN) in wheres:
-        notes.append("clean: no error at all, the ceiling.")
+        notes.append("clean: no error at all, an upper limit.")
     return make.build_table(
         f"linkage-{task.name}",
         f"{task.name}: {task.about}; rank 1 in %, 95 % intervals",
@@ -378,7 +380,7 @@ def _control_notes(task: TaskOutcomes) -> list[str]:
         expected = f"{LEVEL * len(outcomes):.1f} expected"
         texts.append(
             f"Controls: {sum(outcomes)} of {len(outcomes)} beat chance at"
-            f" {100 * LEVEL:g} % ({'; '.join([expected, *worst])})."
+            f" {PERCENT * LEVEL:g} % ({'; '.join([expected, *worst])})."
         )
     cells = (
         ",".join(row[INVALID] for row in block.values())
@@ -474,7 +476,7 @@ def _rank(row: Mapping[str, Any] | None) -> Cell:
     """Return rank 1 of a linkage cell with its marks; empty without a cell."""
     if row is None:
         return Cell()
-    mark = "".join(MARKS[remark] for remark in remarks(row))
+    mark = "".join(REMARK_SIGNS[remark] for remark in remarks(row))
     return make.metric_cell(
         RANK1, row["rank1"], row["ci_low"], row["ci_high"], mark=mark
     )

@@ -11,14 +11,13 @@ from evaluation.estimates.metrics import RANK1
 from evaluation.plan.address import Address, Where, control_name
 from evaluation.plan.consumer import FUSION
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import fine_interval, fine_share
 from evaluation.reporting.grid import Group, grid_lines
 from evaluation.reporting.lookups import estimates, find_family
 from evaluation.reporting.names import mechanism_name, short_mechanism_name
 from evaluation.reporting.return_words import (
-    CONTROLS,
+    CONTROL_PHRASES,
     control_text,
-    interval_text,
-    share_text,
 )
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, shorten_name
@@ -116,7 +115,7 @@ def _control_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     where = Where(CLEAN)
     names = [
         name
-        for name in CONTROLS
+        for name in CONTROL_PHRASES
         if find_number(numbers, where, control_name(name), RANK1)
     ]
 
@@ -154,7 +153,7 @@ def screen_table(run: Results, *, most: int) -> tuple[list[str], list[str]]:
             for plugin in _ON_SCREEN
         ]
         chance = find_number(numbers, where, FUSION, _CHANCE)
-        guessing = share_text(chance.value) if chance else ""
+        guessing = fine_share(chance.value) if chance else ""
         rows.append([shorten_name(name, room=_LABEL_WIDTH), *cells, guessing])
     heads = (*_ON_SCREEN.values(), "guessing")
     lines = grid_lines(rows, [Group("named first, %", heads)], corner=_CORNER)
@@ -164,7 +163,7 @@ def screen_table(run: Results, *, most: int) -> tuple[list[str], list[str]]:
 def _screen_cell(number: Estimate | None) -> str:
     if number is None:
         return "-"
-    return interval_text(number.value, number.ci_low, number.ci_high, unit="")
+    return fine_interval(number.value, number.ci_low, number.ci_high, unit="")
 
 
 def _level_name(families: Mapping[str, Family], where: Where) -> str:

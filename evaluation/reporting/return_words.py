@@ -1,6 +1,5 @@
 """Whether people who come back are re-identified, in words: for screen, page, tables."""
 
-import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -8,7 +7,7 @@ from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import RANK1
 from evaluation.plan.address import Address
 from evaluation.plan.consumer import FUSION
-from evaluation.reporting.amounts import PERCENT, counted
+from evaluation.reporting.amounts import PERCENT, counted, fine_interval, fine_share
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
@@ -16,7 +15,7 @@ from isac_track.linkability.return_rule import POWER, TRUE_GAIN
 
 QUESTION: Final = "Does a walk identify a person in another run?"
 TOPIC: Final = "Return"
-CONTROLS: Final = {
+CONTROL_PHRASES: Final = {
     "queue-place": "the place in the queue",
     "density": "the density of the run",
     "speed": "the speed",
@@ -28,27 +27,6 @@ CONTROLS: Final = {
     "same-run": "fusion within a run",
 }
 """Controls of people who come back, by the name behind `control-`, in a sentence."""
-_FEW_PERCENT: Final = 1.0  # Below, a share has a digit behind the point.
-_LEAST_PERCENT: Final = 0.05  # Below, it is 0.
-
-
-def share_text(share: float | None) -> str:
-    """Return a share in percent without unit: `34`, `0.5`; `?` if it is unknown."""
-    if share is None or not math.isfinite(share):
-        return "?"
-    percent = PERCENT * share
-    is_small = _LEAST_PERCENT <= percent < _FEW_PERCENT
-    return f"{percent:.1f}" if is_small else f"{percent:.0f}".replace("-0", "0")
-
-
-def interval_text(
-    value: float | None, low: float | None, high: float | None, *, unit: str = " %"
-) -> str:
-    """Return a share with its interval: `2 % [0.5, 8]`; unit behind the value."""
-    text = f"{share_text(value)}{unit}"
-    if low is None or high is None or not math.isfinite(low + high):
-        return text
-    return f"{text} [{share_text(low)}, {share_text(high)}]"
 
 
 def return_sentence(run: Results) -> str:
@@ -60,8 +38,8 @@ def return_sentence(run: Results) -> str:
     if not answer:
         return ""
     people = counted(answer["n"], "person", "people")
-    named = interval_text(answer["rank1"], answer["rank1_low"], answer["rank1_high"])
-    beside = f"guessing {share_text(answer['chance'])} %, {_control_share(answer)}"
+    named = fine_interval(answer["rank1"], answer["rank1_low"], answer["rank1_high"])
+    beside = f"guessing {fine_share(answer['chance'])} %, {_control_share(answer)}"
     match answer["decision"]:
         case "yes":
             return (
@@ -84,7 +62,7 @@ def return_details(run: Results) -> tuple[str, ...]:
     answer = _evidence(run)
     if not answer:
         return ()
-    gain = interval_text(
+    gain = fine_interval(
         answer["gain"], answer["gain_low"], answer["gain_high"], unit=" points"
     )
     sentences = [
@@ -98,7 +76,7 @@ def return_details(run: Results) -> tuple[str, ...]:
         *_confirming_sentence(answer),
     ]
     if raw := _rank1(run, RAW):
-        raw_text = interval_text(raw.value, raw.ci_low, raw.ci_high)
+        raw_text = fine_interval(raw.value, raw.ci_low, raw.ci_high)
         sentences.append(f"With raw sensing, {raw_text} are named first.")
     return tuple(sentences)
 
@@ -120,7 +98,7 @@ def no_scenes_line(manifest: Mapping[str, Any]) -> str:
 
 def control_text(name: str) -> str:
     """Return a control of people who come back in a sentence."""
-    return CONTROLS.get(name, name.replace("-", " "))
+    return CONTROL_PHRASES.get(name, name.replace("-", " "))
 
 
 def _evidence(run: Results) -> Mapping[str, Any]:
@@ -133,7 +111,7 @@ def _control_share(answer: Mapping[str, Any]) -> str:
     names = list(answer["controls"])
     name = control_text(names[0] if len(names) == 1 else "strongest")
     short = name.removeprefix("the ").removesuffix(" in the queue")
-    return f"{short} {share_text(answer['control'])} %"
+    return f"{short} {fine_share(answer['control'])} %"
 
 
 def _power_sentence(answer: Mapping[str, Any]) -> list[str]:
@@ -156,7 +134,7 @@ def _confirming_sentence(answer: Mapping[str, Any]) -> list[str]:
         return []
     if answer["confirming_p"] is None:
         return [f"Session {name} was left aside; it could not change the answer."]
-    gain = share_text(answer["confirming_gain"])
+    gain = fine_share(answer["confirming_gain"])
     return [
         (
             f"Session {name}, left aside, has a gain of {gain} points, nested p"

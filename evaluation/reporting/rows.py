@@ -1,9 +1,9 @@
-"""A finished run as data frames, and selections of levels, sources and sweeps."""
+"""A finished run as data frames, and selections of levels and sources."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -16,14 +16,11 @@ import pandas as pd
 from attacks.tasks.task_list import RETURNS
 from evaluation.estimates.families import (
     ADDING_RULES,
-    FID,
-    FIXED,
     LEVEL_UNITS,
     Family,
     entry_families,
     families_in,
 )
-from evaluation.estimates.keys import level_text
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
 from evaluation.plan.address import (
     Address,
@@ -31,44 +28,29 @@ from evaluation.plan.address import (
     is_track_release,
     parse_consumer,
     parse_dataset,
-    plugin_name,
 )
-from evaluation.plan.presets import DISSOCIATION, SHARED
+from evaluation.plan.presets import SHARED
 from evaluation.reporting.announcements import scenes_text
-from evaluation.reporting.lookups import ENDS, HEADLINE, estimates, find_family
-from evaluation.reporting.names import FAMILY_NAMES
+from evaluation.reporting.lookups import ENDS, MAIN_LEVELS, estimates, find_family
+from evaluation.reporting.schemes import CONTROL_FAMILIES
 from evaluation.reporting.table import Column, level_cell, text_column
 from isac_track.errors import SettingsError, did_you_mean
-from isac_track.types import Floats
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from evaluation.estimates.linkability import TaskOutcomes
-    from evaluation.reporting.charts import Look
     from evaluation.reporting.headline import Headline
     from evaluation.reporting.table import Table
     from evaluation.verdict.question import Question
     from evaluation.verdict.what_to_share import Recommendation
     from isac_track.intervals import Estimate
 
-CONTROLS: Final = frozenset(map(plugin_name, DISSOCIATION))
-"""Families of controls: they separate a descriptor from linkability."""
-# Ratio of the levels' ends from which an unknown mechanism has a logarithmic axis.
-_LOG_SPAN = 30.0
-_LEVEL_PATTERNS: Final = {FID: "eta {}", FIXED: "{} m"}
-# By mechanism: title, label of the axis, and whether it is logarithmic.
-_PAPER_AXES: Final = {
-    FID: ("FID noise", "eta (1/(m² s))", True),
-    FIXED: ("fixed noise", "added noise (m)", False),
-}
 STRONGEST: Final = "strongest"
 # Suffix of the name of a descriptor after the strongest attack.
 AFTER: Final = "_after"
 SHORT: Final = {"missed": MISSED_RATE, "false_alarm": "false_alarm_rate"}
 """Metrics by a name that is quick to type."""
-_LEVEL_KEYS: Final = ["family", "level", "adding"]
-_LEAST_LEVELS = 3  # Levels that make a curve.
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -307,34 +289,24 @@ class Results:
         Mechanisms that add nothing (raw, clean) have level 0. Raises SettingsError for
         a metric, attack, task or robot that the run does not have.
         """
-        name = SHORT.get(metric, metric)
-        if name not in METRICS:
-            listed = f"; known: {', '.join(METRICS)}"
-            hint = did_you_mean(metric, [*METRICS, *SHORT], quote="'") or listed
-            raise SettingsError(f"unknown metric {metric!r}{hint}")
+        name = _metric_name(metric)
         rows = self.measured
         rows = rows[rows["metric"] == name]
-        place = METRICS[name].kind
         row_tasks = rows["consumer"].map(lambda consumer: parse_consumer(consumer).task)
         task = task or next(iter(row_tasks), "")
         rows = rows[row_tasks == task]
+        place = METRICS[name].kind
         if place == "predictor":
             consumer = robot or next(iter(rows["consumer"]), "")
         elif place == "descriptor" and not after:
             consumer = SHARED
         else:
-            consumer = after
+            attack = parse_consumer(after)
             if after in ("", STRONGEST):
-                strongest = self.strongest.get(task, Address())
-                consumer = strongest.consumer
-                rows = rows[rows["knowledge"] == strongest.adversary]
-            consumer = replace(parse_consumer(consumer), task=task).consumer
-        values = rows[rows["consumer"] == consumer]
-        if values.empty:
-            has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
-            raise SettingsError(
-                f"the run has no {name} of {consumer or after!r}; it has that of {has}"
-            )
+                attack = self.strongest.get(task, Address())
+                rows = rows[rows["knowledge"] == attack.adversary]
+            consumer = replace(attack, task=task).consumer
+        values = _consumer_rows(rows, consumer, metric=name, asked=after)
         table = self._level_frame(values)
         table.attrs["title"] = (
             f"{METRICS[name].title}, {_positions_label(values, place)}"
@@ -370,14 +342,13 @@ class Results:
         interval. A mechanism looks as on the page. `ax` are the axes to draw on, else
         new axes.
         """
-        from matplotlib import (  # noqa: PLC0415 - slow to import, and seldom needed
-            pyplot as plt,
+        from evaluation.reporting.plots import (  # noqa: PLC0415 - matplotlib is slow to import, and seldom needed
+            draw_metrics,
         )
 
-        from evaluation.reporting.charts import INKS, mechanism_looks  # noqa: PLC0415 - see `load`
-
         y_rows = self._scaled(y, task=task, robot=robot)
-        if x == "level":
+        over_level = x == "level"
+        if over_level:
             x_rows = y_rows.assign(
                 value=y_rows["level"], ci_low=math.nan, ci_high=math.nan
             )
@@ -385,31 +356,13 @@ class Results:
             x_rows.attrs["title"] = "; ".join(["level", *units])
         else:
             x_rows = self._scaled(x, task=task, robot=robot)
-        points = x_rows.merge(y_rows, on=_LEVEL_KEYS, suffixes=("_x", "_y"))
-        if ax is None:
-            ax = plt.subplots(figsize=(8.0, 4.5), layout="constrained")[1]
-        if x == "level":
-            ax.set_xscale("log")
-        mechanisms = {
-            (family.name, family.adding): family.mechanism
-            for family in self.families.values()
-        }
-        looks = mechanism_looks(self.families.values())
-        for (name, adding), rows in points.groupby(["family", "adding"], sort=False):
-            ordered = rows.sort_values("level")
-            mechanism = mechanisms[str(name), str(adding)]
-            # Without a look of its own: clean.
-            look = looks.get(mechanism, looks["raw"]._replace(hollow=True))
-            ink = {"color": INKS[look.place], "label": f"{name} {adding}".rstrip()}
-            if (
-                x == "level" and not ordered["value_x"].to_numpy().any()
-            ):  # raw has no level
-                _draw_line(ax, ordered, look, ink)
-            else:
-                _draw_points(ax, ordered, look, ink)
-        ax.set(xlabel=x_rows.attrs["title"], ylabel=y_rows.attrs["title"])
-        ax.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-        return ax
+        return draw_metrics(
+            x_rows,
+            y_rows,
+            families=self.families.values(),
+            over_level=over_level,
+            ax=ax,
+        )
 
     def _scaled(self, name: str, *, task: str = "", robot: str = "") -> pd.DataFrame:
         """Return a metric as it is shown, by a name that may end in `AFTER`."""
@@ -473,6 +426,32 @@ class Results:
         return task_outcomes(self.linkability[self.linkability["dataset"] == expected])
 
 
+def _metric_name(metric: str) -> str:
+    """Return a metric's name in `summary.csv`. Raises SettingsError if unknown."""
+    name = SHORT.get(metric, metric)
+    if name not in METRICS:
+        listed = f"; known: {', '.join(METRICS)}"
+        hint = did_you_mean(metric, [*METRICS, *SHORT], quote="'") or listed
+        raise SettingsError(f"unknown metric {metric!r}{hint}")
+    return name
+
+
+def _consumer_rows(
+    rows: pd.DataFrame, consumer: str, *, metric: str, asked: str
+) -> pd.DataFrame:
+    """Return the rows of a consumer among those of a metric and a task.
+
+    Raises SettingsError without any, about `asked` if the run has no such consumer.
+    """
+    own = rows[rows["consumer"] == consumer]
+    if own.empty:
+        has = ", ".join(dict.fromkeys(rows["consumer"])) or "nobody in this task"
+        raise SettingsError(
+            f"the run has no {metric} of {consumer or asked!r}; it has that of {has}"
+        )
+    return own
+
+
 def _positions_label(rows: pd.DataFrame, place: str) -> str:
     """Return which positions the rows of a consumer are about.
 
@@ -485,37 +464,6 @@ def _positions_label(rows: pd.DataFrame, place: str) -> str:
     if place in ("descriptor", "reconstruction", "distance"):
         return f"after {label}"
     return label
-
-
-def _draw_line(
-    ax: Axes, rows: pd.DataFrame, look: Look, ink: Mapping[str, Any]
-) -> None:
-    """Draw a single value as a line across the axes, in the band of its interval."""
-    values, ((below,), (above,)) = _error_bars(rows, "y")
-    ax.axhline(values[0], linestyle="--" if look.hollow else ":", **ink)
-    ax.axhspan(values[0] - below, values[0] + above, color=ink["color"], alpha=0.1)
-
-
-def _draw_points(
-    ax: Axes, rows: pd.DataFrame, look: Look, ink: Mapping[str, Any]
-) -> None:
-    """Draw the levels of a mechanism as a line of marks with their intervals."""
-    from evaluation.reporting.charts import MARKERS  # noqa: PLC0415 - see `load`
-
-    (x, x_error), (y, y_error) = _error_bars(rows, "x"), _error_bars(rows, "y")
-    shape: dict[str, Any] = {
-        "marker": MARKERS[look.shape],
-        "capsize": 2,
-        "linewidth": 0.8,
-        "markerfacecolor": "none" if look.hollow else ink["color"],
-    }
-    ax.errorbar(x, y, y_error, x_error, **shape, **ink)
-
-
-def _error_bars(rows: pd.DataFrame, side: str) -> tuple[Floats, Floats]:
-    """Return values, (R,), and lengths of the bars below and above them, (2, R)."""
-    values, low, high = (rows[f"{name}_{side}"].to_numpy() for name in ENDS)
-    return values, np.maximum([values - low, high - values], 0.0)
 
 
 def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
@@ -563,13 +511,13 @@ def representative_levels(
     for mechanism, level in wheres:
         levels.setdefault(mechanism, []).append(level)
     families = {mechanism: find_family(known, mechanism) for mechanism in levels}
-    headline_names = {name for name, _ in HEADLINE}
+    headline_names = {name for name, _ in MAIN_LEVELS}
     chosen: dict[str, list[float | None]] = {}
     for mechanism, own in levels.items():
         family = families[mechanism]
         if family.name in headline_names:
-            chosen[mechanism] = [x for x in own if (family.name, x) in HEADLINE]
-        elif family.family in CONTROLS:
+            chosen[mechanism] = [x for x in own if (family.name, x) in MAIN_LEVELS]
+        elif family.family in CONTROL_FAMILIES:
             chosen[mechanism] = [x for x in own if controls or x is None]
         else:
             chosen[mechanism] = list(dict.fromkeys([own[0], own[-1]]))
@@ -592,87 +540,3 @@ def representative_levels(
         for name in sorted(chosen, key=rank)
         for level in chosen[name]
     ]
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Scheme:
-    """A swept mechanism, and the axis of its level."""
-
-    mechanism: str
-    name: str  # Family and parameters, without the adding rule.
-    # Adding rules under which it is shown: its own, or all if it declares none.
-    rules: Sequence[str]
-    title: str
-    label: str  # Of the axis.
-    log: bool
-    place: int  # Of the name among all: it decides the look.
-
-    @property
-    def rule_text(self) -> str:
-        """Its adding rule in words."""
-        return f"{self.rules[0] if len(self.rules) == 1 else 'any'} adding"
-
-    def describe_level(self, level: float) -> str:
-        """Return a level with its symbol or unit."""
-        return _LEVEL_PATTERNS.get(self.name, "{}").format(level_text(level))
-
-    def select_rows(self, frame: pd.DataFrame) -> pd.DataFrame:
-        """Return the rows of the levels that its axis can show, levels rising."""
-        rows = frame[frame["mechanism"] == self.mechanism]
-        rows = rows[rows["level"] > 0 if self.log else rows["level"].notna()]
-        return rows.sort_values("level")
-
-
-def schemes(summary: pd.DataFrame, *, as_points: bool = False) -> list[Scheme]:
-    """Return the swept mechanisms of a run: every mechanism with levels but controls.
-
-    A mechanism with too few levels for a curve, beside others with enough, is no sweep,
-    unless it is FID or fixed noise: `as_points` includes it. FID and fixed noise come
-    first, the others in the order of the run; the adding rules of a mechanism stand
-    together.
-    """
-    by_mechanism = summary.dropna(subset="level").groupby("mechanism")
-    levels = by_mechanism["level"].agg(["min", "max", "nunique"])
-    swept = [
-        family
-        for family in families_in(summary).values()
-        if family.mechanism in levels.index
-        and family.is_added
-        and family.family not in CONTROLS
-    ]
-    most = min(_LEAST_LEVELS, levels["nunique"].max()) if swept else 0
-    if not as_points:
-        enough = set(levels.index[levels["nunique"] >= most])
-        swept = [
-            family
-            for family in swept
-            if family.name in _PAPER_AXES or family.mechanism in enough
-        ]
-    names = list(dict.fromkeys([*_PAPER_AXES, *(family.name for family in swept)]))
-    swept.sort(
-        key=lambda family: (
-            names.index(family.name),
-            ADDING_RULES.index(family.rules[0]),
-        )
-    )
-    swept_schemes = []
-    for family in swept:
-        own = levels.loc[
-            [other.mechanism for other in swept if other.name == family.name]
-        ]
-        low, high = own["min"].min(), own["max"].max()
-        title = FAMILY_NAMES.get(family.name, family.name)
-        usual_axis = title, f"level of {title}", bool(0 < low <= high / _LOG_SPAN)
-        title, label, is_log = _PAPER_AXES.get(family.name, usual_axis)
-        swept_schemes.append(
-            Scheme(
-                mechanism=family.mechanism,
-                name=family.name,
-                rules=family.rules,
-                title=title,
-                label=label,
-                log=is_log,
-                place=names.index(family.name),
-            )
-        )
-    return swept_schemes

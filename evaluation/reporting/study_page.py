@@ -6,7 +6,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from evaluation.estimates.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
-from evaluation.reporting.charts import CHARACTER, PERCENT, Chart, ChartMark, Look, bar
+from evaluation.reporting.amounts import PERCENT
+from evaluation.reporting.charts import CHARACTER, Chart, ChartMark, Look, bar
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 from evaluation.estimates.keys import level_text
 from evaluation.estimates.metrics import METRICS
+from evaluation.reporting.amounts import PERCENT
 
 if TYPE_CHECKING:
     from isac_track.intervals import Estimate
@@ -149,6 +150,11 @@ def number_column(name: str, unit: str, *keys: str, **style: Any) -> Column:  # 
         return number_cell(*(record[key] for key in keys), **style)
 
     return Column(name, make_cell, unit)
+
+
+def share_column(name: str, *keys: str, unit: str = "%", **style: Any) -> Column:  # noqa: ANN401 - see `number_cell`
+    """Return a column of fractions in percent, or of their differences in points."""
+    return number_column(name, unit, *keys, scale=PERCENT, **style)
 
 
 def metric_column(name: str, *keys: str, sign: str = "-") -> Column:

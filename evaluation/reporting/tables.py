@@ -9,7 +9,7 @@ import contextlib
 import io
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,13 +32,14 @@ from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.world import OWN_WORLD
 from evaluation.pool.failures import failed_lines
 from evaluation.reporting import answer_tables, result_tables, terminal
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers
 from evaluation.reporting.bounds import bound_table, linked_bound_table
+from evaluation.reporting.doubts import doubts
 from evaluation.reporting.first_screen import (
     TABLES,
     data_line,
-    doubts,
     first_screen,
     short_table,
 )
@@ -54,7 +55,6 @@ from evaluation.reporting.notices import (
     used_are_slower,
 )
 from evaluation.reporting.patrol_tables import patrol_tables
-from evaluation.reporting.patrol_words import patrol_sentence
 from evaluation.reporting.return_tables import return_tables
 from evaluation.reporting.return_words import no_scenes_line
 from evaluation.reporting.rows import Results, estimates_by_level, representative_levels
@@ -76,6 +76,15 @@ _WIDE: Final = 160  # Columns of `tables.txt`.
 # The preset whose numbers the tests hold a fresh run against.
 _REFERENCE: Final = "smoke"
 _SHOWN: Final = (*UTILITY, *RECONSTRUCTION, RANK1, RANK1_AMONG_100, "chance")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlacedTable:
+    """A table of a run, and where it stands."""
+
+    table: Table
+    in_text: bool = True  # In `tables.txt`, and with `--verbose`.
+    on_page: bool = True
 
 
 def show(run: Results, *, before: int = 0, verbose: bool = False) -> None:
@@ -117,22 +126,7 @@ def _everything(run: Results) -> Iterator[Part]:
     yield from linked_people(run.manifest)
     yield from _answer_lines(run)
     yield from plugin_lines(run)
-    yield from result_tables.sweep_tables(run.ours, n_reports=run.n_reports)
-    yield from result_tables.horizon_tables(run.without_policy)
-    yield result_tables.standing_table(run.verdict.get("robots", ()))
-    yield result_tables.exposure_table(
-        run.ours, slow=weak_attacks.slow_attacks(run.manifest)
-    )
-    yield result_tables.attack_table(run.ours)
-    yield bound_table(run)
-    yield linked_bound_table(run)
-    yield from (result_tables.rank_table(run, task) for task in run.tasks)
-    yield result_tables.strength_table(run)
-    yield from return_tables(run)
-    yield from patrol_tables(run)
-    yield tracking_table(run)
-    yield answer_tables.paper_table(run)
-    yield answer_tables.claims_table(run)
+    yield from (placed.table for placed in _placed_tables(run) if placed.in_text)
     for name, reason in run.manifest.get("linkage", {}).get("skipped", {}).items():
         yield ""
         yield f"{name} is left out: {reason}", "yellow"
@@ -150,44 +144,55 @@ def _everything(run: Results) -> Iterator[Part]:
 
 
 def _answer_lines(run: Results) -> Iterator[Part]:
-    """Yield the five answers with their details, and all doubts."""
+    """Yield the five answers with their details, the tracking, and all doubts.
+
+    Patrols are in the details of what to share.
+    """
     table = run.headline
     yield ""
     for answer in answers(run, table):
         yield " ".join([f"{answer.topic}: {answer.sentence}", *answer.details])
-    if sentence := patrol_sentence(run):
-        yield f"On patrol: {sentence}"
     if sentence := tracking_sentence(run):
         yield f"Tracking: {sentence}"
-    yield from (f"Doubt: {text}." for text in doubts(run, table))
+    yield from (f"Doubt: {text}." for text in doubts(run))
 
 
 def page_tables(run: Results) -> dict[str, Table]:
     """Return the tables of the page by name; none of them is empty."""
-    title = "The pictures in numbers, at every level; 95 % intervals"
-    tables = [
-        replace(headline_table(run.headline), title=title),
-        answer_tables.paper_table(run),
-        answer_tables.claims_table(run),
-        *result_tables.sweep_tables(run.ours, n_reports=run.n_reports)[:1],
-        *result_tables.horizon_tables(run.without_policy),
-        result_tables.standing_table(run.verdict.get("robots", ())),
-        answer_tables.frontier_table(run),
-        result_tables.exposure_table(
-            run.ours, slow=weak_attacks.slow_attacks(run.manifest)
-        ),
-        bound_table(run),
-        linked_bound_table(run),
-        *(result_tables.rank_table(run, task) for task in run.tasks),
-        result_tables.strength_table(run),
-        *return_tables(run),
-        *patrol_tables(run),
-        tracking_table(run),
-        answer_tables.flag_table(run),
-        result_tables.doubt_table(run),
-        *answer_tables.item_tables(run.verdict.get("items", ())).values(),
-    ]
+    tables = [placed.table for placed in _placed_tables(run) if placed.on_page]
+    tables += answer_tables.item_tables(run.verdict.get("items", ())).values()
     return {table.name: table for table in tables if table.rows}
+
+
+def _placed_tables(run: Results) -> Iterator[PlacedTable]:
+    """Yield all tables of a run in the order of `tables.txt`, without the verdict's.
+
+    The page finds a table by its name.
+    """
+    title = "The pictures in numbers, at every level; 95 % intervals"
+    pictures = replace(headline_table(run.headline), title=title)
+    yield PlacedTable(pictures, in_text=False)
+    sweeps = result_tables.sweep_tables(run.ours, n_reports=run.n_reports)
+    for place, sweep in enumerate(sweeps):
+        yield PlacedTable(sweep, on_page=place == 0)
+    yield from map(PlacedTable, result_tables.horizon_tables(run.without_policy))
+    yield PlacedTable(result_tables.standing_table(run.verdict.get("robots", ())))
+    yield PlacedTable(answer_tables.frontier_table(run), in_text=False)
+    slow = weak_attacks.slow_attacks(run.manifest)
+    yield PlacedTable(result_tables.exposure_table(run.ours, slow=slow))
+    yield PlacedTable(result_tables.attack_table(run.ours), on_page=False)
+    yield PlacedTable(bound_table(run))
+    yield PlacedTable(linked_bound_table(run))
+    for task in run.tasks:
+        yield PlacedTable(result_tables.rank_table(run, task))
+    yield PlacedTable(result_tables.strength_table(run))
+    yield from map(PlacedTable, return_tables(run))
+    yield from map(PlacedTable, patrol_tables(run))
+    yield PlacedTable(tracking_table(run))
+    yield PlacedTable(answer_tables.paper_table(run))
+    yield PlacedTable(answer_tables.claims_table(run))
+    yield PlacedTable(answer_tables.flag_table(run), in_text=False)
+    yield PlacedTable(result_tables.doubt_table(run), in_text=False)
 
 
 def write_tex(run: Results, *, folder: Path) -> None:
@@ -217,21 +222,21 @@ def _linkage(summary: pd.DataFrame) -> Table:
     rows = summary[
         summary["metric"].isin([RANK1, "chance"]) & (summary["knowledge"] == INFORMED)
     ]
-    known, numbers = families_in(rows), estimates_by_level(rows)
+    families, numbers = families_in(rows), estimates_by_level(rows)
     columns = [
         text_column("task"),
         replace(text_column("chance"), unit="%", align="right"),
         text_column("linker"),
     ]
     records: dict[Address, dict[str, Any]] = {}
-    for where in representative_levels(numbers, known, controls=False):
-        heading = mechanism_name(known[where.mechanism], where.level)
+    for where in representative_levels(numbers, families, controls=False):
+        heading = mechanism_name(families[where.mechanism], where.level)
         columns.append(cell_column(heading, f"{where}"))
         for source, metrics in numbers[where].items():
             keys: dict[str, Any] = {
                 "task": source.task,
                 "linker": source.attack_spec,
-                "chance": f"{100 * metrics['chance'].value:.1f}",
+                "chance": f"{PERCENT * metrics['chance'].value:.1f}",
             }
             record = records.setdefault(source, keys)
             record[f"{where}"] = estimate_cell(RANK1, metrics.get(RANK1))

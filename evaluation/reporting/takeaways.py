@@ -9,18 +9,12 @@ import numpy as np
 from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.pareto import front
 from evaluation.plan.address import Where
-from evaluation.reporting.amounts import bare_percent, round_percent
-from evaluation.reporting.charts import PERCENT, Point
+from evaluation.reporting.amounts import PERCENT, bare_percent, round_percent
+from evaluation.reporting.charts import Point
 from evaluation.reporting.headline import Headline
-from evaluation.reporting.lookups import find_family
-from evaluation.reporting.names import mechanism_name, robot_subject, task_phrase
+from evaluation.reporting.names import robot_subject, task_phrase
 
 NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
-
-
-def level_name(table: Headline, where: Where) -> str:
-    """Return the plain name of a level of a run."""
-    return mechanism_name(find_family(table.known, where.mechanism), where.level)
 
 
 def missed_conflicts(table: Headline, where: Where) -> str:
@@ -35,7 +29,7 @@ def missed_conflicts(table: Headline, where: Where) -> str:
     beside = (
         f", {bare_percent(raw)} with raw positions" if raw and where != AT_RAW else ""
     )
-    name = level_name(table, where)
+    name = table.name(where)
     return f"With {name}, {subject} misses {bare_percent(rate)} of conflicts{beside}."
 
 
@@ -44,7 +38,7 @@ def known_positions(table: Headline, where: Where) -> str:
     sent = table.at(where, table.shared)
     if sent is None:
         return ""
-    name, distance = level_name(table, where), f"{table.epsilon_m:g} m"
+    name, distance = table.name(where), f"{table.epsilon_m:g} m"
     rebuilt = table.at(where, table.attacked) if table.attacked else None
     if rebuilt is None:
         return (
@@ -68,7 +62,7 @@ def linked_people(table: Headline, where: Where) -> str:
     if np.isfinite(first.chance):
         beside = f"; chance is {round_percent(PERCENT * first.chance)} %"
     return (
-        f"With {level_name(table, where)}, an attack re-identifies"
+        f"With {table.name(where)}, an attack re-identifies"
         f" {bare_percent(rank1)} of people {phrase}{beside}."
     )
 
@@ -94,7 +88,7 @@ def unequal_pair(points: Sequence[Point]) -> str:
 
 
 def within_limit(points: Sequence[Point], limit: float) -> str:
-    """Tell how many levels stay below a limit of y, and which of them costs least x."""
+    """Tell how many levels stay below a limit of y, and which misses fewest conflicts (x)."""
     below = [point for point in points if point.y.value < limit]
     bound = f"{PERCENT * limit:g} %"
     if not below:
@@ -105,8 +99,8 @@ def within_limit(points: Sequence[Point], limit: float) -> str:
         )
     cheapest = min(below, key=lambda point: point.x.value)
     return (
-        f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; "
-        f"of these, {cheapest.name} costs the robot least."
+        f"{len(below)} of {len(points)} levels keep PLR after attack below {bound}; of"
+        f" these, {cheapest.name} misses fewest conflicts, {bare_percent(cheapest.x)}."
     )
 
 

@@ -1,7 +1,8 @@
 """Tracks of a network's detections: the table, and the sentence of the first screen."""
 
+import math
 from collections.abc import Mapping
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -20,6 +21,7 @@ from evaluation.plan.axes import ORACLE_TRACKER
 from evaluation.plan.constants import SHARED
 from evaluation.plan.consumer import LOG, TRACKER
 from evaluation.reporting import table as make
+from evaluation.reporting.amounts import whole_percent
 from evaluation.reporting.names import robot_name, robot_subject
 from evaluation.reporting.patrol_words import ahead_text, shared_name
 from evaluation.reporting.rows import Results
@@ -97,7 +99,7 @@ def _notes(
     )
     readers = (
         f"Known: stated within {stages['privacy.epsilon_m']:g} m, of all person-time, by"
-        " an adversary who knows to whom each track belongs. Followed: by an attack"
+        " an adversary that knows to whom each track belongs. Followed: by an attack"
         " that joins tracks by predicted places; rejoined: breaks of a track that it mends."
     )
     notes = [sensing, readers]
@@ -123,20 +125,34 @@ def tracking_sentence(run: Results) -> str:
         return ""
     release = releases[-1]
     oracle = next(name for name in rows["policy"].unique() if _is_perfect(name))
-    known = [_value(rows, policy, LOG, KNOWN_SHARE) for policy in (release, oracle)]
-    at_horizon = _at_horizon(rows, horizon_s)
-    missed = [
-        _value(at_horizon, policy, robot, MISSED_FUTURE) for policy in (release, oracle)
-    ]
-    if any(pd.isna(value) for value in (*known, *missed)):
+    tracked = _release_shares(rows, release, robot)
+    perfect = _release_shares(rows, oracle, robot)
+    if any(map(math.isnan, (*tracked, *perfect))):
         return ""
     form, _, tracker = release.partition(":")
     by = "of" if form == "tracks" else "tracked by"
     return (
-        f"Raw {form} {by} {plugin_label(tracker)} reveal {100 * known[0]:.0f} % of"
-        f" person-time (perfect association {100 * known[1]:.0f} %), and"
-        f" {robot_subject(robot)} misses {100 * missed[0]:.0f} % of future"
-        f" conflicts{ahead_text(horizon_s)} ({100 * missed[1]:.0f} % with it)."
+        f"Raw {form} {by} {plugin_label(tracker)} reveal {whole_percent(tracked.known)} of"
+        f" person-time (perfect association {whole_percent(perfect.known)}), and"
+        f" {robot_subject(robot)} misses {whole_percent(tracked.missed)} of future"
+        f" conflicts{ahead_text(horizon_s)} ({whole_percent(perfect.missed)} with"
+        " perfect association)."
+    )
+
+
+class ReleaseShares(NamedTuple):
+    """What a release of tracks reveals and costs; NaN where it is unknown."""
+
+    known: float  # Of person-time.
+    missed: float  # Of the future conflicts at the farthest horizon, by a robot.
+
+
+def _release_shares(rows: pd.DataFrame, release: str, robot: str) -> ReleaseShares:
+    """Return the shares of a release."""
+    at_horizon = _at_horizon(rows, _farthest_s(rows))
+    return ReleaseShares(
+        known=_value(rows, release, LOG, KNOWN_SHARE),
+        missed=_value(at_horizon, release, robot, MISSED_FUTURE),
     )
 
 

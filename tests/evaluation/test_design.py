@@ -232,9 +232,10 @@ class TestOnPatrol:
                 ["--max-missed", "0.25"],
                 0,
                 (
-                    "No policy tried will do if a Kalman robot may miss 25 % of"
-                    " conflicts. The nearest is policy everything with raw positions: a"
-                    " Kalman robot misses up to 31 %. Conflicts within 3 s are counted,"
+                    "No policy of this run keeps within the limits: a Kalman robot may"
+                    " miss 25 % of conflicts. The nearest is policy everything with raw"
+                    " positions: a Kalman robot misses up to 31 %. Conflicts within 3 s"
+                    " are counted,"
                 ),
             ),
             (

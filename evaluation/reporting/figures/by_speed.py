@@ -9,9 +9,9 @@ import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, AT_RAW, RAW
 from evaluation.plan.address import Where, parse_row
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
@@ -74,8 +74,8 @@ def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
     slow, fast = rows.iloc[0], rows.iloc[-1]
     name = mechanism_name(find_family(run.families, where.mechanism), where.level)
     return (
-        f"With {name}, PLR after attack is {PERCENT * slow['value']:.0f} % at "
-        f"{slow['speed_mps']:.1f} m/s and {PERCENT * fast['value']:.0f} % at "
+        f"With {name}, PLR after attack is {whole_percent(slow['value'])} at "
+        f"{slow['speed_mps']:.1f} m/s and {whole_percent(fast['value'])} at "
         f"{fast['speed_mps']:.1f} m/s."
     )
 

@@ -5,7 +5,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from evaluation.plan.address import parse_dataset
-from evaluation.reporting.charts import PERCENT, Axis, Chart, Curve, Look, curves_chart
+from evaluation.reporting.amounts import PERCENT
+from evaluation.reporting.charts import Axis, Chart, Curve, Look, curves_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.rows import Results

@@ -12,15 +12,15 @@ from evaluation.estimates.metrics import PLR
 from evaluation.estimates.strongest import HEADLINE
 from evaluation.plan.address import AS_SHARED, parse_consumer
 from evaluation.plan.presets import BASELINE
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.answer_tables import price_text
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
@@ -88,7 +88,7 @@ def _panel(
     `key` gets the curves for which there is no room to label them.
     """
     parts = {str(name): part for name, part in rows.groupby("mechanism", sort=False)}
-    curves, marked = list[Curve](), list[Mark]()
+    curves, marked = list[Curve](), list[LonePoint]()
     for place, name in enumerate(names):
         if name in parts:
             title = "white"
@@ -118,16 +118,16 @@ def _caption(run: Results, rows: pd.DataFrame) -> str:
     text = (
         f"If {robot_subject(str(best['robot']))} may miss {PERCENT * _CAPTION_RISE:g}"
         f" points more, {name} has the lowest PLR after attack:"
-        f" {PERCENT * best['value']:.0f} %"
+        f" {whole_percent(best['value'])}"
     )
     white = usual.loc[usual["mechanism"] == WHITE_NOISE, "value"]
-    beside = f"; white noise {PERCENT * white.iloc[0]:.0f} %" if len(white) else ""
+    beside = f"; white noise {whole_percent(white.iloc[0])}" if len(white) else ""
     return f"{text}{beside}."
 
 
-def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark]]:
+def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[LonePoint]]:
     """Return the line of a family, and a hollow mark for each adversary beyond it."""
-    is_usual, marks = rows["knowledge"].isin(HEADLINE), list[Mark]()
+    is_usual, marks = rows["knowledge"].isin(HEADLINE), list[LonePoint]()
     usual = rows[is_usual]
     values = usual[list(VALUE)].to_numpy(dtype=np.float64).T * PERCENT
     x = usual["target"].to_numpy(dtype=np.float64) * PERCENT
@@ -138,5 +138,5 @@ def _drawn(rows: pd.DataFrame, title: str, look: Look) -> tuple[Curve, list[Mark
         rise, value = PERCENT * row["target"], PERCENT * row["value"]
         attack = parse_consumer(row["consumer"], row["knowledge"]).label
         name = f"{title}, after {attack}: {value:.0f} %"
-        marks.append(Mark(look._replace(hollow=True), rise, value, name))
+        marks.append(LonePoint(look._replace(hollow=True), rise, value, name))
     return Curve(look, f"{title}: {points}", x, values, title), marks

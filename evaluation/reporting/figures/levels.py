@@ -17,14 +17,14 @@ from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.address import AS_SHARED, Address
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
@@ -32,7 +32,8 @@ from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import attack_name, robot_name, robot_subject
 from evaluation.reporting.result_tables import after_attack, list_sources
-from evaluation.reporting.rows import Results, Scheme, schemes, source_rows
+from evaluation.reporting.rows import Results, source_rows
+from evaluation.reporting.schemes import Scheme, schemes
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
 _MOST_CHARACTERS = 80  # Of a file's name.
@@ -83,7 +84,7 @@ def _panel(
     *,
     y: Axis,
     across: Sequence[tuple[str, float]] = (),
-    marked: Sequence[Mark] = (),
+    marked: Sequence[LonePoint] = (),
 ) -> Iterator[tuple[str, Chart]]:
     """Yield a panel over the levels of a scheme, its curves named by their ends.
 
@@ -205,10 +206,10 @@ def _sweep_caption(scheme: Scheme, rows: pd.DataFrame) -> str:
 
 def _ends(values: "pd.Series[float]") -> str:
     """Return the first and the last of some fractions, in percent."""
-    return f"{PERCENT * values.iloc[0]:.0f} % to {PERCENT * values.iloc[-1]:.0f} %"
+    return f"{whole_percent(values.iloc[0])} to {whole_percent(values.iloc[-1])}"
 
 
-def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:
+def _paper_marks(metric: str, scheme: Scheme) -> list[LonePoint]:
     """Return the paper's numbers; raw, without a level, is at the edge next to it."""
     if scheme.name not in _FILES or "linear" not in scheme.rules:
         return []
@@ -220,7 +221,7 @@ def _paper_marks(metric: str, scheme: Scheme) -> list[Mark]:
                 x, place = level, scheme.describe_level(level)
             y = share * style.scale
             name = f"paper: {style.head} {y:.4g} {style.unit} at {place}"
-            marks.append(Mark(_PAPER_LOOK, x, y, name))
+            marks.append(LonePoint(_PAPER_LOOK, x, y, name))
     return marks
 
 

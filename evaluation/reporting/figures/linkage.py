@@ -10,9 +10,8 @@ import pandas as pd
 from evaluation.estimates.families import RAW
 from evaluation.estimates.linkability import TaskOutcomes
 from evaluation.plan.address import Address
-from evaluation.reporting.amounts import round_percent, sentence_case
+from evaluation.reporting.amounts import PERCENT, round_percent, sentence_case
 from evaluation.reporting.charts import (
-    PERCENT,
     Axis,
     Chart,
     Curve,
@@ -23,7 +22,8 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import INDEPENDENT_MARK, task_head, task_phrase
-from evaluation.reporting.rows import Results, Scheme, schemes
+from evaluation.reporting.rows import Results
+from evaluation.reporting.schemes import Scheme, schemes
 
 _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
     "after a silence": ("handover-1s", "handover-2s", "handover-5s"),

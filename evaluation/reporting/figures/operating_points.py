@@ -14,15 +14,16 @@ from evaluation.reporting.charts import (
     LOOKS,
     Axis,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
     label_room,
 )
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import robot_name, robot_subject
-from evaluation.reporting.rows import Results, Scheme, schemes
+from evaluation.reporting.rows import Results
+from evaluation.reporting.schemes import Scheme, schemes
 
 
 def figures(run: Results) -> Iterator[Figure]:
@@ -40,7 +41,7 @@ def figures(run: Results) -> Iterator[Figure]:
         ]
         raw = plane[plane["mechanism"] == RAW]
         marked = [
-            Mark(Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed")
+            LonePoint(Look(LOOKS - 1), x, value, f"raw: {x:.1f} % missed")
             for x, value in zip(raw["x"], raw["value"], strict=True)
         ]
         if curves:

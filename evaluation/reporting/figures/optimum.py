@@ -4,8 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Final
 
 from evaluation.estimates.bounds import ClosestAttack
+from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.bounds import world_error_law
-from evaluation.reporting.charts import PERCENT, Look, rows_chart
+from evaluation.reporting.charts import Look, rows_chart
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import short_mechanism_name

@@ -15,14 +15,14 @@ from evaluation.estimates.metrics import (
     METRICS,
 )
 from evaluation.plan.world import World
+from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
-    PERCENT,
     Axis,
     Chart,
     Curve,
+    LonePoint,
     Look,
-    Mark,
     curves_chart,
 )
 from evaluation.reporting.figures.figure import Figure
@@ -116,10 +116,10 @@ def _curves(
             )
 
 
-def _raw_marks(both: pd.DataFrame, looks: Mapping[str, Look]) -> Iterator[Mark]:
+def _raw_marks(both: pd.DataFrame, looks: Mapping[str, Look]) -> Iterator[LonePoint]:
     """Yield the mark of each policy with raw positions."""
     for row in row_dicts(both[both["mechanism"] == RAW]):
-        yield Mark(
+        yield LonePoint(
             look=looks[row["policy"]],
             name=f"{row['policy']} with raw positions",
             x=PERCENT * row["value_x"],
@@ -131,5 +131,5 @@ def _point_name(run: Results, row: Mapping[str, Any]) -> str:
     """Return a level with its numbers, for the pointer."""
     level = None if pd.isna(row["level"]) else row["level"]
     name = short_mechanism_name(find_family(run.families, row["mechanism"]), level)
-    missed, known = PERCENT * row["value"], PERCENT * row["value_x"]
-    return f"{name} {missed:.0f} % missed, {known:.0f} %"
+    missed, known = whole_percent(row["value"]), whole_percent(row["value_x"])
+    return f"{name} {missed} missed, {known}"

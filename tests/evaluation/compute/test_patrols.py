@@ -238,7 +238,7 @@ def test_a_robot_that_meets_nobody_and_a_single_person_are_said(recording, tmp_p
     single = run(alone, tmp_path / "alone", stages=FEW | {"scenes.agents": 1}, **named)
     shares = single.patrols[single.patrols["metric"] == "known_share"]
     assert np.isfinite(shares["value"]).all()
-    assert "under no policy tried it knows less" in patrol_sentence(single)
+    assert "no policy of this run lowers that within" in patrol_sentence(single)
 
 
 @pytest.mark.usefixtures("single_process")

@@ -20,8 +20,9 @@ from helpers.finished_runs import (
 from helpers.summaries import BAD, GOOD, RAW, table
 
 from evaluation.reporting.announcements import condense_notices
-from evaluation.reporting.first_screen import LINES, doubts, first_screen, fitting_lines
-from evaluation.reporting.notices import data_notices, geometry, notices
+from evaluation.reporting.doubts import doubts
+from evaluation.reporting.first_screen import LINES, first_screen, fitting_lines
+from evaluation.reporting.notices import cost_text, data_notices, geometry, notices
 from evaluation.reporting.progress import Clock
 from evaluation.reporting.recommendation import named_levels
 
@@ -139,7 +140,7 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert text.startswith("Simulated crowd students03: 428 people, 106 long enough")
     assert "Doubts: 1 cell FAILED (it broke)" in text
     assert re.search(r"Doubts: .* \d more in tables.txt\.", text)
-    texts = doubts(run, run.headline)
+    texts = doubts(run)
     assert texts[1:4] == [
         "1 sign of a weak attack",
         "6 of 96 linkage results invalid (track length)",
@@ -170,7 +171,7 @@ def test_units_in_doubt_are_a_doubt_and_what_was_mended_a_notice():
     }
     bent = {"kind": "overshoot", "count": 1234, "detail": "pieces"}
     run.manifest["dataset"]["repairs"] = [doubt, bent]
-    assert "units of the recording may be wrong" in " ".join(doubts(run, run.headline))
+    assert "units of the recording may be wrong" in " ".join(doubts(run))
     first, second = data_notices(run.manifest["dataset"])
     assert first == doubt["detail"]
     assert "1,234 pieces of walks made straight where a spline overshoots" in second
@@ -235,6 +236,14 @@ def test_the_next_question_is_one_that_the_run_can_answer(tmp_path):
         make_run(tmp_path / "run", summary=make_summary(predictors=()))
     )
     assert "evaluation.report --verbose" in no_robot[-2] + no_robot[-1]
+
+
+@pytest.mark.parametrize(
+    ("cost_s", "text"),
+    [(25.2, "about 25 s"), (180, "about 3 min"), (np.nan, "an unknown time")],
+)
+def test_a_cost_is_rounded_and_an_unknown_cost_says_so(cost_s, text):
+    assert cost_text(cost_s) == text
 
 
 def test_notices_are_cut_where_they_can_be_read_in_full():

@@ -58,7 +58,7 @@ def test_rows_and_marks_are_those_of_the_first_table(table):
     lost = pictures(table)[0].chart
     levels = choose_levels(table)
     names = [
-        short_mechanism_name(table.known[where.mechanism], where.level)
+        short_mechanism_name(table.families[where.mechanism], where.level)
         for where in levels
     ]
     assert [text for _, text in lost.y_ticks] == names

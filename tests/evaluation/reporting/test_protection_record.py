@@ -5,8 +5,8 @@ from dataclasses import replace
 import pandas as pd
 from helpers.finished_runs import emptied, make_run, with_links
 
+from evaluation.reporting.amounts import precise_percent
 from evaluation.reporting.answers import reference_level
-from evaluation.reporting.charts import share_text
 from evaluation.reporting.protection_record import protection_record
 from isac_track.intervals import Estimate
 
@@ -32,9 +32,9 @@ def test_numbers_are_those_of_the_run_with_intervals():
     run = with_links(make_run())
     table = run.headline
     text, where = entries(run), reference_level(table)
-    assert share_text(table.at(where, table.linked[0])) in text["Singling out"]
-    assert share_text(table.at(where, table.attacked)) in text["Inference"]
-    assert share_text(table.at(where, table.shared)) in text["Inference"]
+    assert precise_percent(table.at(where, table.linked[0])) in text["Singling out"]
+    assert precise_percent(table.at(where, table.attacked)) in text["Inference"]
+    assert precise_percent(table.at(where, table.shared)) in text["Inference"]
     assert f"{run.manifest['dataset']['tracks_used']:,} of" in text["What is processed"]
 
 

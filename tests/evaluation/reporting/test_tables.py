@@ -103,6 +103,12 @@ class TestTheTextFile:
         run.manifest["dataset"]["notice"] = "a stand-in"
         assert "NOTICE: a stand-in" in shown(run, tmp_path)
 
+    def test_the_sentence_on_patrols_stands_there_once(self, tmp_path):
+        patrols = {"patrols": {"lacks": "robots"}}
+        run = make_run(verdict=make_run().verdict | patrols)
+        text = " ".join(shown(run, tmp_path).split())
+        assert text.count("On patrol: Nothing is proposed:") == 1
+
     def test_an_empty_run_is_shown(self, tmp_path):
         run = make_run(**emptied(make_run()), verdict={})
         assert not re.search("mechanism|Verdict", shown(run, tmp_path))

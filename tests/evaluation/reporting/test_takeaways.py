@@ -87,8 +87,8 @@ def test_levels_within_the_limit_are_counted_and_the_cheapest_is_named():
     text = takeaways.within_limit(points, 0.5)
     assert (
         text
-        == "2 of 3 levels keep PLR after attack below 50 %; of these, c costs the robot"
-        " least."
+        == "2 of 3 levels keep PLR after attack below 50 %; of these, c misses fewest"
+        " conflicts, 20 %."
     )
     text = takeaways.within_limit(points[:1], 0.5)
     assert (

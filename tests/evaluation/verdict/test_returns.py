@@ -4,7 +4,7 @@ import pytest
 
 from evaluation.estimates.returns import ReturnNumbers
 from evaluation.plan.address import Address
-from evaluation.reporting.return_words import interval_text, share_text
+from evaluation.reporting.amounts import fine_interval, fine_share
 from evaluation.verdict.returns import return_verdict
 from isac_track.intervals import Estimate
 
@@ -65,9 +65,9 @@ def test_other_levels_decide_nothing():
 
 
 def test_shares_have_a_digit_only_below_a_percent():
-    assert share_text(0.336) == "34"
-    assert share_text(0.0046) == "0.5"
-    assert share_text(0.0001) == share_text(0.0) == share_text(-0.0001) == "0"
-    assert share_text(None) == share_text(float("nan")) == "?"
-    assert interval_text(0.02, 0.005, 0.08) == "2 % [0.5, 8]"
-    assert interval_text(0.02, None, 0.08) == "2 %"
+    assert fine_share(0.336) == "34"
+    assert fine_share(0.0046) == "0.5"
+    assert fine_share(0.0001) == fine_share(0.0) == fine_share(-0.0001) == "0"
+    assert fine_share(None) == fine_share(float("nan")) == "?"
+    assert fine_interval(0.02, 0.005, 0.08) == "2 % [0.5, 8]"
+    assert fine_interval(0.02, None, 0.08) == "2 %"

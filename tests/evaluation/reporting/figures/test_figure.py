@@ -20,9 +20,9 @@ from helpers.finished_runs import (
 )
 
 from evaluation.estimates.frontier import WHITE_NOISE
-from evaluation.reporting.charts import Axis, Curve, Look, Mark, curves_chart
+from evaluation.reporting.charts import Axis, Curve, LonePoint, Look, curves_chart
 from evaluation.reporting.figures.figure import make_figures, write
-from evaluation.reporting.rows import schemes
+from evaluation.reporting.schemes import schemes
 
 SWEPT = (("fid", (1.0, 1000.0, 1e5)), ("fixed", (0.1, 0.7, 1.0)))
 BOTH = levels(swept=SWEPT)
@@ -76,7 +76,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     x, y = np.array([1.0, 20.0, 300.0, 900.0]), np.array([0.5, 30.0, np.nan, 60.0])
     curve = Curve(Look(1), "mine", x, np.stack([y, 0.9 * y, 1.1 * y]))
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
-    marked = [Mark(Look(6), np.inf, 10.0, "paper")]
+    marked = [LonePoint(Look(6), np.inf, 10.0, "paper")]
     chart = curves_chart(
         [curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked
     )
