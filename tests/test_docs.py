@@ -24,6 +24,43 @@ def test_links_lead_somewhere(path):
     assert missing == []
 
 
+def misnamed_links(page):
+    """Links of a Markdown page whose text names another file than their target."""
+    links = re.findall(
+        r"\[`?([\w./-]+\.(?:md|py|csv|json|toml|html|svg|txt))`?\]\((?!https?:|#)([^)#]+)",
+        page,
+    )
+    return [
+        (text, target)
+        for text, target in links
+        if Path(text).name != Path(target).name and Path(target).suffix
+    ]
+
+
+def test_a_misnamed_link_is_reported_and_a_title_is_not():
+    stale = "[linkage.md](linkage-tasks.md#tasks)"
+    good = "[linkage.md](../linkage.md), [`run.py`](a/run.py), [the tasks](tasks.md)"
+    assert misnamed_links(stale) == [("linkage.md", "linkage-tasks.md")]
+    assert misnamed_links(good) == []
+
+
+@pytest.mark.parametrize(
+    "path", DOCS, ids=lambda path: path.relative_to(ROOT).as_posix()
+)
+def test_a_link_that_names_a_file_leads_to_it(path):
+    assert misnamed_links(path.read_text(encoding="utf-8")) == []
+
+
+def test_sentences_quoted_from_the_readme_stand_there():
+    page = (ROOT / "docs" / "explanation" / "tracking.md").read_text(encoding="utf-8")
+    _, _, section = page.partition("## Which sentences of the README turn")
+    quoted = re.findall(r"^\| \*([^*]+)\*", section.partition("\n## ")[0], re.MULTILINE)
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    plain = re.sub(r"\]\([^)]*\)|[*[]", "", readme)
+    assert quoted
+    assert [sentence for sentence in quoted if sentence not in plain] == []
+
+
 @pytest.mark.usefixtures("undrawn", "single_process")
 def test_the_plugin_guide_runs_as_it_stands(
     tmp_path, monkeypatch, csv_recording, capsys

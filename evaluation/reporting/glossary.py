@@ -112,10 +112,7 @@ _WORDS: Final = {
 
 _MECHANISMS: Final = {
     "raw": "Sensed positions, shared with nothing added.",
-    "clean": (
-        "True positions without any error: an upper limit for attacks that do not read"
-        " noise levels."
-    ),
+    "clean": "True positions without any error: a reference, not a release.",
     "fixed": "The same amount of noise on every position, level in m.",
     "fid": "The paper's mechanism: noise where the FID exceeds eta.",
     "ou": "Noise that changes slowly, over some seconds (tau_s), level in m.",
