@@ -40,7 +40,7 @@ def unit_of(spec, tables):
 
 
 def values(path, entry=ENTRY):
-    for memo in (cell_files._read_files, cell_files._read_metadata):
+    for memo in (cell_files._read_level, cell_files._read_metadata):
         memo.cache_clear()  # two writes may have one time and size
     rows = read_rows(path.parent.parent, entry, columns=["plr_over"])
     return rows["plr_over"].to_pylist()
