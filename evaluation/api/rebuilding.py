@@ -17,7 +17,13 @@ from evaluation.api.estimated import (
     link_estimates,
     scene_estimates,
 )
-from evaluation.estimates import horizons, paper, summary, weak_attacks
+from evaluation.estimates import (
+    conflict_times,
+    paper,
+    standing_still,
+    summary,
+    weak_attacks,
+)
 from evaluation.estimates.bounds import gaps
 from evaluation.estimates.by_speed import by_speed
 from evaluation.estimates.families import Family, entry_families
@@ -153,7 +159,7 @@ def _results(out: Path) -> tuple[Results, dict[str, Any]]:
         verdict=answered_verdict,
         failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
-        conflict_times=horizons.conflict_times(out, manifest),
+        conflict_times=conflict_times.conflict_times(out, manifest),
         gallery=read_gallery(out),
     )
     sentences = [answer.sentence for answer in answers(results)]
@@ -305,7 +311,7 @@ def _verdict(
             leading_handover(compared.best),
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
-    parts["robots"] = horizons.beaten_by_standing_still(
+    parts["robots"] = standing_still.beaten_by_standing_still(
         scenes.estimates, scenes.estimates_later
     )
     return parts
