@@ -17,7 +17,13 @@ from evaluation.api.run_estimates import (
     link_estimates,
     scene_estimates,
 )
-from evaluation.estimates import horizons, paper, summary, weak_attacks
+from evaluation.estimates import (
+    conflict_times,
+    paper,
+    standing_still,
+    summary,
+    weak_attacks,
+)
 from evaluation.estimates.bounds import gaps
 from evaluation.estimates.by_speed import by_speed
 from evaluation.estimates.families import Family, entry_families
@@ -158,7 +164,7 @@ def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
         verdict=verdict_parts,
         failed=_failed_frame(manifest),
         strongest={task: source.without_task for task, source in best.items()},
-        conflict_times=horizons.conflict_times(out, manifest),
+        conflict_times=conflict_times.conflict_times(out, manifest),
         gallery=read_sample_tracks(out),
     )
     sentences = [answer.sentence for answer in answers(results)]
@@ -310,7 +316,7 @@ def _verdict(
             leading_handover(compared.best),
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
-    parts["robots"] = horizons.beaten_by_standing_still(
+    parts["robots"] = standing_still.beaten_by_standing_still(
         scenes.estimates, scenes.further_estimates
     )
     return parts

@@ -22,13 +22,13 @@ from evaluation.estimates.interpolation import (
     positions_at_change,
     with_ends,
 )
-from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     RANK1,
     RANK1_AMONG_100,
     ROBOTS_OWN,
 )
+from evaluation.estimates.recordings import in_run
 from evaluation.estimates.strongest import success_metric
 from evaluation.estimates.strongest_table import StrongestAttack, strongest_attacks
 from evaluation.estimates.sweeps import AT_EQUAL_ALARMS, CRITERIA, FUTURE, Sweeps

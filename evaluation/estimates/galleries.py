@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import in_run
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import RANK1
+from evaluation.estimates.recordings import in_run
 from isac_track import intervals
 from isac_track.intervals import Estimate
 from isac_track.linkability.ranks import REACH, first_among, predicted_rank1, reach

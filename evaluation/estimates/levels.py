@@ -17,7 +17,6 @@ import pandas as pd
 from evaluation.estimates.best_robot import BestRobots
 from evaluation.estimates.families import RAW, Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.metrics import (
     CHANCE,
     COSTS,
@@ -31,6 +30,7 @@ from evaluation.estimates.metrics import (
     RANK1,
     RANK1_AMONG_100,
 )
+from evaluation.estimates.recordings import task_recording
 from evaluation.estimates.strongest import (
     HEADLINE,
     by_task,
@@ -77,7 +77,7 @@ def group_name(among: tuple[str, ...]) -> str:
 def linkage_share(
     linked: Estimate, chance: float, raw: Estimate, raw_chance: float
 ) -> Estimate:
-    """Return the share of raw's rank 1 above chance that is left, paired by cluster.
+    """Return rank 1 above chance as a share of the same under raw, paired by cluster.
 
     The replicates of both estimates must come from the same rows of weights. NaN where
     raw does not link.
@@ -88,6 +88,8 @@ def linkage_share(
     share = np.full(n_drawn + 1, np.nan)
     np.divide(above, raw_above, out=share, where=raw_above > 0.0)
     effective = min(linked.n_effective, raw.n_effective)
+    # Where raw hardly links the share is large: to leave out a replicate in which it
+    # does not link would lower the upper end, which decides.
     if not np.isfinite(share).all() or not n_drawn:
         return Estimate(float(share[0]), n=min(linked.n, raw.n), effective=effective)
     return estimate_from_replicates(share, n=min(linked.n, raw.n), effective=effective)

@@ -21,6 +21,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import CLEAN
 from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.metrics import CHANCE, RANK1
+from evaluation.estimates.recordings import in_run
 from evaluation.estimates.strongest import most_knowing
 from evaluation.plan.address import Address, Where, parse_consumer
 from evaluation.plan.world import OWN_WORLD, World
@@ -65,20 +66,7 @@ REMARKS = {
     INVALID: "a shortcut leaks: no measure of the attack",
 }
 """Remarks on a linkage cell that does not simply link, each with its meaning."""
-# Data set of the simulated two-session crowd's tasks.
-TWO_SESSIONS = "plaza-two-sessions"
 LinkageOutcomes: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
-
-
-def task_recording(task: str, *, dataset: str) -> str:
-    """Return the recording of a task's people: a simulated task has its own."""
-    known = TASKS.get(task)
-    return TWO_SESSIONS if known is not None and known.simulated else dataset
-
-
-def in_run(address: Address, *, dataset: str, world: World = OWN_WORLD) -> Address:
-    """Return an address with its recording, in a run of `dataset`, and its world."""
-    return address.within(task_recording(address.task, dataset=dataset), world)
 
 
 def linkage_outcomes(

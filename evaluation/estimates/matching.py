@@ -15,8 +15,8 @@ import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, FIXED
 from evaluation.estimates.interpolation import MIN_DEFINED, with_ends
-from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import DESCRIPTORS, LINKAGE_COMPARED
+from evaluation.estimates.recordings import in_run
 from evaluation.estimates.sweeps import (
     CRITERIA,
     EQUAL_PLR,

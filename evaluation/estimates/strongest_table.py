@@ -13,7 +13,6 @@ import pandas as pd
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import in_run
 from evaluation.estimates.metrics import (
     DESCRIPTORS,
     PLR,
@@ -21,6 +20,7 @@ from evaluation.estimates.metrics import (
     RANK1_AMONG_100,
     RANK1_JOINT,
 )
+from evaluation.estimates.recordings import in_run
 from evaluation.estimates.strongest import (
     GROUPS,
     HEADLINE,

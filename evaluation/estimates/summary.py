@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.linkability import LinkageOutcomes, in_run
+from evaluation.estimates.linkability import LinkageOutcomes
 from evaluation.estimates.metrics import (
     BOUNDS,
     DESCRIPTORS,
@@ -30,6 +30,7 @@ from evaluation.estimates.metrics import (
     ROBOT_PLR,
     WORST_TENTH,
 )
+from evaluation.estimates.recordings import in_run
 from evaluation.estimates.worst_off import person_means, worst_tenth
 from evaluation.plan.address import Address
 from evaluation.plan.world import OWN_WORLD, World

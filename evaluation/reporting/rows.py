@@ -414,10 +414,8 @@ class Results:
     @cached_property
     def tasks(self) -> list[TaskOutcomes]:
         """The linkage tasks, on the run's data set or on their own."""
-        from evaluation.estimates.linkability import (  # noqa: PLC0415 - see `load`
-            task_outcomes,
-            task_recording,
-        )
+        from evaluation.estimates.linkability import task_outcomes  # noqa: PLC0415 - see `load`
+        from evaluation.estimates.recordings import task_recording  # noqa: PLC0415 - see `load`
 
         expected = [
             task_recording(parse_consumer(consumer).task, dataset=self.dataset)

@@ -36,7 +36,11 @@ _WHERE: Final = {
     AT_EQUAL_ALARMS: "At an equal rise of missed conflicts and equal false alarms",
     FUTURE: "At an equal rise of missed future conflicts and equal false alarms",
 }
-AS_IS, AFTER, LINKED = "as-shared", "after-attack", "linkage"  # Kinds of claim.
+AS_SHARED_KIND, AFTER_ATTACK, LINKED = (
+    "as-shared",
+    "after-attack",
+    "linkage",
+)  # Kinds of claim.
 
 
 def claims(
@@ -55,12 +59,14 @@ def claims(
     `horizon_s` is the further horizon, if any, at which the robots of `sweeps` are
     judged.
     """
-    compared = {AS_SHARED.measured(descriptor): AS_IS for descriptor in DESCRIPTORS}
+    compared = {
+        AS_SHARED.measured(descriptor): AS_SHARED_KIND for descriptor in DESCRIPTORS
+    }
     for task, source in strongest.items():
         if task:
             compared[source.measured(success_metric(sweeps.estimates, source))] = LINKED
         else:
-            compared |= dict.fromkeys(map(source.measured, DESCRIPTORS), AFTER)
+            compared |= dict.fromkeys(map(source.measured, DESCRIPTORS), AFTER_ATTACK)
     costs = {
         parse_consumer(predictor).measured(metric): criterion
         for criterion, metric in CRITERIA.items()
@@ -95,7 +101,7 @@ class _Subject:
 
     adding: str
     criterion: str
-    compared: str  # `AS_IS`, `AFTER` or `LINKED`.
+    compared: str  # `AS_SHARED_KIND`, `AFTER_ATTACK` or `LINKED`.
     mechanism: str  # Empty for the paper's.
     horizon_s: float | None  # Horizon of the robots; None: the run's own.
 
@@ -170,7 +176,7 @@ def _claim(measure: Address, gap: _Gap, about: _Subject) -> Draft:
         adding=about.adding,
         descriptor=descriptor,
         task=source.task,
-        subject="" if about.compared == AS_IS else source.without_task.label,
+        subject="" if about.compared == AS_SHARED_KIND else source.without_task.label,
         criterion=about.criterion,
         effect=gap.mean,
         parted_at=0.0,
@@ -187,9 +193,9 @@ def _sentences(measure: Address, relative: float, about: _Subject) -> dict[str, 
     """Return the sentences of an item by decision."""
     where, name = about.where, about.mechanism or "FID"
     head = NAME.get(measure.metric, "")
-    if about.compared == AS_IS:
+    if about.compared == AS_SHARED_KIND:
         subject = f"{head} as shared"
-    elif about.compared == AFTER:
+    elif about.compared == AFTER_ATTACK:
         subject = f"{head} after {measure.source.consumer}"
     else:
         is_of_100 = measure.metric == RANK1_AMONG_100

@@ -124,13 +124,13 @@ def scale(effect: Estimate) -> float:
     return max(effect.standard_error, far / float(ndtri(0.5 + _FAR / 2)))
 
 
-def around(effect: Estimate, half: float, q: float) -> tuple[float, float]:
-    """Return effect +- q halves, with q taken from the normal law to Student's t.
+def around(effect: Estimate, error: float, q: float) -> tuple[float, float]:
+    """Return effect +- q standard errors; q goes from the normal law to Student's t.
 
     The standard errors of few clusters vary.
     """
     t = float(stdtrit(max(effect.n_effective - 1.0, 1.0), float(ndtr(q))))
-    return effect.value - t * half, effect.value + t * half
+    return effect.value - t * error, effect.value + t * error
 
 
 def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.families import FID, FIXED, RAW, Family
 from evaluation.estimates.interpolation import MIN_DEFINED, CurvePositions
 from evaluation.estimates.keys import where_text
-from evaluation.estimates.linkability import task_recording
 from evaluation.estimates.linked_people import TaskSums
+from evaluation.estimates.recordings import task_recording
 from evaluation.estimates.sweeps import FEWEST_LEVELS
 from evaluation.plan.presets import PRESETS
 from evaluation.verdict import rules, spread

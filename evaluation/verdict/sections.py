@@ -108,7 +108,9 @@ def _scoring_attacks(
     scored: Mapping[str, Mapping[str, Sequence[Address]]],
 ) -> list[str]:
     """Return the attacks that score an item; empty if they are the item's subject."""
-    is_after = item["section"] == rules.INFLATION or item.get("of") == claim.AFTER
+    is_after = (
+        item["section"] == rules.INFLATION or item.get("of") == claim.AFTER_ATTACK
+    )
     if not is_after and item.get("of") != claim.LINKED:
         return []
     ranked = PLR if is_after else str(item.get("metric"))

@@ -14,7 +14,7 @@ from evaluation.store.manifest import read_manifest
 from evaluation.store.verdict_file import load_verdict
 from isac_track.errors import DataError
 
-CELLS_FOLDER: Final = "sensitivity"
+VARIANTS_FOLDER: Final = "sensitivity"
 TABLE: Final = "sensitivity.csv"
 SAME, NEITHER, TURNED = "same", "not decided before and after", "changed sign"
 LOST, GAINED, MISSING = "lost", "gained", "missing"
@@ -102,7 +102,7 @@ def changes(
 
 def variant_folder(out: Path, name: str) -> Path:
     """Return the folder of a variant's run."""
-    return out / CELLS_FOLDER / quote_plus(name, safe="=")
+    return out / VARIANTS_FOLDER / quote_plus(name, safe="=")
 
 
 def read_verdict(out: Path) -> dict[str, Any]:
@@ -127,7 +127,7 @@ def collect(out: Path) -> tuple[pd.DataFrame, dict[str, str]]:
     order = {variant.name: place for place, variant in enumerate(usual_variants())}
     names = {
         unquote_plus(folder.name)
-        for folder in (out / CELLS_FOLDER).iterdir()
+        for folder in (out / VARIANTS_FOLDER).iterdir()
         if folder.is_dir()
     } - {BASE}
     rows = changes(BASE, base=read_verdict(out), varied=base)

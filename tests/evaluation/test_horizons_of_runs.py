@@ -9,11 +9,12 @@ from helpers.finished_runs import make_summary
 from helpers.small_runs import smoke, write_walks
 
 import evaluation
+from evaluation.estimates.conflict_times import TIME_COLUMNS
 from evaluation.estimates.decisions import decision_curve
 from evaluation.estimates.frontier import usual_price
-from evaluation.estimates.horizons import TIME_COLUMNS, beaten_by_standing_still
 from evaluation.estimates.keys import row_worlds
 from evaluation.estimates.metrics import MISSED_FUTURE, MISSED_RATE
+from evaluation.estimates.standing_still import beaten_by_standing_still
 from evaluation.estimates.summary import bootstrap_weights, clusters
 from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.presets import BASELINE, PRESETS

@@ -16,6 +16,7 @@ from evaluation.estimates import (
     linkability,
     matching,
     paper,
+    recordings,
     strongest_table,
     summary,
 )
@@ -134,7 +135,7 @@ def make_linkability(at=None, *, tasks=LINKERS, dataset="students03", cohorts=CO
     for task, strengths in tasks.items():
         for place, (mechanism, level) in enumerate(levels() if at is None else at):
             where = {
-                "dataset": linkability.task_recording(task, dataset=dataset),
+                "dataset": recordings.task_recording(task, dataset=dataset),
                 "mechanism": mechanism, "level": level, "invalid": "", "outcome": "links",
                 "chance": CHANCE, "cohort": "all", "n_probes": 276, "n_mated": 276,
                 "n_clusters": 175, "gallery_min": 138, "gallery_mean": 138.0, "gallery_max": 138,

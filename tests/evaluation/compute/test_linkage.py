@@ -33,7 +33,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation import matrix
 from evaluation.compute.link_setup import sensed_sessions
 from evaluation.compute.link_tables import DERIVED, linkage_tables
-from evaluation.estimates import linkability
+from evaluation.estimates import linkability, recordings
 from evaluation.plan.axes import expand_axes
 from evaluation.plan.consumer import Consumer
 from evaluation.plan.presets import PRESETS
@@ -660,7 +660,7 @@ class TestRuns:
         summary = pd.read_csv(tmp_path / "run" / "summary.csv")
         rows = summary[summary["metric"] == "rank1"]
         assert set(rows["consumer"].str.partition("/")[0]) == {"new_traversal"}
-        assert set(rows["dataset"]) == {linkability.TWO_SESSIONS}
+        assert set(rows["dataset"]) == {recordings.TWO_SESSIONS}
 
     def test_a_task_that_was_named_must_be(self, csv_recording, tmp_path):
         words = [
@@ -843,9 +843,9 @@ class TestOutcomes:
         ]
 
     def test_the_simulated_task_has_a_data_set_of_its_own(self):
-        assert linkability.task_recording("new_traversal", dataset="here") != "here"
-        assert linkability.task_recording("split", dataset="here") == "here"
-        assert linkability.task_recording("", dataset="here") == "here"
+        assert recordings.task_recording("new_traversal", dataset="here") != "here"
+        assert recordings.task_recording("split", dataset="here") == "here"
+        assert recordings.task_recording("", dataset="here") == "here"
 
 
 def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():

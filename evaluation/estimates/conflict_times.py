@@ -1,4 +1,4 @@
-"""Times to a conflict, `conflict_times.csv`, and robots that lose to standing still."""
+"""Times to a conflict: `conflict_times.csv`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,21 +7,12 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
-from evaluation.estimates.keys import EstimatesByAddress
-from evaluation.estimates.metrics import MISSED_RATE
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import Address, parse_consumer
-from evaluation.plan.presets import BASELINE
+from evaluation.plan.address import Address
 from evaluation.plan.world import World
 from evaluation.store.cell_files import read_rows
 from evaluation.store.entries import Entry, horizons_in
-from isac_track.intervals import (
-    FEWEST_EFFECTIVE,
-    Estimate,
-    cluster_sums,
-    difference,
-    ratio_estimates,
-)
+from isac_track.intervals import cluster_sums, ratio_estimates
 
 N_TIMES: Final = 25  # Points of a distribution, from now to its last conflict.
 TIME_COLUMNS: Final = ["dataset", "by_s", "value", "ci_low", "ci_high", "n"]
@@ -76,47 +67,3 @@ def _distribution(out: Path, entry: Entry, manifest: Mapping[str, Any]) -> pd.Da
     # By the last time all conflicts have begun, by construction.
     rows[-1][2:4] = [np.nan, np.nan]
     return pd.DataFrame(rows, columns=TIME_COLUMNS[1:])
-
-
-def beaten_by_standing_still(
-    own: EstimatesByAddress, later: Mapping[float, EstimatesByAddress]
-) -> list[dict[str, Any]]:
-    """Return the levels where a robot surely misses more than `BASELINE`, by horizon.
-
-    There is a record for each robot and horizon. `own` is of the run's own horizon,
-    `later` of longer horizons. The comparison is paired, same scenes and draws, at the
-    same level; fewer than `FEWEST_EFFECTIVE` effective clusters decide nothing.
-    `levels` counts the levels compared, `loses` lists those where the robot loses.
-    """
-    records = []
-    for horizon_s, at_horizon in ((None, own), *later.items()):
-        robots: dict[str, list[dict[str, Any]]] = {}
-        for key, missed in at_horizon.items():
-            still = at_horizon.get(parse_consumer(BASELINE).at(*key.where, MISSED_RATE))
-            if (
-                key.metric == MISSED_RATE
-                and key.consumer != BASELINE
-                and still is not None
-            ):
-                compared = _compared(missed, still)
-                about = {"mechanism": key.mechanism, "level": key.level}
-                robots.setdefault(key.consumer, []).append(about | compared)
-        for robot, levels in robots.items():
-            loses = [level for level in levels if level["ci_low"] > 0]
-            about = {"robot": robot, "horizon_s": horizon_s, "levels": len(levels)}
-            records.append(about | {"loses": loses})
-    return records
-
-
-def _compared(missed: Estimate, still: Estimate) -> dict[str, float]:
-    rise = difference(missed, still)
-    effective = min(missed.n_effective, still.n_effective)
-    is_known = effective >= FEWEST_EFFECTIVE
-    return {
-        "missed": missed.value,
-        "standing_still": still.value,
-        "difference": rise.value,
-        "ci_low": rise.ci_low if is_known else np.nan,
-        "ci_high": rise.ci_high if is_known else np.nan,
-        "n": missed.n,
-    }
