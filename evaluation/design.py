@@ -126,7 +126,7 @@ def _parser() -> Parser:
     from evaluation.estimates.metrics import METRICS  # noqa: PLC0415 - heavy
     from evaluation.verdict.question import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
 
-    words = {
+    limit_help = {
         "missed": (
             "largest share of conflicts that the robot misses, at the false alarms"
             " of raw"
@@ -155,7 +155,7 @@ def _parser() -> Parser:
     for name, metric in LIMITS.items():
         row = METRICS[metric]
         kind, unit = ("a fraction", "X") if row.is_share else ("in s", "S")
-        about = words.get(name, f"{row.head}, {kind}")
+        about = limit_help.get(name, f"{row.head}, {kind}")
         usual = USUAL.get(name)
         default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
@@ -166,10 +166,11 @@ def _parser() -> Parser:
     add("--max-known", type=float, metavar="X", help=about)
     about = "largest share of people whom such a log follows for 10 s"
     add("--max-followed", type=float, metavar="X", help=about)
-    about = "a further adversary that must not break it: repeats, anchor, companions, "
-    add(
-        "--against", action="append", default=[], metavar="NAME", help=f"{about}insider"
+    about = (
+        "a further adversary that must not break it: repeats, anchor, companions,"
+        " insider"
     )
+    add("--against", action="append", default=[], metavar="NAME", help=about)
     about = "choose by future conflicts or by all (default: missed_future)"
     choices = ("missed_future", "missed")
     add("--criterion", choices=choices, default=choices[0], help=about)

@@ -20,6 +20,7 @@ from isac_track.types import Floats
 WIDTH: Final = 360.0
 # How wide a character is at most on average, in units of a chart.
 CHARACTER: Final = 5.6
+# Colours of `colours.css`.
 INKS: Final = (
     "#0072b2",
     "#d55e00",
@@ -29,8 +30,8 @@ INKS: Final = (
     "#56b4e9",
     "#1b1d20",
 )
+# Shapes of `chart.html.j2`, as matplotlib names them.
 MARKERS: Final = "os^DvP*"
-"""Colours of `colours.css` and shapes of `chart.html.j2`, as matplotlib names them."""
 LOOKS: Final = len(INKS)
 Stroke: TypeAlias = "Sequence[Any]"  # Points (x, y) that a line goes through.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
@@ -50,7 +51,7 @@ _WIDEST_ROW: Final = 172.0  # Width of the names of rows, at most.
 class Look(NamedTuple):
     """Colour and shape of a mark, and whether it is hollow."""
 
-    place: int
+    colour: int
     hollow: bool = False
     # A colour that is used again has the shape of the colour `turn` places later.
     turn: int = 0
@@ -59,14 +60,14 @@ class Look(NamedTuple):
     def css(self) -> str:
         """CSS classes of the mark."""
         hollow = " hollow" if self.hollow else ""
-        return f"mark k{self.place % LOOKS}{hollow}"
+        return f"mark k{self.colour % LOOKS}{hollow}"
 
     @property
     def shape(self) -> int:
         """Number of the shape."""
         if self.turn:
-            return (self.place + self.turn) % (LOOKS - 1)
-        return self.place % LOOKS
+            return (self.colour + self.turn) % (LOOKS - 1)
+        return self.colour % LOOKS
 
 
 def mechanism_looks(known: Iterable[Family]) -> dict[str, Look]:
@@ -228,12 +229,12 @@ def rows_chart(
                 y = middle + 4.5 * (n_series - 0.5 * (len(series) - 1))
                 x, *ends = to_x(_percents([estimate]))
                 text = f"{row}: {name} {precise_percent(estimate)}"
-                chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
+                chart.lines.append((f"bar k{look.colour}", bar(ends, at=y)))
                 chart.marks.append(ChartMark(look, [(x, y)], text))
     for look, value in across:
         if np.isfinite(value):
             line = chart.down(to_x(PERCENT * value))
-            chart.lines.append((f"across k{look.place}", [line]))
+            chart.lines.append((f"across k{look.colour}", [line]))
     return chart
 
 
@@ -262,14 +263,14 @@ def plane_chart(
             (to_x(PERCENT * point.x.value), to_y(PERCENT * point.y.value))
             for point in curve
         ]
-        chart.lines.append((f"curve k{curve[0].look.place}", [line]))
+        chart.lines.append((f"curve k{curve[0].look.colour}", [line]))
     if has_front and points:
         chart.lines.append(("front", [_front_line(points, to_x, to_y)]))
     for point in points:
         x, *x_ends = to_x(_percents([point.x]))
         y, *y_ends = to_y(_percents([point.y]))
         bars = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
-        chart.lines.append((f"bar k{point.look.place}", bars))
+        chart.lines.append((f"bar k{point.look.colour}", bars))
         name = (
             f"{point.name}: {x_name} {precise_percent(point.x)},"
             f" {y_name} {precise_percent(point.y)}"
@@ -319,8 +320,8 @@ def curves_chart(
         bars: list[Stroke] = []
         for at, low, high in zip(xs, lows, highs, strict=True):
             bars += bar([low, high], at=at, upright=True)
-        chart.lines.append((f"curve k{curve.look.place}", [line]))
-        chart.lines.append((f"bar k{curve.look.place}", bars))
+        chart.lines.append((f"curve k{curve.look.colour}", [line]))
+        chart.lines.append((f"bar k{curve.look.colour}", bars))
         chart.marks.append(ChartMark(curve.look, line, curve.name))
     for mark in marked:
         mark_x = to_x(mark.x) if np.isfinite(mark.x) else chart.right

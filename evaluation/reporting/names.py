@@ -123,6 +123,7 @@ INDEPENDENT_NOTE: Final = "* Noise is independent of the sensing error."
 _WITHOUT_LEVEL: Final = {"thin": "thinned samples", "window": "last seconds only"}
 """Names of families where the level stands within."""
 
+# By name in a file: the name that people read; of a mechanism without its level.
 ATTACK_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ATTACKS)
 ROBOT_NAMES: Final[Mapping[str, str]] = MappingProxyType(_ROBOTS)
 FAMILY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
@@ -131,25 +132,28 @@ FAMILY_NAMES: Final[Mapping[str, str]] = MappingProxyType(
         for family, pattern in _MECHANISMS.items()
     }
 )
-"""By name in a file: the name that people read; of a mechanism without its level."""
 
 
 def family_name(family: Family) -> str:
     """Return the name of a mechanism without its level: `FID noise (independent)`."""
-    name = FAMILY_NAMES.get(family.family, plugin_label(family.family))
-    if _ISOTROPIC in family.parameters:
-        name = f"isotropic {name}"
     details = _other_parameters(family)
     if is_independent(family):
         details.append("independent")
-    return f"{name} ({', '.join(details)})" if details else name
+    return _detailed_name(family, details)
 
 
 def short_family_name(family: Family) -> str:
     """Return a short name of a mechanism; a mark says that noise is independent."""
-    name = family_name(family)
-    name = name.replace(" (independent)", "").replace(", independent)", ")")
+    name = _detailed_name(family, _other_parameters(family))
     return f"{name}{INDEPENDENT_MARK}" if is_independent(family) else name
+
+
+def _detailed_name(family: Family, details: Sequence[str]) -> str:
+    """Return the name of a mechanism with some details in brackets."""
+    name = FAMILY_NAMES.get(family.family, plugin_label(family.family))
+    if _ISOTROPIC in family.parameters:
+        name = f"isotropic {name}"
+    return f"{name} ({', '.join(details)})" if details else name
 
 
 def spec_text(family: Family, level: float | None) -> str:

@@ -49,7 +49,7 @@ def draw_metrics(
         mechanism = mechanisms[str(name), str(adding)]
         # Without a look of its own: clean.
         look = looks.get(mechanism, looks[RAW]._replace(hollow=True))
-        ink = {"color": INKS[look.place], "label": f"{name} {adding}".rstrip()}
+        ink = {"color": INKS[look.colour], "label": f"{name} {adding}".rstrip()}
         has_level = ordered["value_x"].to_numpy().any()
         if over_level and not has_level:
             _draw_line(ax, ordered, look, ink)

@@ -295,10 +295,10 @@ class Results:
         row_tasks = rows["consumer"].map(lambda consumer: parse_consumer(consumer).task)
         task = task or next(iter(row_tasks), "")
         rows = rows[row_tasks == task]
-        place = METRICS[name].kind
-        if place == "predictor":
+        stage = METRICS[name].kind
+        if stage == "predictor":
             consumer = robot or next(iter(rows["consumer"]), "")
-        elif place == "descriptor" and not after:
+        elif stage == "descriptor" and not after:
             consumer = SHARED
         else:
             attack = parse_consumer(after)
@@ -309,7 +309,7 @@ class Results:
         values = _consumer_rows(rows, consumer, metric=name, asked=after)
         table = self._level_frame(values)
         table.attrs["title"] = (
-            f"{METRICS[name].title}, {_positions_label(values, place)}"
+            f"{METRICS[name].title}, {_positions_label(values, stage)}"
         )
         return table
 
@@ -450,16 +450,16 @@ def _consumer_rows(
     return own
 
 
-def _positions_label(rows: pd.DataFrame, place: str) -> str:
+def _positions_label(rows: pd.DataFrame, stage: str) -> str:
     """Return which positions the rows of a consumer are about.
 
-    `place` is the stage that measures their metric.
+    `stage` is the stage that measures their metric.
     """
     consumer, knowledge = str(rows["consumer"].iloc[0]), rows["knowledge"].unique()
     if consumer == SHARED:
         return "as shared"
     label = parse_consumer(consumer, knowledge[0] if len(knowledge) == 1 else "").label
-    if place in ("descriptor", "reconstruction", "distance"):
+    if stage in ("descriptor", "reconstruction", "distance"):
         return f"after {label}"
     return label
 

@@ -84,7 +84,7 @@ def _forest(answer: Answered, simulated: frozenset[str]) -> Forest:
         y, look = 8.0 + _STEP * (place + 0.5), looks[name]
         chart.y_ticks.append((y, name))
         x, *ends = to_x(numbers)
-        chart.lines.append((f"bar k{look.place}", bar(ends, at=y)))
+        chart.lines.append((f"bar k{look.colour}", bar(ends, at=y)))
         value, low, high = numbers
         interval = f" [{low:.1f}, {high:.1f}]"
         if not np.isfinite(numbers).all():

@@ -195,7 +195,7 @@ def _print_chart(ax: Any, chart: Chart, left: float, top: float) -> None:  # noq
 
 
 def _mark(ax: Any, x: float, y: float, look: Look) -> None:  # noqa: ANN401 - matplotlib's axes
-    ink = INKS[look.place]
+    ink = INKS[look.colour]
     style = {
         "color": ink,
         "markerfacecolor": "white" if look.hollow else ink,

@@ -116,7 +116,7 @@ def _panel(
 def _raw_lines(series: Sequence[_Series]) -> list[tuple[str, float]]:
     """Return a line across for each raw value: its class and its height."""
     return [
-        (f"k{part.look.place}", value)
+        (f"k{part.look.colour}", value)
         for part in series
         for value in part.values_at(RAW)
     ]
