@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from evaluation.compute.tables import ROWS
-from evaluation.compute.work import Block, Levels, compute_cells
+from evaluation.compute.work import Levels, SceneWork, compute_cells
 from evaluation.estimates import paper
 from evaluation.estimates.paper import PREDICTOR, PUBLISHED
 from evaluation.estimates.summary import ratios
@@ -222,13 +222,13 @@ def predictions(
 
 def _blocks(
     tracks: Cut, *, stages: StageSettings, n_scenes: int, seed: int, levels: Levels = ()
-) -> Iterator[Block]:
+) -> Iterator[SceneWork]:
     agents = stages.scenes.agents
     order = track_order(
         n_tracks=len(tracks), n_scenes=n_scenes, agents=agents, seed=seed
     )
     for number, first in enumerate(range(0, n_scenes, BLOCK_SCENES)):
-        yield Block(number, first, order[first : first + BLOCK_SCENES], levels)
+        yield SceneWork(number, first, order[first : first + BLOCK_SCENES], levels)
 
 
 def _root(
