@@ -126,7 +126,7 @@ class Axes:
         bound = (Consumer("bound"),) if self.attacks else ()
         return (Consumer("shared"), *robots, *attacks, *bound)
 
-    def reads_releases_of(self, consumer: Consumer, mechanism: Plugin) -> bool:
+    def reads_mechanism(self, consumer: Consumer, mechanism: Plugin) -> bool:
         """Whether a consumer reads the releases of a mechanism."""
         needs_slow_error = False
         if consumer.kind == "attack":

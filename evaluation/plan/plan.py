@@ -477,7 +477,7 @@ def _units(
             level_consumers = {
                 key: consumer
                 for key, consumer in by_section[section].items()
-                if run_axes.reads_releases_of(consumer, mechanism)
+                if run_axes.reads_mechanism(consumer, mechanism)
             }
             key_parts = [BLOCK_SCENES, mechanism.spec, mechanism.origin]
             key_parts += filter(None, [mechanism.digest])

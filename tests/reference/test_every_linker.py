@@ -57,7 +57,7 @@ def computed():
     with threadpool_limits(limits=1, user_api="blas"):
         for work in cut_work(units, ready):
             for _, _, consumer, tables in compute_cells(
-                work, tracks=ready.tracks, stages=ready.settings.stages, seed=0
+                work, tracks=ready.scene_tracks, stages=ready.settings.stages, seed=0
             ):
                 if ESTIMATES in tables:
                     about = {"consumer": consumer.spec, "knowledge": consumer.adversary}
