@@ -20,7 +20,7 @@ from evaluation.compute.work import (
 )
 from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import Plan
-from evaluation.pool.pieces import cut_work, planned_cells, unfinished
+from evaluation.pool.pieces import cut_work, n_pairs, planned_cells, unfinished
 from isac_track.types import Tracks
 
 RATES: Final = "rates.json"
@@ -131,11 +131,7 @@ def work_size(work: Work, plan: Plan) -> float:
         return n_queries * rules.robots * rules.fleets / 1e6
     if isinstance(work, SceneWork):
         return work.order.size * float(np.diff(plan.scene_tracks.offsets).mean()) / 1e6
-    sides = (work.sessions.probe.search, work.sessions.gallery.search)
-    probes, gallery = (
-        np.bincount(side, minlength=len(work.sessions.searches)) for side in sides
-    )
-    return float(probes @ gallery) / 1e6
+    return n_pairs(work) / 1e6
 
 
 def _present_s(tracks: Tracks) -> float:

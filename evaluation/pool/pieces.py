@@ -98,7 +98,7 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
     blocks = _cut_scenes(missing, plan)
     links = _cut_linkage(missing, plan)
     # The longest first: at the end no worker waits for long.
-    links.sort(key=_n_pairs, reverse=True)
+    links.sort(key=lambda work: len(work.levels) * n_pairs(work), reverse=True)
     # A block takes the most memory, and longer the more consumers it has: with several
     # workers, most of the time only one block is under way.
     share = _BLOCKS_WITHIN if plan.jobs > 1 else 0.0
@@ -236,13 +236,16 @@ def _merge_levels(units: Iterable[Unit]) -> Levels:
     )
 
 
-def _n_pairs(work: LinkWork) -> int:
-    """Return the number of compared pairs, to which a linker's time is proportional."""
+def n_pairs(work: LinkWork) -> int:
+    """Return the number of pairs that a linker compares at a level of a work.
+
+    Its time is proportional to it.
+    """
     sides = (work.sessions.probe.search, work.sessions.gallery.search)
     probes, gallery = (
         np.bincount(side, minlength=len(work.sessions.searches)) for side in sides
     )
-    return len(work.levels) * int((probes * gallery).sum())
+    return int(probes @ gallery)
 
 
 def _share_out(levels: Levels, n_pieces: int) -> list[Levels]:

@@ -71,7 +71,8 @@ def check_folder(out: Path) -> None:
 def check_preset(out: Path, *, preset: str) -> None:
     """Raise SettingsError if a folder has another preset's run, and either is `quick`.
 
-    Continued, the run would have the levels of both presets, as no single command does.
+    `quick` is the preset of a command that names none. Continued, the run would have the
+    levels of both presets, as no single command does.
     A manifest that cannot be read passes: `open_run` reports it.
     """
     with contextlib.suppress(DataError):

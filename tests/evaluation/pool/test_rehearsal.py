@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from itertools import chain
+from typing import get_args, get_type_hints
 
 import pytest
 from helpers.commands import FEW, assert_refused
@@ -13,6 +14,7 @@ from helpers.small_runs import write_walks
 from evaluation import matrix
 from evaluation.compute.plugin_call import PluginTime
 from evaluation.plan.axes import expand_axes
+from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import make_plan
 from evaluation.plan.settings import Settings
 from evaluation.pool import duration
@@ -170,6 +172,11 @@ class TestHowLong:
         names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
+
+    def test_every_kind_of_consumer_has_a_rate(self):
+        kinds = get_args(get_type_hints(Consumer)["kind"])
+        known = {name.partition("/")[0] for name in measured_rates()}
+        assert {Consumer(kind).kind_in_files for kind in kinds} <= known
 
     def test_more_work_takes_longer_and_more_workers_less(self, usual):
         result = replace(usual, jobs=1)
