@@ -165,17 +165,16 @@ def _equally_weighted(sums: Floats) -> Floats:
 
 def _count_trials(robot: PredictorAnswers, n_clusters: int) -> _Trials:
     """Return the trials of a robot within each cluster, the same at all levels."""
-    _, cluster, columns = robot
-    conflict = columns["conflict"]
+    conflict = robot.columns["conflict"]
     has_trial = {
         EQUAL_ALARMS: conflict,
-        FUTURE_EQUAL_ALARMS: conflict & ~columns["inside_now"],
+        FUTURE_EQUAL_ALARMS: conflict & ~robot.columns["inside_now"],
         FALSE_ALARMS: ~conflict,
     }
     return _Trials(
         {
             number: cluster_sums(
-                values=trials * 1.0, cluster=cluster, n_clusters=n_clusters
+                values=trials * 1.0, cluster=robot.cluster, n_clusters=n_clusters
             )
             for number, trials in has_trial.items()
         }

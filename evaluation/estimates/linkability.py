@@ -66,6 +66,7 @@ REMARKS = {
     INVALID: "a shortcut leaks: no measure of the attack",
 }
 """Remarks on a linkage cell that does not simply link, each with its meaning."""
+Cohorts: TypeAlias = "dict[str, dict[Where, dict[Address, Mapping[str, Any]]]]"
 LinkageOutcomes: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
 
 
@@ -90,6 +91,7 @@ def linkability(outcomes: LinkageOutcomes, *, dataset: str) -> pd.DataFrame:
 
     `dataset` is that of the run.
     """
+    # The plan adds `clean` to every linkage task.
     ceilings = {
         entry.address.source: outcome.numbers["p_value"]
         for entry, outcome in outcomes
@@ -152,7 +154,7 @@ class TaskOutcomes:
     about: str
     # Each attack with the adversary that knows most, short of the oracle.
     attacks: tuple[Address, ...]
-    cohorts: dict[str, dict[Where, dict[Address, Mapping[str, Any]]]]
+    cohorts: Cohorts
     """Rows of `linkability.csv` by cohort, mechanism and level, and attack."""
     controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.
 
@@ -179,16 +181,11 @@ def task_outcomes(linkability: pd.DataFrame) -> list[TaskOutcomes]:
     tasks_known = []
     for task in dict.fromkeys(tasks.values()):
         rows = tidy[task_column == task]
-        cohorts: dict[str, dict[Where, dict[Address, Mapping[str, Any]]]] = {}
         linked = rows[rows["knowledge"] != ""]
         linked = linked.sort_values(
             "mechanism", kind="stable", key=lambda name: name.map(order)
         )
-        for row in row_dicts(linked):
-            level = None if math.isnan(row["level"]) else float(row["level"])
-            where = Where(row["mechanism"], level)
-            source = parse_consumer(row["consumer"], row["knowledge"]).without_task
-            cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+        cohorts = _cohorts(linked)
         if "all" not in cohorts:
             continue
         sources = (source for level in cohorts["all"].values() for source in level)
@@ -201,6 +198,17 @@ def task_outcomes(linkability: pd.DataFrame) -> list[TaskOutcomes]:
         attacks = tuple(chain(*linkers.values()))
         tasks_known.append(TaskOutcomes(task, about, attacks, cohorts, controls))
     return tasks_known
+
+
+def _cohorts(linked: pd.DataFrame) -> Cohorts:
+    """Return the rows of a task's attacks by cohort, place and attack."""
+    cohorts: Cohorts = {}
+    for row in row_dicts(linked):
+        level = None if math.isnan(row["level"]) else float(row["level"])
+        where = Where(row["mechanism"], level)
+        source = parse_consumer(row["consumer"], row["knowledge"]).without_task
+        cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+    return cohorts
 
 
 def remarks(row: Mapping[str, Any]) -> list[str]:

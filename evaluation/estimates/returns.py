@@ -24,7 +24,7 @@ KIND: Final = "returns"  # Of the consumer.
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReturnNumbers:
-    """What the cells of people who come back give."""
+    """Numbers of people who come back."""
 
     # Of every metric of linkers and controls.
     estimates: dict[Address, Estimate] = field(default_factory=dict)

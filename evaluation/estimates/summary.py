@@ -102,7 +102,7 @@ class PredictorAnswers(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SceneNumbers:
-    """What the cells of scenes give in one world."""
+    """Numbers of the scenes of a run in one world."""
 
     # Of every metric, with intervals and replicates.
     estimates: dict[Address, Estimate]

@@ -110,7 +110,7 @@ def flags(
         >= FEWEST_EFFECTIVE
     ]
     if len(enough) < len(pairs):
-        left_out["fewer than 20 clusters"] = len(pairs) - len(enough)
+        left_out[f"fewer than {FEWEST_EFFECTIVE} clusters"] = len(pairs) - len(enough)
     compared = Counter((pair.kind, pair.attack, pair.by) for pair in enough)
     rows = []
     for pair in enough:

@@ -129,6 +129,7 @@ def _count_decisions(
 
 def _rules() -> dict[str, Any]:
     """Return the rules of the decisions: numbers, and a text."""
+    margin = 100 * rules.SUCCESS_MARGIN
     return {
         "confidence": CONFIDENCE,
         "band_coverage": rules.BAND_COVERAGE,
@@ -140,9 +141,10 @@ def _rules() -> dict[str, Any]:
             "clusters": FEWEST_EFFECTIVE,
         },
         "text": (
-            "A descriptor does not track if the lower end of the spread is above 5"
-            " of 100 people; that errs on 2.5 % of pages. It tracks if the upper"
-            " end is below 5; that errs in 2.5 % of items. The three other"
+            "A descriptor does not track if the lower end of the spread is above"
+            f" {margin:g} of 100 people; that errs on 2.5 % of pages. It tracks if"
+            f" the upper end is below {margin:g}; that errs in 2.5 % of items. The"
+            " three other"
             " sections are decided by bands. All bands of a section hold at once"
             f" in {100 * rules.BAND_COVERAGE:g} % of studies, and an item is"
             " decided if its band lies on one side. Each 95 % interval stands by"
