@@ -33,6 +33,7 @@ INKS: Final = (
 # Shapes of `chart.html.j2`, as matplotlib names them.
 MARKERS: Final = "os^DvP*"
 LOOKS: Final = len(INKS)
+GUIDE_COLOUR: Final = 6  # Of lines at a limit, at chance or at zero.
 Stroke: TypeAlias = "Sequence[Any]"  # Points (x, y) that a line goes through.
 _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 _MOST_STEPS: Final = 5
@@ -139,6 +140,33 @@ class ChartMark(NamedTuple):
     name: str
 
 
+class Tick(NamedTuple):
+    """A text beside an axis."""
+
+    at: float  # Position along the axis.
+    text: str
+
+
+class LineAcross(NamedTuple):
+    """A value that a line across the chart marks."""
+
+    colour: int
+    value: float  # In the unit of the axis.
+
+
+class Line(NamedTuple):
+    """Strokes of one kind and colour."""
+
+    kind: str  # `across`, `bar`, `curve` or `front`.
+    strokes: Sequence[Stroke]
+    colour: int | None = None  # None: the kind has its own.
+
+    @property
+    def css(self) -> str:
+        """CSS classes of the strokes."""
+        return self.kind if self.colour is None else f"{self.kind} k{self.colour}"
+
+
 class Axis(NamedTuple):
     """An axis: its label, and whether it is logarithmic."""
 
@@ -154,11 +182,10 @@ class Chart:
     height: float
     left: float
     y_label: str = ""
-    x_ticks: list[tuple[float, str]] = field(default_factory=list)
-    y_ticks: list[tuple[float, str]] = field(default_factory=list)
+    x_ticks: list[Tick] = field(default_factory=list)
+    y_ticks: list[Tick] = field(default_factory=list)
     grid: list[Stroke] = field(default_factory=list)
-    # CSS classes and the strokes that have them.
-    lines: list[tuple[str, Sequence[Stroke]]] = field(default_factory=list)
+    lines: list[Line] = field(default_factory=list)
     marks: list[ChartMark] = field(default_factory=list)
     labels: list[Label] = field(default_factory=list)  # Beside the ends of curves.
     # Hover text of a text that the chart shows.
@@ -174,23 +201,26 @@ class Chart:
     def texts(self) -> list[Text]:
         """All texts but the vertical label."""
         middle = 0.5 * (self.left + self.right)
-        texts = [Text(x, self.bottom + 12.0, "x", words) for x, words in self.x_ticks]
+        texts = [
+            Text(tick.at, self.bottom + 12.0, "x", tick.text) for tick in self.x_ticks
+        ]
         texts.append(Text(middle, self.bottom + 26.0, "x", self.x_label))
         texts += [
-            Text(self.left - 5.0, y + 3.4, "y", words) for y, words in self.y_ticks
+            Text(self.left - 5.0, tick.at + 3.4, "y", tick.text)
+            for tick in self.y_ticks
         ]
         return texts
 
     def x_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the horizontal axis; return the map from a value to its position."""
         position, self.x_ticks = _axis(values, (self.left, self.right), log=log)
-        self.grid += [self.down(x) for x, _ in self.x_ticks]
+        self.grid += [self.down(tick.at) for tick in self.x_ticks]
         return position
 
     def y_axis(self, values: Floats, *, log: bool = False) -> Callable[[Any], Any]:
         """Draw the vertical axis; return the map from a value to its position."""
         position, self.y_ticks = _axis(values, (self.bottom, _TOP), log=log)
-        self.grid += [self.across(y) for y, _ in self.y_ticks]
+        self.grid += [self.across(tick.at) for tick in self.y_ticks]
         return position
 
     def across(self, y: float) -> Stroke:
@@ -222,19 +252,19 @@ def rows_chart(
     to_x = chart.x_axis(_percents(known))
     for n_row, row in enumerate(rows):
         middle = 8.0 + step * (n_row + 0.5)
-        chart.y_ticks.append((middle, row))
+        chart.y_ticks.append(Tick(middle, row))
         chart.grid.append(chart.across(middle))
         for n_series, (name, (look, estimates)) in enumerate(series.items()):
             if estimate := estimates[n_row]:
                 y = middle + 4.5 * (n_series - 0.5 * (len(series) - 1))
                 x, *ends = to_x(_percents([estimate]))
                 text = f"{row}: {name} {precise_percent(estimate)}"
-                chart.lines.append((f"bar k{look.colour}", bar(ends, at=y)))
+                chart.lines.append(Line("bar", bar(ends, at=y), look.colour))
                 chart.marks.append(ChartMark(look, [(x, y)], text))
     for look, value in across:
         if np.isfinite(value):
             line = chart.down(to_x(PERCENT * value))
-            chart.lines.append((f"across k{look.colour}", [line]))
+            chart.lines.append(Line("across", [line], look.colour))
     return chart
 
 
@@ -257,20 +287,21 @@ def plane_chart(
     to_x = chart.x_axis(_percents([point.x for point in points]))
     to_y = chart.y_axis(_percents([point.y for point in points]))
     if limit is not None:
-        chart.lines.append(("across k6", [chart.across(to_y(PERCENT * limit))]))
+        strokes = [chart.across(to_y(PERCENT * limit))]
+        chart.lines.append(Line("across", strokes, GUIDE_COLOUR))
     for curve in curves:
         line = [
             (to_x(PERCENT * point.x.value), to_y(PERCENT * point.y.value))
             for point in curve
         ]
-        chart.lines.append((f"curve k{curve[0].look.colour}", [line]))
+        chart.lines.append(Line("curve", [line], curve[0].look.colour))
     if has_front and points:
-        chart.lines.append(("front", [_front_line(points, to_x, to_y)]))
+        chart.lines.append(Line("front", [_front_line(points, to_x, to_y)]))
     for point in points:
         x, *x_ends = to_x(_percents([point.x]))
         y, *y_ends = to_y(_percents([point.y]))
         bars = bar(x_ends, at=y) + bar(y_ends, at=x, upright=True)
-        chart.lines.append((f"bar k{point.look.colour}", bars))
+        chart.lines.append(Line("bar", bars, point.look.colour))
         name = (
             f"{point.name}: {x_name} {precise_percent(point.x)},"
             f" {y_name} {precise_percent(point.y)}"
@@ -295,23 +326,24 @@ def curves_chart(
     *,
     x: Axis,
     y: Axis,
-    across: Sequence[tuple[str, float]] = (),
+    across: Sequence[LineAcross] = (),
     marked: Sequence[LonePoint] = (),
 ) -> Chart:
     """Return a chart of curves on two axes.
 
-    `across` are horizontal lines: a CSS class and a value each. `marked` are further
+    `across` are horizontal lines. `marked` are further
     marks, of no curve.
     """
     chart = Chart(
         x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves)
     )
     to_x = chart.x_axis(np.concatenate([curve.x for curve in curves]), log=x.log)
-    others = [value for _, value in across] + [mark.y for mark in marked]
+    others = [guide.value for guide in across] + [mark.y for mark in marked]
     curve_values = [curve.y.ravel() for curve in curves]
     to_y = chart.y_axis(np.concatenate([*curve_values, np.array(others)]), log=y.log)
-    for css, value in across:
-        chart.lines.append((f"across {css}", [chart.across(to_y(value))]))
+    for guide in across:
+        strokes = [chart.across(to_y(guide.value))]
+        chart.lines.append(Line("across", strokes, guide.colour))
     for curve in curves:
         known = np.isfinite(curve.y[0])
         xs = to_x(curve.x[known])
@@ -320,8 +352,8 @@ def curves_chart(
         bars: list[Stroke] = []
         for at, low, high in zip(xs, lows, highs, strict=True):
             bars += bar([low, high], at=at, upright=True)
-        chart.lines.append((f"curve k{curve.look.colour}", [line]))
-        chart.lines.append((f"bar k{curve.look.colour}", bars))
+        chart.lines.append(Line("curve", [line], curve.look.colour))
+        chart.lines.append(Line("bar", bars, curve.look.colour))
         chart.marks.append(ChartMark(curve.look, line, curve.name))
     for mark in marked:
         mark_x = to_x(mark.x) if np.isfinite(mark.x) else chart.right
@@ -380,7 +412,7 @@ def _percents(estimates: Sequence[Estimate]) -> Floats:
 
 def _axis(
     values: Floats, ends: tuple[float, float], *, log: bool
-) -> tuple[Callable[[Any], Any], list[tuple[float, str]]]:
+) -> tuple[Callable[[Any], Any], list[Tick]]:
     """Return the map from values to positions between two ends, and the ticks."""
     known, length = values[np.isfinite(values)], ends[1] - ends[0]
     if log and (known > 0).any():
@@ -391,12 +423,12 @@ def _axis(
     def position(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
         return ends[0] + unit * (values - ticks[0])
 
-    return position, [(position(tick), level_text(tick)) for tick in ticks]
+    return position, [Tick(position(tick), level_text(tick)) for tick in ticks]
 
 
 def _log_axis(
     known: Floats, ends: tuple[float, float]
-) -> tuple[Callable[[Any], Any], list[tuple[float, str]]]:
+) -> tuple[Callable[[Any], Any], list[Tick]]:
     """Return the same for a logarithmic axis of positive values."""
     length = ends[1] - ends[0]
     low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
@@ -409,7 +441,7 @@ def _log_axis(
         exponents = np.log10(np.maximum(values, 10.0**low))
         return ends[0] + length * (exponents - low) / (high - low)
 
-    return position, [(float(position(tick)), _short(tick)) for tick in ticks]
+    return position, [Tick(float(position(tick)), _short(tick)) for tick in ticks]
 
 
 def _short(value: float) -> str:

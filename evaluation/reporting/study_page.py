@@ -7,7 +7,16 @@ import numpy as np
 
 from evaluation.estimates.pooled import FEWEST, OWN_GALLERY, QUESTIONS, Answered
 from evaluation.reporting.amounts import PERCENT
-from evaluation.reporting.charts import CHARACTER, Chart, ChartMark, Look, bar
+from evaluation.reporting.charts import (
+    CHARACTER,
+    GUIDE_COLOUR,
+    Chart,
+    ChartMark,
+    Line,
+    Look,
+    Tick,
+    bar,
+)
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.markup import HTML
 
@@ -79,12 +88,12 @@ def _forest(answer: Answered, simulated: frozenset[str]) -> Forest:
     )
     values = PERCENT * np.array([*rows.values()], dtype=np.float64)
     to_x = chart.x_axis(values)
-    chart.lines.append(("across k6", [chart.down(to_x(0.0))]))
+    chart.lines.append(Line("across", [chart.down(to_x(0.0))], GUIDE_COLOUR))
     for place, (name, numbers) in enumerate(zip(rows, values, strict=True)):
         y, look = 8.0 + _STEP * (place + 0.5), looks[name]
-        chart.y_ticks.append((y, name))
+        chart.y_ticks.append(Tick(y, name))
         x, *ends = to_x(numbers)
-        chart.lines.append((f"bar k{look.colour}", bar(ends, at=y)))
+        chart.lines.append(Line("bar", bar(ends, at=y), look.colour))
         value, low, high = numbers
         interval = f" [{low:.1f}, {high:.1f}]"
         if not np.isfinite(numbers).all():

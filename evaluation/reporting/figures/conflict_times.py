@@ -6,12 +6,20 @@ import numpy as np
 
 from evaluation.plan.address import parse_dataset
 from evaluation.reporting.amounts import PERCENT
-from evaluation.reporting.charts import Axis, Chart, Curve, Look, curves_chart
+from evaluation.reporting.charts import (
+    GUIDE_COLOUR,
+    Axis,
+    Chart,
+    Curve,
+    LineAcross,
+    Look,
+    curves_chart,
+)
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.rows import Results
 
-_LOOK, _NOW = Look(0), "k6"
+_LOOK = Look(0)
 
 
 def figures(run: Results) -> Iterator[Figure]:
@@ -25,7 +33,7 @@ def figures(run: Results) -> Iterator[Figure]:
         now = float(shares[0, 0])
         curve = Curve(_LOOK, f"{now:.0f} % are inside at step 0", by_s, shares)
         x, y = Axis("time from now (s)"), Axis("conflicts that have begun (%)")
-        chart = curves_chart([curve], x=x, y=y, across=[(_NOW, now)])
+        chart = curves_chart([curve], x=x, y=y, across=[LineAcross(GUIDE_COLOUR, now)])
         horizon_s = parse_dataset(str(dataset)).world.horizon_s
         heading = (
             "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"

@@ -16,7 +16,15 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from evaluation.reporting.charts import CHARACTER, INKS, MARKERS, WIDTH, Chart, Look
+from evaluation.reporting.charts import (
+    CHARACTER,
+    INKS,
+    MARKERS,
+    WIDTH,
+    Chart,
+    Line,
+    Look,
+)
 from evaluation.reporting.markup import HTML
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import printable, shorten_name
@@ -181,11 +189,10 @@ def _print_chart(ax: Any, chart: Chart, left: float, top: float) -> None:  # noq
         ax.text(x, y, text.words, fontsize=8.5, ha=_ALIGNED[text.css])
     middle = top + 0.5 * chart.bottom
     ax.text(left + 10.0, middle, chart.y_label, fontsize=8.5, rotation=90, va="center")
-    for css, strokes in [("grid", chart.grid), *chart.lines]:
-        kind, _, colour = css.partition(" k")
-        ink = {"color": INKS[int(colour or 0)], **_PRINTED[kind]}
-        for line in strokes:
-            ax.plot(*(np.array(line) + np.array([left, top])).T, **ink)
+    for line in [Line("grid", chart.grid), *chart.lines]:
+        ink = {"color": INKS[line.colour or 0], **_PRINTED[line.kind]}
+        for stroke in line.strokes:
+            ax.plot(*(np.array(stroke) + np.array([left, top])).T, **ink)
     for mark in chart.marks:
         for x, y in mark.centres:
             _mark(ax, left + x, top + y, mark.look)

@@ -23,6 +23,7 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
+    LineAcross,
     LonePoint,
     Look,
     curves_chart,
@@ -83,7 +84,7 @@ def _panel(
     key: dict[str, Look],
     *,
     y: Axis,
-    across: Sequence[tuple[str, float]] = (),
+    across: Sequence[LineAcross] = (),
     marked: Sequence[LonePoint] = (),
 ) -> Iterator[tuple[str, Chart]]:
     """Yield a panel over the levels of a scheme, its curves named by their ends.
@@ -113,10 +114,10 @@ def _panel(
             key["paper (raw at the edge)"] = _PAPER_LOOK
 
 
-def _raw_lines(series: Sequence[_Series]) -> list[tuple[str, float]]:
-    """Return a line across for each raw value: its class and its height."""
+def _raw_lines(series: Sequence[_Series]) -> list[LineAcross]:
+    """Return a line across for each raw value."""
     return [
-        (f"k{part.look.colour}", value)
+        LineAcross(part.look.colour, value)
         for part in series
         for value in part.values_at(RAW)
     ]

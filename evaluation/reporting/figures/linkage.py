@@ -12,9 +12,11 @@ from evaluation.estimates.linkability import TaskOutcomes
 from evaluation.plan.address import Address
 from evaluation.reporting.amounts import PERCENT, round_percent, sentence_case
 from evaluation.reporting.charts import (
+    GUIDE_COLOUR,
     Axis,
     Chart,
     Curve,
+    LineAcross,
     Look,
     curves_chart,
     label_room,
@@ -34,7 +36,6 @@ _KINDS: Final[Mapping[str, tuple[str, ...]]] = {
 # Mechanisms with panels: more would be unreadable at the width of a page.
 _MOST_SWEPT: Final = 4
 _AXIS: Final = Axis("re-identified (rank 1, %)")
-_CHANCE: Final = "k6"
 
 
 class _Linked(NamedTuple):
@@ -114,9 +115,9 @@ def _kinds(tasks: Iterable[str]) -> dict[str, list[str]]:
 
 def _drawn(
     tasks: Sequence[_Linked], rules: Sequence[Scheme]
-) -> tuple[list[Curve], list[tuple[str, float]]]:
+) -> tuple[list[Curve], list[LineAcross]]:
     """Return a curve for each task and adding rule of a mechanism, and lines across."""
-    curves, across = list[Curve](), list[tuple[str, float]]()
+    curves, across = list[Curve](), list[LineAcross]()
     for place, linked in enumerate(tasks):
         for scheme in rules:
             is_hollow = scheme.rules == ("independent",) and len(rules) > 1
@@ -125,8 +126,8 @@ def _drawn(
                 curves.append(
                     _curve(linked.task, scheme, rows, Look(place, hollow=is_hollow))
                 )
-        across += [(f"k{place}", value) for value in linked.at_raw()]
-        across += [(_CHANCE, value) for value in linked.chance()]
+        across += [LineAcross(place, value) for value in linked.at_raw()]
+        across += [LineAcross(GUIDE_COLOUR, value) for value in linked.chance()]
     return curves, list(dict.fromkeys(across))
 
 

@@ -76,7 +76,7 @@ def test_the_front_turns_at_the_points_that_no_other_beats(table):
             for x, y in places
             if not any(a <= x and b >= y and (a, b) != (x, y) for a, b in places)
         }
-        (corners,) = next(lines for css, lines in chart.lines if css == "front")
+        (corners,) = next(line.strokes for line in chart.lines if line.kind == "front")
         for x, y in best:
             assert any(abs(a - x) < 0.11 and abs(b - y) < 0.11 for a, b in corners)
         assert len(corners) == 2 * len(best) + 1

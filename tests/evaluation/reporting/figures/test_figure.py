@@ -20,7 +20,14 @@ from helpers.finished_runs import (
 )
 
 from evaluation.estimates.frontier import WHITE_NOISE
-from evaluation.reporting.charts import Axis, Curve, LonePoint, Look, curves_chart
+from evaluation.reporting.charts import (
+    Axis,
+    Curve,
+    LineAcross,
+    LonePoint,
+    Look,
+    curves_chart,
+)
 from evaluation.reporting.figures.figure import make_figures, write
 from evaluation.reporting.schemes import schemes
 
@@ -78,7 +85,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
     marked = [LonePoint(Look(6), np.inf, 10.0, "paper")]
     chart = curves_chart(
-        [curve], x=axes[0], y=axes[1], across=[("k6", 20.0)], marked=marked
+        [curve], x=axes[0], y=axes[1], across=[LineAcross(6, 20.0)], marked=marked
     )
     (_, marks, _), (_, paper, name) = chart.marks
     known, close = np.isfinite(y), {"rtol": 0.03, "atol": 0.4}
@@ -88,7 +95,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
         rtol=0.03,
         atol=2.0,
     )
-    paths = dict(chart.lines)
+    paths = {line.css: line.strokes for line in chart.lines}
     ends = [high for _, high in paths["bar k1"]]
     np.testing.assert_allclose(
         values(ends, chart, log=log)[:, 1], 1.1 * y[known], **close
