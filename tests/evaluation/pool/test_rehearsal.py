@@ -197,7 +197,7 @@ class TestHowLong:
             for unit in attacked
             for consumer in unit.consumers.values()
         )
-        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        n_samples = usual.scene_tracks.offsets[-1] / len(usual.tracks) * 40 * 4
         fixed_s, all_samples_s = 7.0, 2.0
         time = PluginTime(fixed_s, all_samples_s * 1e6 / n_samples)
         added_s = expected_s(alone, {("attack", "kalman_rts"): time})
