@@ -190,7 +190,7 @@ class TestHowLong:
         monkeypatch.setattr(duration, "measured_rates", lambda: rates)
         idle_s = expected_s(few)
         rates["shared"] = 1e6  # A second for each sample.
-        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        n_samples = usual.scene_tracks.offsets[-1] / len(usual.scene_tracks) * 40 * 4
         assert expected_s(few) - idle_s == pytest.approx(1.12 * n_samples, rel=1e-9)
 
     def test_the_time_of_a_plugin_comes_on_top_in_each_of_its_cells(self, usual):
@@ -204,7 +204,7 @@ class TestHowLong:
             for unit in attacked
             for consumer in unit.consumers.values()
         )
-        n_samples = usual.tracks.offsets[-1] / len(usual.tracks) * 40 * 4
+        n_samples = usual.scene_tracks.offsets[-1] / len(usual.scene_tracks) * 40 * 4
         fixed_s, all_samples_s = 7.0, 2.0
         time = PluginTime(fixed_s, all_samples_s * 1e6 / n_samples)
         added_s = expected_s(alone, {("attack", "kalman_rts"): time})
