@@ -212,6 +212,8 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
         attacks=(),
         tasks=(),
         policies=(),
+        adversaries=(),
+        confirming=None,
         stages=settings.stages.changed({"conflict.horizons_s": (), **NO_TRACKS}),
         out=out,
     )

@@ -1,4 +1,4 @@
-"""Pooled answers of several runs: five questions, each a number with its interval.
+"""Pooled answers of several runs: questions, each a number with its interval.
 
 Runs of one recording and law under several seeds attack the same people: their numbers
 are averaged first. The interval of the mean does not shrink as it would with further
@@ -247,7 +247,13 @@ def settings_text(stages: Mapping[str, Any]) -> str:
 def _less(estimate: Estimate, known: float) -> Estimate:
     """Return an estimate less a number that has no error."""
     value, low, high = estimate.value, estimate.ci_low, estimate.ci_high
-    return Estimate(value - known, low - known, high - known, n=estimate.n)
+    return Estimate(
+        value - known,
+        low - known,
+        high - known,
+        n=estimate.n,
+        effective=estimate.effective,
+    )
 
 
 class Pooled(NamedTuple):

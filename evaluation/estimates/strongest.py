@@ -2,7 +2,7 @@
 
 The strongest attack has the highest mean success over some levels: PLR after a
 reconstruction, rank 1 of a linker; among equals it is the first. Attacks compete that
-ran at all of these levels. The oracle, a reference, and the control, which takes
+ran at as many of these levels as any other. The oracle, a reference, and the control, which takes
 positions as they are, do not compete. A linker names mates probe by probe, or all at
 once by the most probable matching: the better of the two counts.
 

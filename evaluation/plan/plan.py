@@ -51,7 +51,7 @@ _OTHER_READING_OPTIONS = ("format", "fps", "unit", "sessions", "persistent_ids")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Unit:
-    """A unit of work: one level, one block or task, one section, with all consumers."""
+    """The cells of one level, section and world, in one block or task; see the package."""
 
     # Tracking, a task's name, patrol, returns, reconstruction or sharing.
     section: str

@@ -1,4 +1,4 @@
-"""`study.html`: the five questions over several recordings, a forest plot for each."""
+"""`study.html`: questions over several recordings, a forest plot for each."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple

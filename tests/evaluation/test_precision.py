@@ -58,6 +58,16 @@ def test_a_precision_that_250_scenes_reach_takes_250(precise):
     assert sized(asked, progress=lambda *_: None).n_all_scenes == 250
 
 
+def test_the_pilot_of_a_run_with_further_adversaries_is_that_of_one_without(precise):
+    results, out = precise
+    asked = LITTLE | {"attacks": ["ou_rts"], "adversaries": ["repeats"]}
+    settings = evaluation.Settings(**asked, precision=0.05, out=out)
+    read = sized(settings, progress=lambda *_: None)
+    said = results.manifest["settings"]
+    assert read.n_all_scenes == said["scenes_utility"]
+    assert read.pilot_half_width == said["pilot_half_width"]
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [
