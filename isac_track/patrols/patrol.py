@@ -85,7 +85,11 @@ class Patrol:
 
 
 def horizon_scans(settings: StageSettings) -> tuple[int, ...]:
-    """Return the horizons of conflicts in scans: the paper's, then all further."""
+    """Return the horizons of conflicts in scans: the paper's, then all further.
+
+    The paper counts steps of its history, here scans: 11 last 0.92 s at the usual
+    `patrol.scan_s`, and longer with longer scans. Further horizons are in seconds.
+    """
     further_s = settings.conflict.horizons_s
     scan_s = settings.patrol.scan_s
     steps = (
