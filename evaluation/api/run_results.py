@@ -188,7 +188,9 @@ def _whole_summary(
         returns.estimates, worlds={}, families=families, dataset=dataset
     )
     parts = [part for part in (tidy, returning, patrols) if len(part)]
-    return pd.concat(parts, ignore_index=True) if len(parts) > 1 else (*parts, tidy)[0]
+    if not parts:
+        return tidy
+    return pd.concat(parts, ignore_index=True) if len(parts) > 1 else parts[0]
 
 
 def _further_verdicts(
@@ -308,12 +310,12 @@ def _verdict(
     )
     if own_plugins := manifest.get("own_plugins"):
         estimates = RunNumbers(
-            compared.sweeps.estimates,
-            scenes.further_estimates,
-            compared.sums,
-            compared.families,
-            compared.by_mechanism,
-            leading_handover(compared.best),
+            own=compared.sweeps.estimates,
+            later=scenes.further_estimates,
+            sums=compared.sums,
+            families=compared.families,
+            attacks=compared.by_mechanism,
+            leading=leading_handover(compared.best),
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
     parts["robots"] = standing_still.beaten_by_standing_still(

@@ -47,9 +47,8 @@ class RunNumbers:
     """Estimates of a run for comparing plug-ins, with the same bootstrap weights."""
 
     own: EstimatesByAddress  # Of scenes at the run's own horizon, and of linkage.
-    later: Mapping[
-        float, EstimatesByAddress
-    ]  # Of predictors at further horizons, s, ascending.
+    # Of predictors, by further horizon, s, ascending.
+    later: Mapping[float, EstimatesByAddress]
     sums: Mapping[Address, ClusterSums]  # Of attacks, by cluster.
     families: Mapping[str, Family]  # Mechanisms of the run.
     attacks: Sequence[StrongestAttack]  # The strongest attack against each mechanism.

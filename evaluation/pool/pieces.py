@@ -225,7 +225,7 @@ def _cut_tracking(missing: Sequence[Unit], plan: Plan) -> list[TrackingWork]:
 
 
 def _merge_levels(units: Iterable[Unit]) -> Levels:
-    """Return the levels of units of one block, or of one task: all stages together."""
+    """Return the levels of units of one block, or of one task: all sections together."""
     levels: dict[str, tuple[Plugin, list[Consumer]]] = {}
     for unit in units:
         spec = unit.mechanism.spec

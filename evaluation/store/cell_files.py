@@ -1,11 +1,11 @@
-"""The cells of a run folder: parquet files of one or more units of work.
+"""The cells of a run folder: parquet files of one or more units.
 
-A unit of work is a row group. It holds the tables of several consumers, one below the
+A unit is a row group. It holds the tables of several consumers, one below the
 other; a column that a table does not have is null there. The metadata of the file say
 where each consumer's tables begin, and which code computed them (`cell_index`). A
 consumer that is added later has a further file: no file is rewritten.
 
-A unit of work has a record for each stage of its life:
+A unit has a record for each stage of its life:
 
 | record | a unit that | holds |
 |---|---|---|
@@ -248,7 +248,10 @@ def read_rows(
 
 
 def check_columns(rows: pa.Table, columns: Iterable[str], *, path: Path) -> None:
-    """Raise DataError if rows of a file lack a column, or it is empty."""
+    """Raise DataError if rows lack a column, or have no value in it.
+
+    A table without rows may have any columns without values.
+    """
     for column in columns:
         is_present = column in rows.column_names
         if not is_present or rows[column].null_count == max(rows.num_rows, 1):
@@ -273,7 +276,7 @@ def read_units(
 ) -> list[ReadUnit]:
     """Return the units that hold a cell, block by block.
 
-    Of their tables some columns, or without `columns` all but the raw scores of linkers.
+    Read `columns` of their tables; None: all but the raw scores of linkers.
     """
     stamped = []
     for name in entry.files:
@@ -366,7 +369,7 @@ def readable(path: Path) -> Iterator[None]:
         raise DataError(
             f"{path} is missing; run the matrix again to compute it"
         ) from None
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+    except (OSError, pa.ArrowException, LookupError, TypeError, ValueError) as error:
         check_limits(error)
         raise DataError(
             f"{path} cannot be read ({error}); delete it and run the matrix again"

@@ -224,10 +224,8 @@ def _outdated_files(
 
 def _remove_run(out: Path) -> None:
     """Delete the files of a run by name, the manifest last; other files stay."""
-    manifest, cells = (
-        load_manifest_json(out),
-        (out / files.CELLS_FOLDER).glob("*.parquet"),
-    )
+    manifest = load_manifest_json(out)
+    cells = (out / files.CELLS_FOLDER).glob("*.parquet")
     written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
     written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):

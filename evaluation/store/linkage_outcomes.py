@@ -105,8 +105,8 @@ def read_outcomes(
 
     Entries of one level in one file are read at once if they come one after the other.
     Replicates are in single precision: those of a run would take half a gigabyte in
-    double. Only metrics in `drawn` have them, and of attacks alone; without it all have
-    that can. DataError names a cell that is broken.
+    double. Only attacks have them, not controls: for the metrics in `drawn`, or for
+    every metric that can if it is None. DataError names a cell that is broken.
     """
     columns = None if drawn is None else (*_OUTCOME, *drawn)
     # The weights of a task, shared by its hundreds of cells; they end with this call.

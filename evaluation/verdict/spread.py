@@ -159,9 +159,8 @@ def beside_fixed(
 ) -> BesideFixed:
     """Compare success with that of fixed noise at the same descriptor value.
 
-    Beyond an end of
-    the sweep, fixed noise is taken at this end: below its least value it links no more
-    than there, above raw no less, so that one direction can still be shown.
+    Beyond an end of the sweep, fixed noise is taken at this end. Below its least value
+    it links no more than there, above raw no less. So one direction can still be shown.
     `descriptor` and `success` are (R, K), those of `fixed` noise (R, F) from the
     noisiest level to raw.
     """
@@ -262,7 +261,10 @@ def _lower_ends(contrasts: Contrasts, down: Floats, gaps: Floats) -> Floats:
 
 
 def _sizes(contrasts: Contrasts, gaps: Floats) -> Floats:
-    """Return |D_k|, (R, K); of a one-sided contrast only its own direction counts."""
+    """Return |D_k|, (R, K); of a one-sided contrast only its own direction counts.
+
+    Callers leave out contrasts without a testable side.
+    """
     return np.where(contrasts.side == BOTH, np.abs(gaps), gaps * contrasts.side)
 
 

@@ -45,9 +45,10 @@ from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.rng import stream
 from isac_track.types import Floats
 
-CONSTRUCTION, SHOWN, ATTACKS = "construction", "shown", "attacks"
-"""Kinds of evidence: the task hides the mechanism's change; more people are linked;
-fewer people are linked, as far as these attacks go."""
+# Kinds of evidence.
+CONSTRUCTION: Final = "construction"  # The task hides what the mechanism changes.
+SHOWN: Final = "shown"  # More people are linked.
+ATTACKS: Final = "attacks"  # Fewer people are linked, as far as these attacks go.
 # Descriptors that rise with noise, as PLR, AEL and MEL fall.
 RISING_WITH_NOISE: Final = ("alignment_error", "posterior_std")
 _N_FOR_ERRORS: Final = 200  # Replicates of a prediction error.
@@ -77,8 +78,7 @@ class ValidityTest:
     @property
     def n(self) -> int:
         """Clusters, the least over all contrasts."""
-        people = self.contrasts.people
-        return int(people.min(initial=max(people, default=0)))
+        return int(min(self.contrasts.people, default=0))
 
 
 def validity(

@@ -7,6 +7,7 @@ without a descriptor: length, speed and noise of the track in both releases.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
+from typing import Final
 
 import numpy as np
 import pandas as pd
@@ -26,7 +27,9 @@ from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
 from isac_track.types import Floats, Ints
 
-_FEW, _NOTHING, _NO_SPREAD = 3, 1e-9, 1e-12
+_FEWEST_TRACKS: Final = 3  # Of a level, beyond the terms of its covariates.
+_LEAST_RANGE: Final = 1e-9  # Of a covariate's term; one below it is constant.
+_LEAST_SCALE: Final = 1e-12  # Of residuals, by which ranks are divided.
 
 
 def within_level_items(
@@ -164,15 +167,15 @@ def partial_correlation(
     for level in levels:
         needed = np.column_stack([level.descriptor, level.covariates])
         is_complete = np.isfinite(needed).all(axis=1)
-        if is_complete.sum() < _FEW:
+        if is_complete.sum() < _FEWEST_TRACKS:
             continue
         values = np.column_stack([level.descriptor, level.hit, level.covariates])
         ranks = _ranks(values[is_complete])
         own_rank = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
         terms = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
-        varies = np.ptp(terms, axis=0) > _NOTHING
+        varies = np.ptp(terms, axis=0) > _LEAST_RANGE
         design = np.column_stack([np.ones(len(ranks)), terms[:, varies]])
-        if is_complete.sum() <= design.shape[1] + _FEW:
+        if is_complete.sum() <= design.shape[1] + _FEWEST_TRACKS:
             continue
         ranked = np.column_stack([own_rank, ranks[:, 2]])
         residuals.append(
@@ -185,7 +188,7 @@ def partial_correlation(
     x, y = np.ascontiguousarray(np.concatenate(residuals).T)
     cluster = np.concatenate(clusters)
     scale = np.sqrt((x @ x) * (y @ y)) / x.size
-    if scale < _NO_SPREAD:
+    if scale < _LEAST_SCALE:
         return Estimate(np.nan, n=int(np.unique(cluster).size))
     value = float(x @ y / x.size / scale)
     influence = (
