@@ -10,6 +10,7 @@ from scipy.special import log_softmax
 from walks import context, hits, odd_release, two_releases
 
 from attacks.building_blocks import make_attack
+from attacks.reconstruction import kalman_rts
 from isac_track.protocols import LinkageTrainingSet
 from isac_track.rng import stream
 
@@ -80,7 +81,12 @@ def test_a_ridge_must_be_positive():
         Fusion(ridge=0.0)
 
 
-def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training():
+@pytest.mark.parametrize("is_radial", [False, True], ids=["isotropic", "radial"])
+def test_a_pair_of_odd_tracks_has_a_score_of_its_own_also_after_training(
+    is_radial, monkeypatch
+):
+    """But for the error law, which shows in all tracks of a release together."""
+    monkeypatch.setattr(kalman_rts, "looks_radial", lambda _release: is_radial)
     probe, gallery = odd_release(0), odd_release(1, n=9)
     train = LinkageTrainingSet(
         odd_release(2, n=24), odd_release(3, n=24), np.arange(24)
