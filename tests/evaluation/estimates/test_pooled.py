@@ -9,12 +9,14 @@ from evaluation.estimates.pooled import (
     COLUMNS,
     FURTHER,
     POOLED,
+    _less,
     answered,
     pool,
     settings_text,
     to_frame,
 )
 from isac_track.config import StageSettings
+from isac_track.intervals import Estimate
 
 VALUES, ERRORS = [0.10, 0.30, 0.35, 0.65, 0.45], [0.05, 0.06, 0.04, 0.07, 0.05]
 
@@ -159,3 +161,12 @@ def test_signs_that_differ_are_counted():
     assert answer.sentence.startswith(
         "Same sign in 2 of 3 real recordings; least -10.0 points (b)"
     )
+
+
+def test_an_estimate_less_chance_has_the_clusters_of_the_estimate():
+    """A row with too few effective clusters has no interval: the number must stay."""
+    linked = Estimate(0.8, 0.7, 0.9, n=40, effective=12.0)
+    above_chance = _less(linked, 0.01)
+    assert above_chance.value == pytest.approx(0.79)
+    assert (above_chance.ci_low, above_chance.ci_high) == pytest.approx((0.69, 0.89))
+    assert (above_chance.n, above_chance.n_effective) == (40, 12.0)

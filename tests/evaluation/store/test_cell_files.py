@@ -103,6 +103,22 @@ def test_a_file_of_an_earlier_version_without_checksums_is_read(cell):
     assert read_index(cell).unit_at("raw").key == "u"
 
 
+def test_an_index_of_more_levels_than_the_file_has_is_refused(cell):
+    content = pack_units([unit_of("raw", {ROWS: pa.table({"plr_over": VALUES})})])
+    table = pq.read_table(pa.BufferReader(content))
+    tables = {"shared": {"key": "k", "code": {}, "tables": {ROWS: [0, len(VALUES)]}}}
+    unit = {"unit": "u", "code": {}, "consumers": tables}
+    units = [unit | {"spec": "raw"}, unit | {"spec": "fid:1"}]
+    with pq.ParquetWriter(cell, table.schema, store_schema=False) as writer:
+        writer.write_table(table)
+        index = json.dumps({"units": units}).encode()
+        writer.add_key_value_metadata({b"isac_track.cells": index})
+    assert values(cell) == VALUES
+    missing = entry_at("shared", spec="fid:1", files=("cell.parquet",))
+    with pytest.raises(DataError, match=r"cell\.parquet cannot be read"):
+        values(cell, missing)
+
+
 def test_a_link_is_not_read(cell):
     elsewhere = cell.rename(cell.with_name("elsewhere"))
     cell.symlink_to(elsewhere)
