@@ -1,6 +1,7 @@
 """Data flows in a single direction: folders import only lower ones, without circles."""
 
 import ast
+import re
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -28,6 +29,9 @@ ORDER = (
 """A layer imports only from itself and those below it; see docs/explanation/architecture.md."""
 SIDE_BY_SIDE = {"attacks": {"predictors"}}
 """Layers that import nothing from each other."""
+
+INTRODUCED = ("reporting", "estimates", "pool", "store", "compute")
+"""Folders of `evaluation` whose docstring introduces each of their files."""
 
 
 def find_layer(module):
@@ -124,3 +128,12 @@ def test_a_planted_fault_of_either_kind_is_detected(tree):
     planted = tree | first | second
     assert upward_imports(planted) == ["predictors.first -> evaluation.store.second"]
     assert find_circle(planted) == {*first, *second}
+
+
+@pytest.mark.parametrize("folder", INTRODUCED)
+def test_the_docstring_of_a_folder_introduces_each_of_its_files(folder):
+    package = ROOT / "evaluation" / folder
+    docstring = ast.get_docstring(ast.parse((package / "__init__.py").read_text()))
+    names = set(re.findall(r"`(\w+)`", docstring))
+    files = {path.stem for path in package.glob("*.py")} - {"__init__"}
+    assert names == files
