@@ -13,14 +13,14 @@ from scipy.special import ndtri, stdtr, stdtrit
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 
 Decision: TypeAlias = Literal["yes", "no", "not decided"]
-"""Answer to: does the walk re-identify a person in another run?"""
+"""Answer to: does the walk re-identify a person in another session?"""
 
 PRIMARY: Final = "fusion, all passages enrolled, closed set, another run"
 """The only cell that decides: linker, gallery, set and probe."""
 LARGEST_P: Final = 0.01
 """A *yes* needs a nested permutation p-value below this number."""
 LARGEST_P_CONFIRMING: Final = 0.05
-"""The same for the run that confirms: a single test, on new people and new walks."""
+"""The same for the session that confirms: a single test, on new people and new walks."""
 LEAST_GAIN: Final = 0.05
 """Gain in rank 1 over the control that matters: the interval is compared with it."""
 TRUE_GAIN: Final = 0.15
