@@ -9,7 +9,7 @@ from typing import Final
 from attacks.tasks.cross_session import cross_session
 from attacks.tasks.folds import N_FOLDS
 from attacks.tasks.handover import handover
-from attacks.tasks.paired_windows import new_traversal, rerelease, split
+from attacks.tasks.paired_windows import PAIRED
 from attacks.tasks.task_input import TaskInput
 from attacks.tasks.task_list import Task, task_named
 from attacks.tasks.windows import TaskWindows
@@ -20,11 +20,9 @@ from isac_track.place import placed_together
 from isac_track.types import Tracks
 
 _MAKERS: Final[Mapping[str, Callable[[TaskInput], TaskWindows]]] = {
-    "rerelease": rerelease,
-    "split": split,
-    "handover": handover,
-    "new_traversal": new_traversal,
+    **PAIRED,
     "cross_session": cross_session,
+    "handover": handover,
 }
 """The function that makes the windows of a task, by the task's family."""
 

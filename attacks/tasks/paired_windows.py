@@ -1,13 +1,16 @@
 """Tasks in which everybody is on both sides: re-release, split, two sessions.
 
+Every person has a probe and a gallery window. A search has half of the people, so that
+an adversary is trained on the other half.
+
 Where a task hides the frame, each window is first moved to another place of the
 recording. A walk that is sensed twice in one place would show by its distance from the
 base station, on which the noise depends.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import pairwise
-from typing import TypeAlias
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
@@ -261,3 +264,11 @@ def join_groups(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
     members += [(person, f"1{name}") for person, name in zip(ids, second, strict=True)]
     groups = walking_groups(ids=ids, members=members)
     return tuple(group.removeprefix("group:0") for group in groups)
+
+
+PAIRED: Final[Mapping[str, Callable[[TaskInput], TaskWindows]]] = {
+    "rerelease": rerelease,
+    "split": split,
+    "new_traversal": new_traversal,
+}
+"""The functions that make the windows of these tasks, by the task's family."""

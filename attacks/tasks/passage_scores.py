@@ -1,7 +1,6 @@
 """Score all pairs of passages: nobody is linked by what was learnt on that person.
 
-Few people come back, so that there are no two halves of them: for each person the
-linker is trained on all others.
+Few people come back. So each person is a fold: the linker is trained on all others.
 """
 
 from collections.abc import Callable

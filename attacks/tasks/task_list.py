@@ -3,9 +3,9 @@
 Every task shows walks twice, before and after the pseudonyms change: as probe and as
 gallery. In a handover, all pseudonyms of the live recording rotate at one instant, in
 the true frame and on the true clock. A person who left has no mate; a person who came
-is a candidate all the same. In the other tasks everybody is in both. They hide frame
-and clock, except `rerelease-framed`, the easiest task of all. `returns` alone links
-whole passages of people who come back, several of each person.
+is a candidate all the same. In the other tasks everybody is on both sides. They hide
+frame and clock, except `rerelease-framed`, the easiest task of all. `returns` alone
+links whole passages of people who come back, several of each person.
 """
 
 from collections.abc import Mapping

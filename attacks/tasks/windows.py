@@ -72,7 +72,7 @@ class TaskWindows:
         self._check_roles()
 
     def _check_roles(self) -> None:
-        """Raise AssertionError if people of one walking group have several roles."""
+        """Raise AssertionError if a fold knows its victims, or the roles overlap."""
         cluster = np.unique(self.group, return_inverse=True)[1]
         for fold, known in enumerate(self.trained_on | self.calibrated_on):
             attacked = cluster[self._attacked_people(fold)]

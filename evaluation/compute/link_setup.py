@@ -50,8 +50,7 @@ class Pairing:
 class FoldPairings:
     """The windows of a fold: those that its adversary attacks, and the training set.
 
-    A fold is a half of the people, or a single person in a task of people who come
-    back.
+    A fold is half of the people or of the rotations, or a single returning person.
     """
 
     searches: Mapping[int, Pairing]  # By number; only with probes of this fold.
@@ -279,7 +278,7 @@ def _sense_side(
     for person, search in zip(windows.person, windows.search, strict=True):
         source = task_windows.source[person]
         own = ("linkage", task.family, side, source)
-        # The number of a closed search is a half, which depends on the other people.
+        # The number of a closed search is a fold, which depends on the other people.
         window_keys.append(
             (*own, task_windows.search_names[search]) if task.is_open else own
         )

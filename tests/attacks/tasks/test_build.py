@@ -1,4 +1,4 @@
-"""The sessions of tasks: windows, mates, and the people to learn from."""
+"""The windows of tasks, their mates, and the people to train on."""
 
 import re
 from dataclasses import replace
