@@ -17,13 +17,16 @@ Side
     Either release: *probe*, the windows to link, or *gallery*, the candidates.
 Mate
     The gallery window of the probe's person. In an *open* task a probe may have none.
+Group
+    People who walk together: their walks resemble each other. In code `group` has the
+    name and `cluster` the number; of two sessions, groups are joined.
 Search
     Probes and the gallery in which they are looked for. Each probe is ranked against
     all candidates of its search, and against no others.
 Fold
     The searches of one adversary: half of the people, or half of the rotations. It is
     trained and calibrated on people of the other fold. Of few returning people, each
-    person is a fold. Walking groups are never divided (`folds`).
+    person is a fold. No group is divided (`folds`).
 Rotation, silence
     A rotation is the instant at which all pseudonyms change. The silence is the time
     without samples between the old pseudonyms and the new (`rotations`).

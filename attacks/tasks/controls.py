@@ -32,11 +32,9 @@ class Control:
     """A linker that must not succeed."""
 
     about: str
-    score: Score | None
-    """None: the scores of an attack, with shuffled mates."""
-    # Another score for tasks in the true frame.
-    scene_score: Score | None = None
-    is_audit: bool = True
+    score: Score | None  # None: the scores of an attack, with shuffled mates.
+    scene_score: Score | None = None  # Instead of it for tasks in the true frame.
+    is_audit: bool = True  # Whether it belongs to the shortcut audit.
     # Whether a task in the true frame shows its property on purpose.
     is_shown_in_scene: bool = False
     is_evidence_in_walk: bool = False

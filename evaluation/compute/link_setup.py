@@ -106,22 +106,31 @@ def sense_task(
     key = hashlib.sha256(
         pickle.dumps((task_windows, groups, motion, stages, seed))
     ).digest()
-    if key in _newest:
-        return _newest[key]
+    if key not in _newest:
+        setup = _sense_recorded(task_windows, groups, stages, seed)
+        _newest.clear()
+        _newest[key] = setup if motion is None else _walk_by_model(setup, motion)
+    return _newest[key]
+
+
+def _sense_recorded(
+    task_windows: TaskWindows,
+    groups: Sequence[str],
+    stages: StageSettings,
+    seed: int,
+) -> SensedTask:
+    """Sense the recorded walks of a task and prepare its folds."""
+    task = task_windows.task
     clusters, cluster = np.unique(task_windows.group, return_inverse=True)
     group_place = {name: place for place, name in enumerate(groups)}
     drawn_as = np.array([group_place.get(name, -1) for name in clusters.tolist()])
-    task = task_windows.task
-    largest = int(np.bincount(task_windows.gallery.search).max())
-    n_candidates = 0 if task.links_returning_people else stages.linkage.candidates
-    numbers = np.unique(task_windows.fold).tolist()
-    if task.links_returning_people:
-        numbers = list(range(len(task_windows.trained_on)))
-    folds = tuple(prepare_fold(task_windows, fold) for fold in numbers)
     frames: tuple[Frame, ...] = ()
     if not task.shows_scene:
         frames = tuple(_draw_frames(task_windows, side, seed=seed) for side in SIDES)
-    setup = SensedTask(
+    folds = tuple(
+        prepare_fold(task_windows, fold) for fold in _list_folds(task_windows)
+    )
+    return SensedTask(
         task_windows=task_windows,
         sensed=tuple(
             _sense_side(task_windows, side, stages=stages, seed=seed) for side in SIDES
@@ -137,11 +146,27 @@ def sense_task(
         cluster=cluster.astype(np.int64),
         privacy=stages.privacy,
         seed=seed,
-        n_candidates=n_candidates if n_candidates < largest else 0,
+        n_candidates=_count_candidates(task_windows, stages.linkage.candidates),
     )
-    _newest.clear()
-    _newest[key] = setup if motion is None else _walk_by_model(setup, motion)
-    return _newest[key]
+
+
+def _list_folds(task_windows: TaskWindows) -> list[int]:
+    """Return the numbers of the folds: every person, where few come back."""
+    if task_windows.task.links_returning_people:
+        return list(range(len(task_windows.trained_on)))
+    folds: list[int] = np.unique(task_windows.fold).tolist()
+    return folds
+
+
+def _count_candidates(task_windows: TaskWindows, candidates: int) -> int:
+    """Return how many candidates of a probe are scored, or 0 for the whole gallery.
+
+    That is `candidates`, unless no gallery has more.
+    """
+    if task_windows.task.links_returning_people:
+        return 0
+    largest = int(np.bincount(task_windows.gallery.search).max())
+    return candidates if candidates < largest else 0
 
 
 def _walk_by_model(setup: SensedTask, motion: Motion) -> SensedTask:
