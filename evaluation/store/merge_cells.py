@@ -14,7 +14,8 @@ from evaluation.store.entries import Entry, make_entry, other_entries
 from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
-    from evaluation.plan.plan import Plan, Unit
+    from evaluation.plan.plan import Plan
+    from evaluation.plan.units import Unit
     from evaluation.store.cell_index import FileIndex
 
 
