@@ -51,6 +51,17 @@ class Address(_CachedHash):
     """Where a number of a study belongs; a part that is not needed is left out.
 
     All numbers of a table or a mapping may share a part: then it is left out there.
+
+    Examples
+    --------
+    Rank 1 of a linker with FID noise, from the columns `consumer` and `knowledge`:
+
+    >>> linker = parse_consumer("rerelease/dtw@kalman_rts", "blind")
+    >>> linker.task, linker.plugin, linker.reconstruction
+    ('rerelease', 'dtw', 'kalman_rts')
+    >>> number = linker.at("fid", 1.0, "rank1")
+    >>> number.label, number.level, number.metric
+    ('rerelease/dtw@kalman_rts (blind)', 1.0, 'rank1')
     """
 
     recording: str = ""  # Name of the data set.

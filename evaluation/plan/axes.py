@@ -86,7 +86,7 @@ def expand_axes(settings: Settings) -> Axes:
         preset,
         scenes=scenes,
         mechanisms=mechanisms,
-        linkers=linkers_by_task,
+        linkers_by_task=linkers_by_task,
         has_returns=RETURNS in tasks,
     )
     robots = scenes.utility_predictors

@@ -25,9 +25,8 @@ class LinkageAxes:
     """
 
     mechanisms: tuple[Plugin, ...] = ()
-    """Mechanisms of all tasks. The first is `clean`, which adds no error: with it every
-    linker must succeed."""
-    linkers: Mapping[Task, tuple[Consumer, ...]] = field(default_factory=dict)
+    """All mechanisms of a run, and `clean`: without any error every linker must succeed."""
+    linkers_by_task: Mapping[Task, tuple[Consumer, ...]] = field(default_factory=dict)
     """Linkers of each task that has any, not yet of any adversary."""
     adversaries: Adversaries = field(default_factory=Adversaries)
     mechanisms_by_world: Mapping[World, tuple[Plugin, ...]] = field(
@@ -42,12 +41,12 @@ class LinkageAxes:
     @property
     def tasks(self) -> tuple[Task, ...]:
         """Tasks that have a linker, without people who come back."""
-        return tuple(self.linkers)
+        return tuple(self.linkers_by_task)
 
     @property
     def all_linkers(self) -> tuple[Consumer, ...]:
         """Linkers of all tasks, each once, not yet of any task or adversary."""
-        linkers = (linker for own in self.linkers.values() for linker in own)
+        linkers = (linker for own in self.linkers_by_task.values() for linker in own)
         return tuple({linker.spec: linker for linker in linkers}.values())
 
     @property
@@ -80,7 +79,7 @@ class LinkageAxes:
         """Return every linker of a task, once for each adversary that runs it."""
         return tuple(
             replace(linker, adversary=adversary, granted=granted, task=task.name)
-            for linker in self.linkers[task]
+            for linker in self.linkers_by_task[task]
             for adversary, granted in self.adversaries.select(
                 granted_knowledge(linker, task, self.adversaries.further)
             ).items()
@@ -113,8 +112,12 @@ class LinkageAxes:
 
     def limited_to(self, tasks: Collection[Task]) -> "LinkageAxes":
         """Return the axes with some of the tasks."""
-        linkers = {task: self.linkers[task] for task in self.tasks if task in tasks}
-        return replace(self, linkers=linkers)
+        linkers_by_task = {
+            task: linkers
+            for task, linkers in self.linkers_by_task.items()
+            if task in tasks
+        }
+        return replace(self, linkers_by_task=linkers_by_task)
 
     def returns_alone(self) -> "LinkageAxes":
         """Return the axes of people who come back alone, without any other task."""
@@ -131,14 +134,14 @@ def expand_linkage(
     *,
     scenes: SceneAxes,
     mechanisms: tuple[Plugin, ...],
-    linkers: Mapping[Task, tuple[Consumer, ...]],
+    linkers_by_task: Mapping[Task, tuple[Consumer, ...]],
     has_returns: bool,
 ) -> LinkageAxes:
     """Return the axes of linkage, with the adversaries and worlds of the scenes."""
-    links_people = bool(linkers) or has_returns
+    links_people = bool(linkers_by_task) or has_returns
     return LinkageAxes(
         mechanisms=_with_clean(mechanisms) if links_people else (),
-        linkers=linkers,
+        linkers_by_task=linkers_by_task,
         adversaries=scenes.adversaries,
         mechanisms_by_world=_linked_by_world(
             scenes.mechanisms_by_world, settings, preset

@@ -177,7 +177,7 @@ def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
         )
         for linker in links
     ]
-    linkage = LinkageAxes(linkers={task: tuple(linkers)})
+    linkage = LinkageAxes(linkers_by_task={task: tuple(linkers)})
     wanted = ("linkage", "control") if controls else ("linkage",)
     results = {
         (consumer.spec, consumer.adversary): link(consumer, level)

@@ -739,7 +739,7 @@ class TestAxes:
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
         ):
             result = expand_axes(Settings(attacks=(attack,), tasks=(task,)))
-            ((linked_task, (linker,)),) = result.linkage.linkers.items()
+            ((linked_task, (linker,)),) = result.linkage.linkers_by_task.items()
             assert (linked_task.name, linker.spec) == (task, spec)
 
     def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(

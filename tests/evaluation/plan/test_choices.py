@@ -35,7 +35,7 @@ def specs(settings):
         "attacks": [plugin.spec for plugin in crossed.scenes.attacks],
         "links": [
             (task.name, linker.spec)
-            for task, linkers in crossed.linkage.linkers.items()
+            for task, linkers in crossed.linkage.linkers_by_task.items()
             for linker in linkers
         ],
     }
@@ -121,8 +121,10 @@ def test_twice_is_once():
     for name in PRESETS["smoke"].attacks:
         once = expand_axes(Settings(preset="smoke"))
         assert (
-            expand_axes(Settings(preset="smoke", attacks=[f"+{name}"])).linkage.linkers
-            == once.linkage.linkers
+            expand_axes(
+                Settings(preset="smoke", attacks=[f"+{name}"])
+            ).linkage.linkers_by_task
+            == once.linkage.linkers_by_task
         )
 
 
