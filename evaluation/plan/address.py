@@ -27,7 +27,7 @@ _LABEL: Final = re.compile(
 )
 
 
-class Where(NamedTuple):
+class MechanismLevel(NamedTuple):
     """A mechanism at a level: what the numbers of a row of a table have in common."""
 
     mechanism: str  # SPEC without the level.
@@ -142,9 +142,9 @@ class Address(_CachedHash):
         return f"{label}, {self.world.text}" if self.world else label
 
     @property
-    def where(self) -> Where:
+    def mechanism_level(self) -> MechanismLevel:
         """Mechanism and level."""
-        return Where(self.mechanism, self.level)
+        return MechanismLevel(self.mechanism, self.level)
 
     @property
     def measure(self) -> Address:
@@ -154,7 +154,7 @@ class Address(_CachedHash):
         )
 
     @property
-    def source(self) -> Address:
+    def reader(self) -> Address:
         """The reader of a release alone: consumer and adversary, no level, no metric."""
         return _measure(self.task, self.plugin, self.reconstruction, self.adversary, "")
 
@@ -352,7 +352,7 @@ def parse_row(row: Mapping[Any, Any]) -> Address:
     """
     level = row.get("level")
     dataset = parse_dataset(_text(row, "dataset"))
-    source = parse_consumer(_text(row, "consumer"), _text(row, "knowledge"))
+    reader = parse_consumer(_text(row, "consumer"), _text(row, "knowledge"))
     return Address(
         recording=dataset.recording,
         world=parse_world(_text(row, "world")) or dataset.world,
@@ -360,10 +360,10 @@ def parse_row(row: Mapping[Any, Any]) -> Address:
         level=None if level is None or math.isnan(level) else float(level),
         adding=_text(row, "adding"),
         policy=_text(row, "policy"),
-        task=source.task,
-        plugin=source.plugin,
-        reconstruction=source.reconstruction,
-        adversary=source.adversary,
+        task=reader.task,
+        plugin=reader.plugin,
+        reconstruction=reader.reconstruction,
+        adversary=reader.adversary,
         metric=_text(row, "metric"),
     )
 
