@@ -103,13 +103,13 @@ def _show(settings: evaluation.Settings, rights: dict[str, list[bool]]) -> None:
             measure = parse_consumer(attack, knowledge).measured(PLR)
             return measure.at(mechanism.name, mechanism.level)
 
-        sources = (
+        readers = (
             ("kalman_rts", "blind"),
             (BUILT_IN, "blind"),
             ("radial_rts", "blind"),
             ("radial_rts", "informed"),
         )
-        values = [by_key[plr(*source)] for source in sources]
+        values = [by_key[plr(*reader)] for reader in readers]
         learnt = [by_key[plr(spec, "informed")] for spec in (BUILT_IN, "radial_rts")]
         low, high = percentile_interval(learnt[1].replicates - learnt[0].replicates)
         gain = 100 * (learnt[1].value - learnt[0].value)

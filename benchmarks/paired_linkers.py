@@ -34,7 +34,7 @@ def paired(
         others = [
             other
             for other in by_key
-            if other.where == key.where
+            if other.mechanism_level == key.mechanism_level
             and other.adversary == key.adversary
             and other.task == key.task
             and plugin_name(other.plugin) != plugin_name(linker)

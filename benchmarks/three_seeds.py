@@ -39,7 +39,7 @@ from isac_track.intervals import Estimate
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
 
-    from evaluation.plan.address import Address, Where
+    from evaluation.plan.address import Address, MechanismLevel
     from evaluation.store.entries import Entry
 
 
@@ -58,16 +58,16 @@ class Run:
         """The columns of the first table, and that of the worst-off tenth."""
         return [*self.table.columns, *filter(None, [self.table.worst])]
 
-    def entry(self, where: Where, column: HeadlineColumn) -> Entry | None:
+    def entry(self, where: MechanismLevel, column: HeadlineColumn) -> Entry | None:
         """Return the manifest's cell behind a number of the first table."""
-        source = column.measure.source
-        is_attack = bool(source.adversary)
+        reader = column.measure.reader
+        is_attack = bool(reader.adversary)
         if is_attack and self.table.families[where.mechanism].family not in (
             *PAPER_FAMILIES,
             CLEAN,
         ):
-            source = self.strongest.get((source.task, where.mechanism), source)
-        return self.entries.get(source.at(*where))
+            reader = self.strongest.get((reader.task, where.mechanism), reader)
+        return self.entries.get(reader.at(*where))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -84,10 +84,10 @@ def read(out: Path) -> Run:
     manifest, summary = read_manifest(out), pd.read_csv(out / "summary.csv")
     results = estimates(summary[row_worlds(summary) == OWN_WORLD])
     strongest = {
-        (task, mechanism): source
+        (task, mechanism): reader
         for metric in (PLR, RANK1)
         for task, levels in by_task(results, metric=metric).items()
-        for mechanism, source in strongest_by_mechanism(levels).items()
+        for mechanism, reader in strongest_by_mechanism(levels).items()
     }
     epsilon_m = float(manifest["settings"]["stages"]["privacy.epsilon_m"])
     entries = {
@@ -120,7 +120,7 @@ def check_seed_alone(outs: Sequence[Path]) -> None:
 
 
 def pooled(
-    runs: Sequence[Run], where: Where, number: int
+    runs: Sequence[Run], where: MechanismLevel, number: int
 ) -> tuple[Estimate, list[float]] | None:
     """Return the mean of a column at a level over all runs, and each run's value."""
     columns = [run.columns[number] for run in runs]
@@ -152,7 +152,7 @@ def _show(outs: Sequence[Path]) -> int:
     tabled = {
         (first.families[name].name, level) for name, level in choose_levels(first)
     }
-    for where in first.wheres:
+    for where in first.levels:
         if (first.families[where.mechanism].name, where.level) not in tabled:
             continue
         for number, column in enumerate(runs[0].columns):

@@ -349,7 +349,7 @@ def _rehearse(plan: "Plan") -> list[str]:
 def _n_workers(settings: Settings) -> int:
     """Return the number of workers of a run, which start while it is planned."""
     from evaluation.plan.axes import expand_axes  # noqa: PLC0415 - as said
-    from evaluation.plan.fingerprint import has_user_plugins  # noqa: PLC0415 - as said
+    from evaluation.plan.user_plugins import has_user_plugins  # noqa: PLC0415 - as said
     from evaluation.plan.workers import choose_jobs, most_workers  # noqa: PLC0415 - as said
 
     run_axes = expand_axes(settings)

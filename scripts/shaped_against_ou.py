@@ -107,16 +107,16 @@ def readings(
         for quantity in quantities:
             if not quantity.is_axis:
                 continue
-            sources = quantity.source_by_mechanism
+            readers = quantity.reader_by_mechanism
             curves = sweeps.together(
-                {name: sources[name].measured(quantity.metric) for name in sources}
+                {name: readers[name].measured(quantity.metric) for name in readers}
             )
-            source = sources[RAW]
+            reader = readers[RAW]
             for name in curves.keys() & reached.keys():
                 is_log = quantity.metric in DESCRIPTORS
                 values = interpolated(reached[name], curves[name], log=is_log)
                 for place, target in enumerate(TARGETS):
-                    key = robot, target, source.task or source.adversary
+                    key = robot, target, reader.task or reader.adversary
                     values_at.setdefault(key, {})[name] = values[:, place]
     return values_at
 

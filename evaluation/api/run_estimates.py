@@ -173,8 +173,8 @@ class AttackComparison:
             if task
         }
         for attack in self.by_mechanism:
-            if attack.source.task and attack.among == HEADLINE:
-                key = attack.source.task, attack.mechanism
+            if attack.reader.task and attack.among == HEADLINE:
+                key = attack.reader.task, attack.mechanism
                 choices[key] = attack.crossed.choices
         return choices
 
@@ -208,8 +208,8 @@ def compare_attacks(
     sweeps = Sweeps(estimates, families)
     best = strongest_by_task(sweeps.estimates, families)
     crossed = {
-        task: cross_fitted(sums, families, source, by=RANK1 if task else PLR)
-        for task, source in best.items()
+        task: cross_fitted(sums, families, reader, by=RANK1 if task else PLR)
+        for task, reader in best.items()
     }
     by_mechanism = strongest_attacks(sweeps.estimates, sums, families)
     return AttackComparison(sweeps, families, sums, best, crossed, by_mechanism)

@@ -163,7 +163,7 @@ def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
         speeds=speeds,
         verdict=verdict_parts,
         failed=_failed_frame(manifest),
-        strongest={task: source.without_task for task, source in best.items()},
+        strongest={task: reader.without_task for task, reader in best.items()},
         conflict_times=conflict_times.conflict_times(out, manifest),
         gallery=read_sample_tracks(out),
     )

@@ -201,7 +201,7 @@ def sized(settings: Settings, *, progress: Callable[[int, int, str], None]) -> S
     if settings.precision is None or settings.utility_scenes is not None:
         return settings
     usual = make_plan(settings)
-    if not usual.axes.predictors:
+    if not usual.axes.scenes.predictors:
         raise SettingsError(
             "--precision is about missed conflicts: add --predictor NAME"
         )

@@ -7,7 +7,7 @@ from typing import Any
 from evaluation.api.run_estimates import level_table, link_estimates, scene_estimates
 from evaluation.estimates.families import CLEAN, RAW, entry_families
 from evaluation.estimates.strongest_table import strongest_attacks
-from evaluation.plan.address import Address, Where
+from evaluation.plan.address import Address, MechanismLevel
 from evaluation.plan.plan import Plan, plan_stronger
 from evaluation.plan.source_digest import changed_modules
 from evaluation.pool.execute import execute_stronger
@@ -33,7 +33,9 @@ def try_stronger(plan: Plan, update: Callable[[int, int, str], None]) -> None:
         return
     entries = _proposal_entries(manifest["cells"])
     proposed = _proposed_levels(plan.out, manifest | {"cells": entries})
-    specs = [entry.spec for entry in entries if entry.address.where in proposed]
+    specs = [
+        entry.spec for entry in entries if entry.address.mechanism_level in proposed
+    ]
     # All cells of the run are finished: these few are not counted among them.
     n_cells = plan.n_cells
 
@@ -63,7 +65,7 @@ def _proposal_entries(entries: Sequence[Entry]) -> list[Entry]:
     return [entry for entry in entries if is_wanted(entry.address)]
 
 
-def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Where]:
+def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[MechanismLevel]:
     """Return mechanism and level of each level that would be proposed now."""
     families = entry_families(manifest["cells"])
     scenes, links = scene_estimates(out, manifest), link_estimates(out, manifest)
@@ -73,4 +75,4 @@ def _proposed_levels(out: Path, manifest: Mapping[str, Any]) -> set[Where]:
     table = level_table(manifest, scenes, links, attacks=attacks)
     dataset, question = manifest["dataset"]["name"], default_question(families)
     offers = recommend(table, question, dataset=dataset).candidates
-    return {offer.where for offer in offers}
+    return {offer.mechanism_level for offer in offers}

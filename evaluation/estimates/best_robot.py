@@ -25,7 +25,7 @@ from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.strongest import first_half
 from evaluation.estimates.summary import PredictorAnswers, bootstrap_weights
-from evaluation.plan.address import Address, Where, parse_consumer
+from evaluation.plan.address import Address, MechanismLevel, parse_consumer
 from isac_track.intervals import Estimate, cluster_sums, effective_clusters
 from isac_track.types import Bools, Floats, Ints
 
@@ -99,11 +99,11 @@ def best_robots(
     `among`. Those robots compete that ran at the most of these levels. A single robot
     is the best without a choice, and keeps its estimates.
     """
-    robots: dict[str, dict[Where, PredictorAnswers]] = {}
+    robots: dict[str, dict[MechanismLevel, PredictorAnswers]] = {}
     for robot in scored:
         address = robot.entry.address
         if address.mechanism in among:
-            robots.setdefault(address.consumer, {})[address.where] = robot
+            robots.setdefault(address.consumer, {})[address.mechanism_level] = robot
     most = max(map(len, robots.values()), default=0)
     rivals = {
         name: levels
@@ -126,14 +126,17 @@ def _only_robot(name: str, estimates: EstimatesByAddress) -> BestRobots:
 
 
 def _chosen(
-    rivals: Mapping[str, Mapping[Where, PredictorAnswers]], manifest: Mapping[str, Any]
+    rivals: Mapping[str, Mapping[MechanismLevel, PredictorAnswers]],
+    manifest: Mapping[str, Any],
 ) -> BestRobots:
     """Return the best of two robots or more."""
-    names, wheres = list(rivals), list(next(iter(rivals.values())))
+    names, mechanism_levels = list(rivals), list(next(iter(rivals.values())))
     weights = bootstrap_weights(manifest)
     trials = [_count_trials(rivals[name][AT_RAW], weights.shape[1]) for name in names]
     people = _people(weights, first_half(tuple(manifest["groups"])), trials)
-    sums = np.array([_sums_of_robot(rivals[name], wheres, people) for name in names])
+    sums = np.array(
+        [_sums_of_robot(rivals[name], mechanism_levels, people) for name in names]
+    )
     sums = _equally_weighted(sums)
     best = BestRobots()
     for metric, consumer in BEST.items():
@@ -141,7 +144,7 @@ def _chosen(
         by_first, by_second = choice[:, 0].tolist()
         best.choices[consumer] = names[by_first], names[by_second]
         chosen = trials[by_first], trials[by_second]
-        for place, where in enumerate(wheres):
+        for place, where in enumerate(mechanism_levels):
             for number in (metric, FALSE_ALARMS):
                 counted = sums[:, place, _NUMBERS.index(number)]
                 # A costly robot is judged in fewer scenes: take the fewer clusters.
@@ -193,18 +196,20 @@ def _people(weights: Floats, is_first: Bools, trials: Sequence[_Trials]) -> _Peo
 
 
 def _sums_of_robot(
-    levels: Mapping[Where, PredictorAnswers], wheres: Sequence[Where], people: _People
+    levels: Mapping[MechanismLevel, PredictorAnswers],
+    mechanism_levels: Sequence[MechanismLevel],
+    people: _People,
 ) -> Floats:
     """Return numerators and denominators of a robot's numbers, (L, 3, 2, 2, R).
 
     The axes are: level, number (`_NUMBERS`), numerator or denominator, half of the
     people, row of weights.
     """
-    sums = np.zeros((len(wheres), len(_NUMBERS), 2, 2, len(people.rows)))
+    sums = np.zeros((len(mechanism_levels), len(_NUMBERS), 2, 2, len(people.rows)))
     raw = levels[AT_RAW]
     for half, in_half in enumerate(people.halves):
         at_raw = ratio_of_sums(_alarms(raw, in_half, people.rows))
-        for place, where in enumerate(wheres):
+        for place, where in enumerate(mechanism_levels):
             *missed, alarms = sums[place, :, :, half]
             alarms[:] = _alarms(levels[where], in_half, people.rows)
             for number, half_sums in zip(BEST, missed, strict=True):

@@ -23,7 +23,7 @@ from evaluation.estimates.metrics import (
     RANK1_OPTIMUM,
 )
 from evaluation.estimates.strongest import HEADLINE
-from evaluation.plan.address import Address, Where, parse_consumer
+from evaluation.plan.address import Address, MechanismLevel, parse_consumer
 from evaluation.plan.constants import BOUND
 from evaluation.plan.world import World
 from isac_track.intervals import Estimate, difference
@@ -42,7 +42,7 @@ def with_linkage_gaps(estimates: EstimatesByAddress) -> dict[Address, Estimate]:
             continue
         numbers[key] = estimate
         bound = Address(task=key.task, plugin=BOUND, metric=RANK1)
-        best = estimates.get(bound.at(*key.where))
+        best = estimates.get(bound.at(*key.mechanism_level))
         if key.metric == RANK1 and key.adversary and best is not None:
             numbers[key.measured(RANK1_GAP)] = difference(best, estimate)
     return numbers
@@ -52,7 +52,7 @@ class ClosestAttack(NamedTuple):
     """The attack that comes closest to the optimum at a level of a model world."""
 
     world: World
-    where: Where
+    mechanism_level: MechanismLevel
     attack: Address  # With the task, if it links.
     reached: Estimate  # PLR or rank 1 of the attack there.
     gap: Estimate
@@ -114,7 +114,9 @@ def _closest_gap(
     level = gap["level"]
     return ClosestAttack(
         world=gap["world"],
-        where=Where(gap["mechanism"], None if np.isnan(level) else level),
+        mechanism_level=MechanismLevel(
+            gap["mechanism"], None if np.isnan(level) else level
+        ),
         attack=attack,
         reached=Estimate(*by_attack[is_attack].iloc[0][_ENDS]),
         gap=Estimate(*gap[_ENDS]),

@@ -14,14 +14,19 @@ from evaluation.estimates.keys import EstimatesByAddress
 from evaluation.estimates.metrics import METRICS, PLR
 from evaluation.estimates.strongest import by_task, strongest_by_mechanism
 from evaluation.estimates.summary import bootstrap_weights, clusters
-from evaluation.plan.address import AS_SHARED, Address, Where
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel
 from evaluation.plan.world import OWN_WORLD
 from evaluation.store.cell_files import read_rows
 from evaluation.store.entries import Entry, entries_in
 from isac_track.intervals import cluster_sums, ratio_estimates
 from isac_track.types import Floats
 
-SHOWN: Final = (AT_RAW, Where(FID, 1.0), Where(FIXED, 1.0), Where("ou", 0.4))
+SHOWN: Final = (
+    AT_RAW,
+    MechanismLevel(FID, 1.0),
+    MechanismLevel(FIXED, 1.0),
+    MechanismLevel("ou", 0.4),
+)
 """Mechanisms, without their adding rule, and levels."""
 EDGES_MPS: Final = (0.0, 0.05, 0.5, 1.0, 1.5, np.inf)
 """Edges of the bins. People slower than the first inner edge stand. Finer bins would
@@ -66,9 +71,10 @@ def by_speed(
         )
     }
     shown = [
-        cell.where
+        cell.mechanism_level
         for cell in entries
-        if cell == AS_SHARED.at(*cell.where) and _is_shown(families, cell.where)
+        if cell == AS_SHARED.at(*cell.mechanism_level)
+        and _is_shown(families, cell.mechanism_level)
     ]
     if not shown:
         return pd.DataFrame(columns=COLUMNS)
@@ -84,15 +90,15 @@ def by_speed(
             if families[where.mechanism].family in PAPER_FAMILIES
             else attacks_by_mechanism.get(where.mechanism)
         )
-        for source in filter(None, (AS_SHARED, attack)):
-            if entry := entries.get(source.at(*where)):
+        for reader in filter(None, (AS_SHARED, attack)):
+            if entry := entries.get(reader.at(*where)):
                 level = np.nan if where.level is None else where.level
                 about = (
                     manifest["dataset"]["name"],
                     where.mechanism,
                     level,
-                    source.consumer,
-                    source.adversary,
+                    reader.consumer,
+                    reader.adversary,
                 )
                 rows += [
                     (*about, *numbers)
@@ -101,7 +107,7 @@ def by_speed(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-def _is_shown(families: Mapping[str, Family], where: Where) -> bool:
+def _is_shown(families: Mapping[str, Family], where: MechanismLevel) -> bool:
     return (families[where.mechanism].name, where.level) in SHOWN
 
 

@@ -15,7 +15,7 @@ from scipy.sparse import csr_array
 
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS, FUTURE_EQUAL_ALARMS
 from evaluation.estimates.summary import SceneNumbers, bootstrap_weights
-from evaluation.plan.address import Address, Where, parse_consumer
+from evaluation.plan.address import Address, MechanismLevel, parse_consumer
 from isac_track.intervals import (
     LEAST_CLUSTERS,
     Estimate,
@@ -180,7 +180,7 @@ def decisions(
     """
     reference = next(iter(manifest["settings"]["predictors"]), None)
     weights = bootstrap_weights(manifest)
-    at_reference: dict[Where, tuple[Floats, Floats]] = {}
+    at_reference: dict[MechanismLevel, tuple[Floats, Floats]] = {}
     at_raw_alarms: dict[Address, Estimate] = {}
     points, future_points = [np.zeros(0)], [np.zeros(0)]
     rows: list[dict[str, Any]] = []
@@ -190,7 +190,7 @@ def decisions(
         key=lambda numbered: numbered[1].entry.address.consumer != reference,
     )
     for place, (entry, cluster, columns) in order:
-        where, consumer = entry.address.where, entry.address.consumer
+        where, consumer = entry.address.mechanism_level, entry.address.consumer
         alarms = parse_consumer(consumer).measured(FALSE_ALARMS)
         raw_alarm = numbers.estimates.get(alarms.at("raw", None))
         for name, score in _scores(columns).items():

@@ -41,7 +41,7 @@ from evaluation.estimates.run_settings import (
 from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.estimates.tracking import track_numbers
-from evaluation.plan.address import Address, Where, parse_row
+from evaluation.plan.address import Address, MechanismLevel, parse_row
 from evaluation.plan.presets import PRESETS
 from evaluation.plan.world import World, parse_world
 from evaluation.store.entries import Entry, horizons_in
@@ -278,10 +278,10 @@ def _rows(
     second: Manifest,
 ) -> pd.DataFrame:
     """Return a row for each pair, tested by Holm in either family, the surest first."""
-    sources = {(key.consumer, key.policy) for key in pairs}
+    readers = {(key.consumer, key.policy) for key in pairs}
     paired_by = {
         (consumer, policy): pairing(first, second, consumer=consumer, policy=policy)
-        for consumer, policy in sources
+        for consumer, policy in readers
     }
     # Plain rank 1 depends on how many candidates there are.
     same_size = {
@@ -363,7 +363,7 @@ def _lead(
     for linker in [best[task] for task in best if task][:1]:
         among_100 = linker.measured(RANK1_AMONG_100)
         measures.append(among_100 if among_100 in known else linker.measured(RANK1))
-    levels = _lead_levels({key.where for key in estimates}, cells)
+    levels = _lead_levels({key.mechanism_level for key in estimates}, cells)
     # After the misses at the run's own horizon, the future misses at further horizons.
     ahead = [world for world in map(parse_world, rows["world"].unique()) if world]
     robots = [measure.measured(MISSED_FUTURE) for measure in missed]
@@ -389,10 +389,14 @@ def _lead(
     return lead[(lead["metric"] != RANK1) | lead["difference"].notna()]
 
 
-def _lead_levels(known: Collection[Where], cells: Sequence[Entry]) -> list[Where]:
+def _lead_levels(
+    known: Collection[MechanismLevel], cells: Sequence[Entry]
+) -> list[MechanismLevel]:
     """Return the levels of the smoke preset that a run has, else its first levels."""
     where_by_spec = {
-        cell.spec: cell.address.where for cell in cells if cell.address.where in known
+        cell.spec: cell.address.mechanism_level
+        for cell in cells
+        if cell.address.mechanism_level in known
     }
     smoke = [
         where_by_spec[spec]

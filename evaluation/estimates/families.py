@@ -10,13 +10,13 @@ from typing import Any, Final, get_args
 
 import pandas as pd
 
-from evaluation.plan.address import Where, plugin_name
+from evaluation.plan.address import MechanismLevel, plugin_name
 from evaluation.store.entries import Entry
 from isac_track.types import Adding
 
 RAW, CLEAN, FIXED, FID = "raw", "clean", "fixed", "fid"
 """Families: nothing added, no error at all, the baseline, and the paper's."""
-AT_RAW: Final = Where(RAW)
+AT_RAW: Final = MechanismLevel(RAW)
 ADDING_RULES: Final[tuple[str, ...]] = get_args(Adding)
 PAPER_FAMILIES: Final = (RAW, FIXED, FID)  # Families that the paper compares.
 # Meaning and unit of a level.

@@ -69,11 +69,11 @@ _LOG_SPAN: Final = 30.0
 
 
 class Quantity(NamedTuple):
-    """A number that the frontier shows of every mechanism: a metric of some source."""
+    """A number that the frontier shows of every mechanism: a metric of some reader."""
 
     metric: str
-    source_by_mechanism: Mapping[str, Address]
-    """Source by mechanism, raw included: the strongest attack against each."""
+    reader_by_mechanism: Mapping[str, Address]
+    """Reader by mechanism, raw included: the strongest attack against each."""
     is_axis: bool = False  # Whether mechanisms are held against one another by it.
 
 
@@ -88,26 +88,26 @@ def frontier_quantities(
     """
     as_shared = dict.fromkeys(sweeps.families, AS_SHARED)
     quantities = [Quantity(name, as_shared) for name in DESCRIPTORS]
-    sources: dict[tuple[str, tuple[str, ...]], dict[str, Address]] = {}
+    readers: dict[tuple[str, tuple[str, ...]], dict[str, Address]] = {}
     for attack in attacks:
-        group = attack.source.task, attack.among
-        sources.setdefault(group, {})[attack.mechanism] = attack.source
-    for (task, _), source_by_mechanism in sources.items():
-        if RAW not in source_by_mechanism:
+        group = attack.reader.task, attack.among
+        readers.setdefault(group, {})[attack.mechanism] = attack.reader
+    for (task, _), reader_by_mechanism in readers.items():
+        if RAW not in reader_by_mechanism:
             continue
         metrics = DESCRIPTORS
         if task:
-            metrics = (success_metric(sweeps.estimates, source_by_mechanism[RAW]),)
+            metrics = (success_metric(sweeps.estimates, reader_by_mechanism[RAW]),)
         quantities += [
-            Quantity(metric, source_by_mechanism, is_axis=metric == metrics[0])
+            Quantity(metric, reader_by_mechanism, is_axis=metric == metrics[0])
             for metric in metrics
         ]
     crossed: dict[Address, Estimate] = {}
     for attack in attacks:
-        metrics = (RANK1, RANK1_AMONG_100) if attack.source.task else DESCRIPTORS
-        for where, metric in product(attack.wheres, metrics):
+        metrics = (RANK1, RANK1_AMONG_100) if attack.reader.task else DESCRIPTORS
+        for where, metric in product(attack.levels, metrics):
             if estimate := attack.at(where, metric, sweeps.estimates):
-                crossed[attack.source.at(*where, metric)] = estimate
+                crossed[attack.reader.at(*where, metric)] = estimate
     return quantities, crossed
 
 
@@ -212,7 +212,7 @@ def _rows(
     address its recording and world.
     """
     for name in values_by_mechanism:
-        measure = quantity.source_by_mechanism[name].measured(quantity.metric)
+        measure = quantity.reader_by_mechanism[name].measured(quantity.metric)
         about = {
             **locate(measure).to_columns(),
             **asdict(sweeps.families[name]),
@@ -264,8 +264,8 @@ def usual_price(table: pd.DataFrame) -> pd.DataFrame:
 def _curves(sweeps: Sweeps, quantity: Quantity) -> dict[str, Floats]:
     return sweeps.together(
         {
-            name: source.measured(quantity.metric)
-            for name, source in quantity.source_by_mechanism.items()
+            name: reader.measured(quantity.metric)
+            for name, reader in quantity.reader_by_mechanism.items()
         }
     )
 
@@ -291,7 +291,7 @@ def _axis(
         name: _can_say(
             sweeps,
             price,
-            quantity.source_by_mechanism[name].measured(quantity.metric),
+            quantity.reader_by_mechanism[name].measured(quantity.metric),
             name=name,
         )
         & has_interval(numbers)

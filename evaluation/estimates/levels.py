@@ -38,7 +38,7 @@ from evaluation.estimates.strongest import (
     success_metric,
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE, StrongestAttack
-from evaluation.plan.address import AS_SHARED, Address, Where, parse_row
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel, parse_row
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.linkability import GALLERY
@@ -127,7 +127,7 @@ def levels(
     rows += [
         _row(key, number, families, dataset)
         for key, number in own.items()
-        if key.source == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
+        if key.reader == AS_SHARED and key.metric in {*DESCRIPTORS, *DISTANCE}
     ]
     attacks_on_chosen = [attack for attack in attacks if attack.mechanism in chosen]
     rows += _reconstruction_rows(attacks_on_chosen, own, families, dataset)
@@ -152,22 +152,22 @@ def _reconstruction_rows(
     """Yield the descriptors after the strongest reconstructions."""
     success_at_wide = by_task(estimates, metric=PLR_WIDE).get("", {})
     for attack in attacks:
-        if attack.source.task:
+        if attack.reader.task:
             continue
         # At the wider epsilon another attack may be stronger.
         at_wide = strongest_by_mechanism(success_at_wide, among=attack.among).get(
-            attack.mechanism, attack.source
+            attack.mechanism, attack.reader
         )
-        for where in attack.wheres:
+        for where in attack.levels:
             for metric in (*DESCRIPTORS, MEDIAN_ERROR, PLR_WIDE):
-                source = attack.source
-                key = source.at(*where, metric)
+                reader = attack.reader
+                key = reader.at(*where, metric)
                 estimate = attack.at(where, metric, estimates)
                 if metric == PLR_WIDE and key not in attack.crossed.estimates:
-                    source = at_wide
-                    estimate = estimates.get(source.at(*where, PLR_WIDE))
+                    reader = at_wide
+                    estimate = estimates.get(reader.at(*where, PLR_WIDE))
                 if estimate is not None:
-                    own = source.at(*where, metric)
+                    own = reader.at(*where, metric)
                     about = {
                         "adversary": group_name(attack.among),
                         **_choices(attack, metric),
@@ -207,30 +207,30 @@ def _linker_rows(
     """Yield rank 1 of each task's strongest linker, chance, and its share of raw's."""
     by_linker = _linkage_rows(linked)
     linkers = [
-        attack for attack in attacks if attack.source.task and attack.among == HEADLINE
+        attack for attack in attacks if attack.reader.task and attack.among == HEADLINE
     ]
     raws = {
-        linker.source.task: linker
+        linker.reader.task: linker
         for linker in linkers
         if families[linker.mechanism].family == RAW
     }
     for linker in linkers:
-        source, raw = linker.source, raws.get(linker.source.task)
-        metric = success_metric(estimates, (raw or linker).source)
-        data = task_recording(source.task, dataset=dataset)
-        for where in linker.wheres:
-            key = source.at(*where, metric)
-            known = by_linker.get(source.at(*where), {})
+        reader, raw = linker.reader, raws.get(linker.reader.task)
+        metric = success_metric(estimates, (raw or linker).reader)
+        data = task_recording(reader.task, dataset=dataset)
+        for where in linker.levels:
+            key = reader.at(*where, metric)
+            known = by_linker.get(reader.at(*where), {})
             about = {
                 name: str(known.get(name) or "") for name in ("outcome", "invalid")
             }
             about |= {"adversary": group_name(linker.among), **_choices(linker, metric)}
-            chance = _chance(source, metric, where, estimates)
+            chance = _chance(reader, metric, where, estimates)
             rank = linker.at(where, metric, estimates) or _UNKNOWN
             numbers = {metric: rank, CHANCE: Estimate(chance)}
             if raw is not None:
-                at_raw = raw.at(raw.wheres[0], metric, estimates) or _UNKNOWN
-                raw_chance = _chance(raw.source, metric, raw.wheres[0], estimates)
+                at_raw = raw.at(raw.levels[0], metric, estimates) or _UNKNOWN
+                raw_chance = _chance(raw.reader, metric, raw.levels[0], estimates)
                 share = linkage_share(rank, chance, at_raw, raw_chance)
                 numbers[LINKAGE_SHARE] = share
             for name, number in numbers.items():
@@ -255,11 +255,11 @@ def _choices(attack: StrongestAttack, metric: str) -> dict[str, str]:
 
 
 def _chance(
-    source: Address, metric: str, where: Where, estimates: EstimatesByAddress
+    reader: Address, metric: str, where: MechanismLevel, estimates: EstimatesByAddress
 ) -> float:
     if metric == RANK1_AMONG_100:
         return 1.0 / GALLERY
-    return estimates.get(source.at(*where, CHANCE), _UNKNOWN).value
+    return estimates.get(reader.at(*where, CHANCE), _UNKNOWN).value
 
 
 def _row(

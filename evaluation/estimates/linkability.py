@@ -23,7 +23,7 @@ from evaluation.estimates.keys import row_dicts
 from evaluation.estimates.metrics import CHANCE, RANK1
 from evaluation.estimates.recordings import in_run
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.address import Address, Where, parse_consumer
+from evaluation.plan.address import Address, MechanismLevel, parse_consumer
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.store.entries import Entry, entries_in
 from evaluation.store.linkage_outcomes import LinkageOutcome, read_outcomes
@@ -66,7 +66,7 @@ REMARKS = {
     INVALID: "a shortcut leaks: no measure of the attack",
 }
 """Remarks on a linkage cell that does not simply link, each with its meaning."""
-Cohorts: TypeAlias = "dict[str, dict[Where, dict[Address, Mapping[str, Any]]]]"
+Cohorts: TypeAlias = "dict[str, dict[MechanismLevel, dict[Address, Mapping[str, Any]]]]"
 LinkageOutcomes: TypeAlias = "Sequence[tuple[Entry, LinkageOutcome]]"
 
 
@@ -93,7 +93,7 @@ def linkability(outcomes: LinkageOutcomes, *, dataset: str) -> pd.DataFrame:
     """
     # The plan adds `clean` to every linkage task.
     ceilings = {
-        entry.address.source: outcome.numbers["p_value"]
+        entry.address.reader: outcome.numbers["p_value"]
         for entry, outcome in outcomes
         if entry.address.mechanism == CLEAN
     }
@@ -106,7 +106,7 @@ def linkability(outcomes: LinkageOutcomes, *, dataset: str) -> pd.DataFrame:
             result = "beats chance" if p_value <= LEVEL else "at chance"
         else:
             result = significance.outcome(
-                p_value=p_value, ceiling_p_value=ceilings[address.source]
+                p_value=p_value, ceiling_p_value=ceilings[address.reader]
             )
         rank1 = outcome.estimates[RANK1]
         ends = rank1.value, rank1.ci_low, rank1.ci_high
@@ -159,7 +159,7 @@ class TaskOutcomes:
     controls: tuple[Mapping[Any, Any], ...]  # Rows of the controls, at all levels.
 
     @property
-    def cells(self) -> dict[Where, dict[Address, Mapping[str, Any]]]:
+    def cells(self) -> dict[MechanismLevel, dict[Address, Mapping[str, Any]]]:
         """Rows of the cohort of all people, at each level."""
         return self.cohorts["all"]
 
@@ -188,11 +188,11 @@ def task_outcomes(linkability: pd.DataFrame) -> list[TaskOutcomes]:
         cohorts = _cohorts(linked)
         if "all" not in cohorts:
             continue
-        sources = (source for level in cohorts["all"].values() for source in level)
+        readers = (reader for level in cohorts["all"].values() for reader in level)
         linkers: dict[str, list[Address]] = {}
-        for source in most_knowing(sources):
+        for reader in most_knowing(readers):
             # A linker may run behind several reconstructions: keep these together.
-            linkers.setdefault(source.plugin, []).append(source)
+            linkers.setdefault(reader.plugin, []).append(reader)
         about = TASKS[task].about if task in TASKS else ""
         controls = tuple(row_dicts(rows[rows["knowledge"] == ""]))
         attacks = tuple(chain(*linkers.values()))
@@ -205,9 +205,9 @@ def _cohorts(linked: pd.DataFrame) -> Cohorts:
     cohorts: Cohorts = {}
     for row in row_dicts(linked):
         level = None if math.isnan(row["level"]) else float(row["level"])
-        where = Where(row["mechanism"], level)
-        source = parse_consumer(row["consumer"], row["knowledge"]).without_task
-        cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[source] = row
+        where = MechanismLevel(row["mechanism"], level)
+        reader = parse_consumer(row["consumer"], row["knowledge"]).without_task
+        cohorts.setdefault(row["cohort"], {}).setdefault(where, {})[reader] = row
     return cohorts
 
 

@@ -169,7 +169,7 @@ def read_probes(
                 choice = choices.get((task, "" if is_paper else mechanism), {})
                 choices_by_metric = {
                     metric: [
-                        _Choice(cells.get(measure.source.at(*where)), measure.metric)
+                        _Choice(cells.get(measure.reader.at(*where)), measure.metric)
                         for measure in halves
                     ]
                     for metric, halves in choice.items()
@@ -255,7 +255,7 @@ def _probes(
     return LinkedProbes(
         mechanism=linked.address.mechanism,
         level=linked.address.level,
-        linker=linked.address.source,
+        linker=linked.address.reader,
         hit=hits[RANK1],
         hit_among=hits[RANK1_AMONG_100],
         strangers=_strangers(probes),

@@ -128,7 +128,7 @@ def _matches(
     shared = [
         measure
         for measure in every_measure
-        if measure.source == AS_SHARED and measure.metric in DESCRIPTORS
+        if measure.reader == AS_SHARED and measure.metric in DESCRIPTORS
     ]
     attacked = [
         measure
@@ -138,7 +138,7 @@ def _matches(
     measures = shared + [
         measure
         for measure in attacked
-        if measure.metric in (LINKAGE_COMPARED if measure.source.task else DESCRIPTORS)
+        if measure.metric in (LINKAGE_COMPARED if measure.reader.task else DESCRIPTORS)
     ]
     matches = [
         _Match(
@@ -172,7 +172,7 @@ def _compared(
     if not reach > 0:
         return
     raw = float(scales[0][0, -1])
-    is_plr = matched_by.source == AS_SHARED
+    is_plr = matched_by.reader == AS_SHARED
     for n_points, are_shared in ((N_POINTS, True), (N_ATTACK_POINTS, False)):
         # A change of zero is raw itself, the end of both curves: skip it.
         changes = np.linspace(0.0, reach, n_points + 1)[1:]

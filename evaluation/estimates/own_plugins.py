@@ -29,7 +29,7 @@ from evaluation.estimates.strongest import (
     ranking_levels,
 )
 from evaluation.estimates.strongest_table import StrongestAttack
-from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel, parse_consumer
 from evaluation.plan.constants import IDENTITY, ORACLE
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate, estimate_from_replicates
@@ -82,28 +82,28 @@ def _attack_record(
     spec: str, *, own_attacks: Collection[str], run: RunNumbers
 ) -> dict[str, Any] | None:
     """Return the comparison of an attack or a linker; None if the run has no number."""
-    attacks = {key.source for key in run.sums if key.adversary}
-    attacks |= {key.source for key in run.own if key.metric in (PLR, RANK1)}
-    tasks = {source.task for source in attacks if source.attack_spec == spec}
+    attacks = {key.reader for key in run.sums if key.adversary}
+    attacks |= {key.reader for key in run.own if key.metric in (PLR, RANK1)}
+    tasks = {reader.task for reader in attacks if reader.attack_spec == spec}
     if not tasks:
         return None
     task = run.leading if run.leading in tasks else min(tasks)
-    in_task = [source for source in attacks if source.task == task and source.adversary]
+    in_task = [reader for reader in attacks if reader.task == task and reader.adversary]
     tested = _strongest(
-        [source for source in in_task if source.attack_spec == spec], run=run
+        [reader for reader in in_task if reader.attack_spec == spec], run=run
     )
     built_in = [
-        source
-        for source in in_task
-        if source.attack_spec not in {*own_attacks, IDENTITY}
-        and source.adversary in HEADLINE
+        reader
+        for reader in in_task
+        if reader.attack_spec not in {*own_attacks, IDENTITY}
+        and reader.adversary in HEADLINE
     ]
     rival = _strongest(built_in, run=run)
     if tested is None:
         return None
     metric = RANK1 if task else PLR
     pairs: list[tuple[Estimate | None, Estimate | None]] = []
-    for where in ranking_levels([*tested.wheres], run.families):
+    for where in ranking_levels([*tested.levels], run.families):
         own = tested.at(where, metric, run.own)
         other = rival.at(where, metric, run.own) if rival else None
         if own is not None and (other is not None or rival is None):
@@ -111,34 +111,34 @@ def _attack_record(
     return {
         "kind": LINKER if task else ATTACK,
         "plugin": spec,
-        "knowledge": tested.source.adversary,
+        "knowledge": tested.reader.adversary,
         "metric": metric,
         "task": task,
         "horizon_s": None,
-        "rival": rival.source.attack_spec if rival else "",
-        "rival_knowledge": rival.source.adversary if rival else "",
+        "rival": rival.reader.attack_spec if rival else "",
+        "rival_knowledge": rival.reader.adversary if rival else "",
         **_compared(pairs),
     }
 
 
 def _strongest(
-    sources: Collection[Address], *, run: RunNumbers
+    readers: Collection[Address], *, run: RunNumbers
 ) -> StrongestAttack | None:
     """Return the strongest of a task's attacks, cross-fitted; None without any."""
-    if not sources:
+    if not readers:
         return None
-    task = next(iter(sources)).task
+    task = next(iter(readers)).task
     metric = RANK1 if task else PLR
-    estimates = {key: known for key, known in run.own.items() if key.source in sources}
+    estimates = {key: known for key, known in run.own.items() if key.reader in readers}
     levels = by_task(estimates, metric=metric).get(task, {})
     ranking = [levels[where] for where in ranking_levels([*levels], run.families)]
     for among in (*GROUPS, (ORACLE,)):
-        if source := choose_strongest(ranking, among=among):
+        if reader := choose_strongest(ranking, among=among):
             sums = {
-                key: summed for key, summed in run.sums.items() if key.source in sources
+                key: summed for key, summed in run.sums.items() if key.reader in readers
             }
-            crossed = cross_fitted(sums, run.families, source, by=metric)
-            return StrongestAttack("", among, source, tuple(levels), crossed)
+            crossed = cross_fitted(sums, run.families, reader, by=metric)
+            return StrongestAttack("", among, reader, tuple(levels), crossed)
     return None
 
 
@@ -151,8 +151,10 @@ def _predictor_record(
         if spec not in robots:
             continue
         measure = parse_consumer(spec).measured(MISSED_FUTURE)
-        wheres = [key.where for key in estimates if key.measure == measure]
-        levels = ranking_levels(wheres, run.families)
+        mechanism_levels = [
+            key.mechanism_level for key in estimates if key.measure == measure
+        ]
+        levels = ranking_levels(mechanism_levels, run.families)
         missed: dict[str, list[Estimate | None]] = {
             robot: _at_levels(
                 estimates, parse_consumer(robot).measured(MISSED_FUTURE), levels
@@ -192,7 +194,7 @@ def _predictor_record(
 
 
 def _at_levels(
-    estimates: EstimatesByAddress, measure: Address, levels: Sequence[Where]
+    estimates: EstimatesByAddress, measure: Address, levels: Sequence[MechanismLevel]
 ) -> list[Estimate | None]:
     return [estimates.get(measure.at(*where)) for where in levels]
 
@@ -203,7 +205,9 @@ def _mechanism_records(
     """Yield a robot's misses and the leaks at each level of a user's own mechanisms."""
     horizon_s, robots = next(iter(run.later.items()), (None, run.own))
     mechanisms = {*specs}
-    levels = dict.fromkeys(key.where for key in run.own if key.mechanism in mechanisms)
+    levels = dict.fromkeys(
+        key.mechanism_level for key in run.own if key.mechanism in mechanisms
+    )
     attacks = {
         attack.mechanism: attack for attack in run.attacks if _leads(attack, task="")
     }
@@ -216,7 +220,7 @@ def _mechanism_records(
         missed = {
             key.consumer: estimate
             for key, estimate in robots.items()
-            if key.where == where
+            if key.mechanism_level == where
             and key.metric == MISSED_FUTURE
             and np.isfinite(estimate.value)
         }
@@ -239,7 +243,7 @@ def _mechanism_records(
 
 
 def _leads(attack: StrongestAttack, *, task: str) -> bool:
-    return attack.among == HEADLINE and attack.source.task == task
+    return attack.among == HEADLINE and attack.reader.task == task
 
 
 def _compared(

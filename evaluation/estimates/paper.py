@@ -11,7 +11,7 @@ from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW
 from evaluation.estimates.interpolation import MIN_DEFINED
 from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
 from evaluation.estimates.sweeps import FUTURE, MISSED, Sweeps
-from evaluation.plan.address import Address, Where, parse_dataset
+from evaluation.plan.address import Address, MechanismLevel, parse_dataset
 from evaluation.plan.presets import SHARED
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 
@@ -245,7 +245,7 @@ def _close_to_raw(sweeps: Sweeps, fixed: str) -> Iterator[_Claim]:
     for level in (0.1, 0.2):
         raw, ours = (
             sweeps.estimates.get(missed.at(*where))
-            for where in (AT_RAW, Where(fixed, level))
+            for where in (AT_RAW, MechanismLevel(fixed, level))
         )
         if raw is None or ours is None:
             continue

@@ -33,7 +33,7 @@ from evaluation.estimates.seeds import by_intervals
 from evaluation.estimates.strongest import strongest_by_task
 from evaluation.estimates.summary import linkage_estimates, scene_numbers
 from evaluation.estimates.sweeps import FUTURE, Sweeps
-from evaluation.plan.address import AS_SHARED, Address, Where
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel
 from evaluation.plan.world import World
 from evaluation.store.entries import horizons_in
 from isac_track.config import StageSettings
@@ -141,7 +141,7 @@ def run_answers(
     }
     rows = []
     for adding in ADDING_RULES:
-        strict = Where(sweeps.named(FID, adding=adding), _STRICT)
+        strict = MechanismLevel(sweeps.named(FID, adding=adding), _STRICT)
         answers = {
             **_at(sweeps.estimates, strict, best),
             **_lost_ahead(ahead, strict),
@@ -187,7 +187,7 @@ def _from_verdict(
 
 
 def _at(
-    numbers: EstimatesByAddress, where: Where, best: Mapping[str, Address]
+    numbers: EstimatesByAddress, where: MechanismLevel, best: Mapping[str, Address]
 ) -> dict[str, Estimate]:
     """Return the answers that are read at one level."""
     pairs = {}
@@ -195,7 +195,7 @@ def _at(
     if missed:
         pairs["robot_loses"] = missed.at(*where), missed.at(RAW, None)
     if "" in best:
-        attacked, shared = (source.at(*where, PLR) for source in (best[""], AS_SHARED))
+        attacked, shared = (reader.at(*where, PLR) for reader in (best[""], AS_SHARED))
         pairs["left_after_attack"] = attacked, shared
     answers = {
         name: difference(numbers[a], numbers[b])
@@ -222,7 +222,9 @@ def _ahead(out: Path, manifest: Mapping[str, Any]) -> EstimatesByAddress:
     return scene_numbers(out, manifest, world=world).estimates
 
 
-def _lost_ahead(ahead: EstimatesByAddress, where: Where) -> dict[str, Estimate]:
+def _lost_ahead(
+    ahead: EstimatesByAddress, where: MechanismLevel
+) -> dict[str, Estimate]:
     """Return how many more future conflicts the first robot misses than under raw."""
     missed = next((key.measure for key in ahead if key.metric == MISSED_FUTURE), None)
     if missed is None or not {missed.at(*where), missed.at(RAW, None)} <= ahead.keys():

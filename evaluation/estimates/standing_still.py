@@ -26,7 +26,9 @@ def beaten_by_standing_still(
     for horizon_s, at_horizon in ((None, own), *later.items()):
         robots: dict[str, list[dict[str, Any]]] = {}
         for key, missed in at_horizon.items():
-            still = at_horizon.get(parse_consumer(BASELINE).at(*key.where, MISSED_RATE))
+            still = at_horizon.get(
+                parse_consumer(BASELINE).at(*key.mechanism_level, MISSED_RATE)
+            )
             if (
                 key.metric == MISSED_RATE
                 and key.consumer != BASELINE

@@ -38,7 +38,7 @@ from evaluation.estimates.metrics import (
     RANK1_AMONG_100,
     RANK1_JOINT,
 )
-from evaluation.plan.address import AS_SHARED, Address, Where
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel
 from evaluation.plan.presets import IDENTITY
 from evaluation.store.people import in_first_half
 from isac_track.types import Bools, Floats, read_only
@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from isac_track.intervals import Estimate
 
 # Success of every attack at each level.
-SuccessByLevel: TypeAlias = "dict[Where, dict[Address, float]]"
+SuccessByLevel: TypeAlias = "dict[MechanismLevel, dict[Address, float]]"
 # Adversaries of which the strongest is the headline.
 HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
@@ -73,16 +73,16 @@ def choose_strongest(
     """
     values: dict[Address, list[float]] = {}
     for level in levels:
-        for source, value in level.items():
-            if source.adversary in among and source.consumer != IDENTITY:
-                values.setdefault(source, []).append(value)
+        for reader, value in level.items():
+            if reader.adversary in among and reader.consumer != IDENTITY:
+                values.setdefault(reader, []).append(value)
     most = max(map(len, values.values()), default=0)
     means = {
-        source: float(np.mean(successes))
-        for source, successes in values.items()
+        reader: float(np.mean(successes))
+        for reader, successes in values.items()
         if len(successes) == most
     }
-    finite = [source for source, mean in means.items() if np.isfinite(mean)]
+    finite = [reader for reader, mean in means.items() if np.isfinite(mean)]
     return max(finite, key=means.__getitem__, default=None)
 
 
@@ -102,16 +102,16 @@ def strongest_by_task(
             for name, _ in by_where
         }
         for task, by_where in levels.items():
-            if source := choose_strongest(_choosing(by_where, families, family_names)):
-                best[task] = source
+            if reader := choose_strongest(_choosing(by_where, families, family_names)):
+                best[task] = reader
     return best
 
 
 def ranking_levels(
-    wheres: Iterable[Where], families: Mapping[str, Family]
-) -> list[Where]:
+    mechanism_levels: Iterable[MechanismLevel], families: Mapping[str, Family]
+) -> list[MechanismLevel]:
     """Return the distinct levels over which a run's strongest attack is chosen."""
-    distinct = dict.fromkeys(wheres)
+    distinct = dict.fromkeys(mechanism_levels)
     family_names = {families[name].family for name, _ in distinct}
     return [
         where for where in distinct if _is_ranking_level(where, families, family_names)
@@ -126,7 +126,7 @@ def naming_rules(estimates: EstimatesByAddress) -> dict[Address, str]:
     rates: dict[Address, dict[str, list[float]]] = {}
     for key, estimate in estimates.items():
         if key.metric in NAMING_RULES and np.isfinite(estimate.value):
-            rates_of_linker = rates.setdefault(key.source, {})
+            rates_of_linker = rates.setdefault(key.reader, {})
             rates_of_linker.setdefault(key.metric, []).append(estimate.value)
     means = {
         linker: {rule: float(np.mean(values)) for rule, values in by_rule.items()}
@@ -158,7 +158,7 @@ def _choosing(
 
 
 def _is_ranking_level(
-    where: Where, families: Mapping[str, Family], family_names: Collection[str]
+    where: MechanismLevel, families: Mapping[str, Family], family_names: Collection[str]
 ) -> bool:
     """Whether the strongest is chosen at a level, in a run with some families."""
     wanted = (
@@ -205,20 +205,20 @@ def cross_fitted(
         key: summed
         for key, summed in sums.items()
         if key.adversary in among
-        and key.source.task == headline.task
+        and key.reader.task == headline.task
         and key.consumer != IDENTITY
         and np.isfinite(summed.sums).all()
     }
     family_names = {families[key.mechanism].family for key in eligible}
     is_ceiling = family_names == {CLEAN}
-    wheres = {
-        key.where
+    mechanism_levels = {
+        key.mechanism_level
         for key in eligible
-        if is_ceiling or _is_ranking_level(key.where, families, family_names)
+        if is_ceiling or _is_ranking_level(key.mechanism_level, families, family_names)
     }
     crossed = CrossFitted()
     for ranked, metrics in _CHOICES[by]:
-        if rivals := _rivals(eligible, wheres, ranked):
+        if rivals := _rivals(eligible, mechanism_levels, ranked):
             estimates, winners = _scored(eligible, rivals, headline, metrics=metrics)
             crossed.estimates.update(estimates)
             crossed.choices[ranked[0]] = winners
@@ -227,13 +227,17 @@ def cross_fitted(
 
 def _rivals(
     sums: Mapping[Address, ClusterSums],
-    wheres: Collection[Where],
+    mechanism_levels: Collection[MechanismLevel],
     ranked: Collection[str],
 ) -> dict[Address, list[ClusterSums]]:
     """Return the attacks measured at the most of some levels, and their sums there."""
     values: dict[Address, list[ClusterSums]] = {}
     for key, summed in sums.items():
-        if key.metric in ranked and key.where in wheres and summed.sums[1].any():
+        if (
+            key.metric in ranked
+            and key.mechanism_level in mechanism_levels
+            and summed.sums[1].any()
+        ):
             values.setdefault(key.measure, []).append(summed)
     most = max(map(len, values.values()), default=0)
     return {
@@ -255,10 +259,12 @@ def _scored(
     first = next(iter(rivals.values()))[0]
     keys: list[Address] = []
     scored: list[list[Floats]] = []
-    for where, metric in product(dict.fromkeys(key.where for key in sums), metrics):
+    for where, metric in product(
+        dict.fromkeys(key.mechanism_level for key in sums), metrics
+    ):
         # A linker that names all mates at once is scored by that, too.
         measures = [
-            rival if metric in NAMING_RULES else rival.source.measured(metric)
+            rival if metric in NAMING_RULES else rival.reader.measured(metric)
             for rival in rivals
         ]
         candidates = [sums.get(measure.at(*where)) for measure in measures]
@@ -302,10 +308,12 @@ def by_task(estimates: EstimatesByAddress, *, metric: str) -> dict[str, SuccessB
     ranked = NAMING_RULES if metric == RANK1 else (metric,)
     for key, estimate in estimates.items():
         if key.metric in ranked:
-            source = key.source
-            successes = values.setdefault(source.task, {}).setdefault(key.where, {})
-            successes[source] = float(
-                np.fmax(successes.get(source, np.nan), estimate.value)
+            reader = key.reader
+            successes = values.setdefault(reader.task, {}).setdefault(
+                key.mechanism_level, {}
+            )
+            successes[reader] = float(
+                np.fmax(successes.get(reader, np.nan), estimate.value)
             )
     return values
 
@@ -321,19 +329,19 @@ def strongest_by_mechanism(
         name: choose_strongest(blocks, among=among)
         for name, blocks in levels_of_mechanism.items()
     }
-    return {name: source for name, source in best.items() if source}
+    return {name: reader for name, reader in best.items() if reader}
 
 
-def most_knowing(sources: Iterable[Address]) -> list[Address]:
-    """Return the source as shared, and each attack with one of its adversaries.
+def most_knowing(readers: Iterable[Address]) -> list[Address]:
+    """Return the reader as shared, and each attack with one of its adversaries.
 
     It is the informed one, else the blind; another stands only for an attack that
     neither can run.
     """
     rank = {name: place for place, name in enumerate(("", *HEADLINE))}
     best: dict[str, Address] = {}
-    for source in sources:
-        name = "" if source == AS_SHARED else source.consumer
-        pair = best.get(name, source), source
+    for reader in readers:
+        name = "" if reader == AS_SHARED else reader.consumer
+        pair = best.get(name, reader), reader
         best[name] = max(pair, key=lambda candidate: rank.get(candidate.adversary, 0))
     return list(best.values())

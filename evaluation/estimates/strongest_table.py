@@ -29,7 +29,7 @@ from evaluation.estimates.strongest import (
     cross_fitted,
     strongest_by_mechanism,
 )
-from evaluation.plan.address import Address, Where
+from evaluation.plan.address import Address, MechanismLevel
 from evaluation.store.linkage_outcomes import ClusterSums
 from isac_track.intervals import Estimate
 
@@ -60,15 +60,15 @@ class StrongestAttack:
 
     mechanism: str
     among: tuple[str, ...]  # One of `GROUPS`.
-    source: Address  # The attack that all people together choose.
-    wheres: tuple[Where, ...]  # The mechanism's levels.
+    reader: Address  # The attack that all people together choose.
+    levels: tuple[MechanismLevel, ...]  # The mechanism's levels.
     crossed: CrossFitted  # Without estimates where sums over people are not known.
 
     def at(
-        self, where: Where, metric: str, estimates: EstimatesByAddress
+        self, where: MechanismLevel, metric: str, estimates: EstimatesByAddress
     ) -> Estimate | None:
         """Return a number at a level, cross-fitted if possible; None if unknown."""
-        key = self.source.at(*where, metric)
+        key = self.reader.at(*where, metric)
         if key in self.crossed.estimates:
             return self.crossed.estimates[key]
         keys = [key, key.measured(RANK1_JOINT)] if metric == RANK1 else [key]
@@ -92,22 +92,24 @@ def strongest_attacks(
     """
     own_sums: dict[tuple[str, str], dict[Address, ClusterSums]] = {}
     for key, summed in sums.items():
-        group = key.mechanism, key.source.task
+        group = key.mechanism, key.reader.task
         own_sums.setdefault(group, {})[key] = summed
     strongest = []
     for ranked_by in (PLR, RANK1):
         for task, levels in by_task(estimates, metric=ranked_by).items():
             for among in GROUPS:
-                for mechanism, source in strongest_by_mechanism(
+                for mechanism, reader in strongest_by_mechanism(
                     levels, among=among
                 ).items():
-                    wheres = tuple(
+                    mechanism_levels = tuple(
                         where for where in levels if where.mechanism == mechanism
                     )
                     known = own_sums.get((mechanism, task), {})
-                    crossed = cross_fitted(known, families, source, by=ranked_by)
+                    crossed = cross_fitted(known, families, reader, by=ranked_by)
                     strongest.append(
-                        StrongestAttack(mechanism, among, source, wheres, crossed)
+                        StrongestAttack(
+                            mechanism, among, reader, mechanism_levels, crossed
+                        )
                     )
     return tuple(strongest)
 
@@ -123,15 +125,15 @@ def strongest_table(
 def _rows(
     attack: StrongestAttack, estimates: EstimatesByAddress, dataset: str
 ) -> Iterable[dict[str, Any]]:
-    source, task = attack.source, attack.source.task
-    for where in attack.wheres:
+    reader, task = attack.reader, attack.reader.task
+    for where in attack.levels:
         for metric in _LINKER_METRICS if task else DESCRIPTORS:
-            number = source.at(*where, metric)
+            number = reader.at(*where, metric)
             estimate = attack.at(where, metric, estimates)
             if estimate is None or not np.isfinite(estimate.value):
                 continue
             ranked = PLR if not task else metric
-            first, second = attack.crossed.choices.get(ranked) or (source, source)
+            first, second = attack.crossed.choices.get(ranked) or (reader, reader)
             yield {
                 **in_run(number, dataset=dataset).to_columns(),
                 "task": task,

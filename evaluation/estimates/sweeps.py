@@ -22,7 +22,7 @@ from evaluation.estimates.metrics import (
     MISSED_RATE,
     PLR,
 )
-from evaluation.plan.address import AS_SHARED, Address, Where
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel
 from isac_track.intervals import Estimate
 from isac_track.types import Floats
 
@@ -141,11 +141,13 @@ class Sweeps:
         self, mechanisms: Iterable[str], *measures: Address
     ) -> tuple[int, float]:
         """Return the least clusters and effective clusters over all levels and raw."""
-        wheres = [
-            Where(name, level) for name in mechanisms for level in self.levels(name)
+        levels = [
+            MechanismLevel(name, level)
+            for name in mechanisms
+            for level in self.levels(name)
         ]
-        wheres.append(AT_RAW)
-        keys = (measure.at(*where) for where in wheres for measure in measures)
+        levels.append(AT_RAW)
+        keys = (measure.at(*where) for where in levels for measure in measures)
         known = [self.estimates[key] for key in keys if key in self.estimates]
         known = known or [Estimate(np.nan)]
         return (

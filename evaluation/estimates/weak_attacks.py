@@ -24,7 +24,7 @@ from evaluation.estimates.metrics import PLR, RANK1
 from evaluation.plan.address import (
     AS_SHARED,
     Address,
-    Where,
+    MechanismLevel,
     parse_consumer,
     plugin_name,
 )
@@ -33,7 +33,7 @@ from evaluation.plan.presets import IDENTITY
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate, difference
 from isac_track.protocols import ADVERSARIES
 
-Levels = Mapping[Where, Mapping[Address, Estimate]]
+Levels = Mapping[MechanismLevel, Mapping[Address, Estimate]]
 SIMPLER = (IDENTITY, "moving_average", "savgol", "kalman_rts")  # The simplest first.
 BEATEN, DOES_NOT_FALL, FAR = "beaten", "does_not_fall", "far_from_optimum"
 COLUMNS = [
@@ -79,7 +79,7 @@ class _Pair(NamedTuple):
     """Two estimates to compare: an attack's, and that which should not be above it."""
 
     kind: str
-    where: Where
+    mechanism_level: MechanismLevel
     attack: Address
     by: Address  # The rival that beats it; without a name if there is none.
     attack_plr: Estimate
@@ -96,10 +96,10 @@ def flags(
     number of comparisons left out by reason. `slow` are the attacks that saw only one
     release of each source track: no other attack saw the same.
     """
-    levels: dict[Where, dict[Address, Estimate]] = {}
+    levels: dict[MechanismLevel, dict[Address, Estimate]] = {}
     for key, estimate in estimates.items():
         if key.metric == PLR and key.adversary:
-            levels.setdefault(key.where, {})[key.source] = estimate
+            levels.setdefault(key.mechanism_level, {})[key.reader] = estimate
     left_out: Counter[str] = Counter()
     pairs = [*_beaten_pairs(levels, estimates, slow, left_out)]
     pairs += _falling_pairs(levels, estimates, left_out)
@@ -119,7 +119,7 @@ def flags(
         if not (gap.ci_low > _ROUNDING if kind == BEATEN else gap.ci_high > -_ROUNDING):
             continue
         interval = gap.value, gap.ci_low, gap.ci_high
-        mechanism, level = pair.where
+        mechanism, level = pair.mechanism_level
         about = (
             kind,
             mechanism,
@@ -148,7 +148,7 @@ def far_from_optimum(gaps: Sequence[ClosestAttack]) -> pd.DataFrame:
         if not gap.gap.ci_low > _LARGEST_GAP:
             continue
         interval = gap.gap.value, gap.gap.ci_low, gap.gap.ci_high
-        mechanism, level = gap.where
+        mechanism, level = gap.mechanism_level
         sentence = (
             f"{gap.attack.label} is the closest to the optimum at"
             f" {where_text(mechanism, level)} in the model world, and"

@@ -1,5 +1,12 @@
 """The plan of a run: presets, settings, axes; no module here computes anything.
 
+A plan is made in four steps (`plan.make_plan`):
+
+1. `settings.Settings` are checked, and a preset fills in what the user left out.
+2. `axes.expand_axes` turns them into plug-ins: mechanisms, and consumers by subject.
+3. `fitted_data.fit_to_data` leaves out parts for which the recording has too few people.
+4. `units.plan_units` crosses mechanisms with consumers, and gives every cell its key.
+
 The nouns of plan, pool and store:
 
 Level
@@ -8,9 +15,15 @@ Level
 Consumer
     A reader of releases: a robot's predictor, an adversary's attack or linker, or the
     plain descriptors (`consumer.Consumer`). Its kind says which of these it is.
+Axes
+    The mechanisms and consumers that a run combines (`axes.Axes`), by subject: scenes,
+    linkage tasks, patrols, tracks.
 World
     The walks, the error law and the horizon that a number belongs to; by default the
     run's own (`world.World`). A consumer belongs to a single world.
+Address
+    Where a number belongs: recording, world, mechanism, level, consumer, adversary and
+    metric (`address.Address`).
 Section
     The part of the pipeline that computes a consumer: sharing, reconstruction, patrol,
     returns, tracking, or a linkage task by its own name (`fingerprint`). It decides
@@ -20,7 +33,7 @@ Cell
     part of a run that is finished, fails or is stored by itself.
 Unit
     The cells of one level, section and world, in one block of scenes or one task
-    (`plan.Unit`). They share a key; each consumer adds a key of its own.
+    (`units.Unit`). They share a key; each consumer adds a key of its own.
 Work
     What a worker computes at a time: missing cells that share their scenes, people or
     patrols (`evaluation.compute.work`). It may have the cells of several units.

@@ -27,7 +27,7 @@ _LABEL: Final = re.compile(
 )
 
 
-class Where(NamedTuple):
+class MechanismLevel(NamedTuple):
     """A mechanism at a level: what the numbers of a row of a table have in common."""
 
     mechanism: str  # SPEC without the level.
@@ -51,6 +51,17 @@ class Address(_CachedHash):
     """Where a number of a study belongs; a part that is not needed is left out.
 
     All numbers of a table or a mapping may share a part: then it is left out there.
+
+    Examples
+    --------
+    Rank 1 of a linker with FID noise, from the columns `consumer` and `knowledge`:
+
+    >>> linker = parse_consumer("rerelease/dtw@kalman_rts", "blind")
+    >>> linker.task, linker.plugin, linker.reconstruction
+    ('rerelease', 'dtw', 'kalman_rts')
+    >>> number = linker.at("fid", 1.0, "rank1")
+    >>> number.label, number.level, number.metric
+    ('rerelease/dtw@kalman_rts (blind)', 1.0, 'rank1')
     """
 
     recording: str = ""  # Name of the data set.
@@ -131,9 +142,9 @@ class Address(_CachedHash):
         return f"{label}, {self.world.text}" if self.world else label
 
     @property
-    def where(self) -> Where:
+    def mechanism_level(self) -> MechanismLevel:
         """Mechanism and level."""
-        return Where(self.mechanism, self.level)
+        return MechanismLevel(self.mechanism, self.level)
 
     @property
     def measure(self) -> Address:
@@ -143,7 +154,7 @@ class Address(_CachedHash):
         )
 
     @property
-    def source(self) -> Address:
+    def reader(self) -> Address:
         """The reader of a release alone: consumer and adversary, no level, no metric."""
         return _measure(self.task, self.plugin, self.reconstruction, self.adversary, "")
 
@@ -341,7 +352,7 @@ def parse_row(row: Mapping[Any, Any]) -> Address:
     """
     level = row.get("level")
     dataset = parse_dataset(_text(row, "dataset"))
-    source = parse_consumer(_text(row, "consumer"), _text(row, "knowledge"))
+    reader = parse_consumer(_text(row, "consumer"), _text(row, "knowledge"))
     return Address(
         recording=dataset.recording,
         world=parse_world(_text(row, "world")) or dataset.world,
@@ -349,10 +360,10 @@ def parse_row(row: Mapping[Any, Any]) -> Address:
         level=None if level is None or math.isnan(level) else float(level),
         adding=_text(row, "adding"),
         policy=_text(row, "policy"),
-        task=source.task,
-        plugin=source.plugin,
-        reconstruction=source.reconstruction,
-        adversary=source.adversary,
+        task=reader.task,
+        plugin=reader.plugin,
+        reconstruction=reader.reconstruction,
+        adversary=reader.adversary,
         metric=_text(row, "metric"),
     )
 

@@ -13,6 +13,8 @@ from isac_track.types import Knowledge
 FUSION: Final = "fusion"  # Of all linkers of people who come back.
 LOG: Final = "log"  # Consumer of the answers that a fleet of robots was given.
 TRACKER: Final = "tracker"  # Consumer of tracks: how well they are associated.
+ORACLE_TRACKER: Final = "oracle"
+"""Tracker that knows who is behind each detection."""
 PATROL_KINDS: Final = ("patrol", "log")
 """Kinds of consumer that read answers of a policy."""
 TRACK_KINDS: Final = ("tracks", "tracked", "track_log", "track_link")

@@ -7,10 +7,7 @@ import json
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Final
 
-from evaluation.plan.origins import is_user_plugin
-
 if TYPE_CHECKING:
-    from evaluation.plan.axes import Axes
     from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
@@ -57,48 +54,6 @@ def key_modules(section: str, *plugins: Plugin) -> tuple[str, ...]:
     """Return the root modules whose source, with all it imports, a key covers."""
     modules = _SECTIONS.get(section, _LINKAGE) if section else ()
     return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
-
-
-def has_user_plugins(run_axes: Axes) -> bool:
-    """Whether the axes have a user's plug-in: it may end its process, or spoil it."""
-    consumers = (
-        *run_axes.consumers,
-        *run_axes.patrol_consumers(),
-        *run_axes.track_consumers(),
-        *(link for _, link in run_axes.links),
-    )
-    used = (plugin for consumer in consumers for plugin in consumer.plugins)
-    return any(map(is_user_plugin, (*run_axes.mechanisms, *used)))
-
-
-def list_user_plugins(run_axes: Axes) -> dict[str, list[str]]:
-    """Return the user's plug-ins by axis, by their names in the columns of the results.
-
-    Axes without any are left out. Mechanisms have names without the level. A linker
-    behind a reconstruction counts as soon as either is a user's.
-    """
-    links = dict.fromkeys(link for _, link in run_axes.links)
-    user_specs = {
-        "mechanisms": [
-            plugin.name for plugin in filter(is_user_plugin, run_axes.mechanisms)
-        ],
-        "predictors": [
-            plugin.spec for plugin in filter(is_user_plugin, run_axes.predictors)
-        ],
-        "policies": [
-            plugin.spec for plugin in filter(is_user_plugin, run_axes.policies)
-        ],
-        "trackers": [
-            plugin.name for plugin in filter(is_user_plugin, run_axes.track_releases)
-        ],
-        "attacks": [plugin.spec for plugin in filter(is_user_plugin, run_axes.attacks)],
-    }
-    user_specs["attacks"] += [
-        link.spec for link in links if any(map(is_user_plugin, link.plugins))
-    ]
-    return {
-        axis: [*dict.fromkeys(specs)] for axis, specs in user_specs.items() if specs
-    }
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:

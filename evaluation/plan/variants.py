@@ -195,9 +195,9 @@ def variant_settings(
     """
     run_settings, identity = manifest["settings"], manifest["identity"]
     stages = StageSettings().changed(run_settings["stages"]).changed(variant.stages)
-    source, reading = _recording(variant, manifest)
+    recording, reading = _recording(variant, manifest)
     # No download: a missing data set fails, and the message says how to get it.
-    dataset = datasets.load(source, download=False, **reading)
+    dataset = datasets.load(recording, download=False, **reading)
     if not variant.recording and dataset.sha256 != manifest["dataset"]["sha256"]:
         raise DataError(
             f"{dataset.path} is no longer the recording that was run; run it again"
@@ -214,7 +214,7 @@ def variant_settings(
     ]
     settings = Settings(
         preset=run_settings["preset"],
-        dataset=source,
+        dataset=recording,
         **reading,
         scenes=scenes if scenes is not None or is_usual else run_settings["scenes"],
         seed=run_settings["seed"],

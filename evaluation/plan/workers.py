@@ -16,15 +16,15 @@ WORTH_WORKERS_LINKED: Final = 400
 
 def most_workers(run_axes: Axes, settings: Settings) -> int:
     """Return the number of workers that a run has work for, finished or not."""
-    n_scenes = 0 if run_axes.why_no_scenes else settings.n_all_scenes
+    scenes, linkage = run_axes.scenes, run_axes.linkage
+    n_scenes = 0 if scenes.why_left_out else settings.n_all_scenes
     n_blocks = -(-n_scenes // BLOCK_SCENES)
-    worlds = [run_axes.mechanisms, *run_axes.mechanisms_by_world.values()]
+    worlds = [run_axes.mechanisms, *scenes.mechanisms_by_world.values()]
     n_levels = sum(len(levels) for levels in worlds)
-    n_linked = len(run_axes.linked_mechanisms) + sum(
-        len(levels) for levels in run_axes.linked_mechanisms_by_world.values()
-    )
-    n_tasks = len(run_axes.tasks) + len(run_axes.return_consumers)
-    n_patrols = len(run_axes.patrol_mechanisms) + len(run_axes.track_mechanisms)
+    linked_worlds = [linkage.mechanisms, *linkage.mechanisms_by_world.values()]
+    n_linked = sum(len(levels) for levels in linked_worlds)
+    n_tasks = len(linkage.tasks) + len(linkage.return_consumers)
+    n_patrols = len(run_axes.patrols.mechanisms) + len(run_axes.tracks.mechanisms)
     return max(n_blocks * n_levels + n_tasks * n_linked + n_patrols, 1)
 
 
@@ -33,7 +33,9 @@ def choose_jobs(run_axes: Axes, settings: Settings) -> int:
     if settings.jobs is not None:
         return min(settings.jobs, max(most_workers(run_axes, settings), 2))
     n_levels = len(run_axes.mechanisms)
-    n_linkers = sum(len(run_axes.task_consumers(task)) - 1 for task in run_axes.tasks)
+    linkage = run_axes.linkage
+    # Without the descriptors of windows, which every task has.
+    n_linkers = len(linkage.all_consumers) - len(linkage.tasks)
     if (
         settings.n_all_scenes * n_levels < WORTH_WORKERS
         and n_levels * n_linkers < WORTH_WORKERS_LINKED

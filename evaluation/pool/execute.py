@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from evaluation.compute.loops import GAIN, prepare_loop
-from evaluation.plan.plan import Plan, Unit
+from evaluation.plan.plan import Plan
+from evaluation.plan.units import Unit
 from evaluation.plan.world import OWN_WORLD, World
 from evaluation.pool import pieces
 from evaluation.pool.missing_cells import ComputedCells, compute_missing
@@ -69,7 +70,7 @@ def execute(
     failed = _note_computed(computed, plan, manifest)
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
-    if may_be_shown and not plan.axes.why_no_scenes:
+    if may_be_shown and not plan.axes.scenes.why_left_out:
         failed_names = {entry.spec for entry in failed}
         failed_names |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = compute_sample_tracks(

@@ -17,8 +17,9 @@ from evaluation.compute.loops import (
 )
 from evaluation.compute.work import FinishedCell, Work
 from evaluation.plan.address import parse_label
-from evaluation.plan.fingerprint import has_user_plugins
-from evaluation.plan.plan import Plan, Unit
+from evaluation.plan.plan import Plan
+from evaluation.plan.units import Unit
+from evaluation.plan.user_plugins import has_user_plugins
 from evaluation.pool.failures import FailedCell, Failures
 from evaluation.pool.packing import (
     FileCollector,

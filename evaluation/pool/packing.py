@@ -14,7 +14,7 @@ from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
     from evaluation.compute.work import Work
-    from evaluation.plan.plan import Unit
+    from evaluation.plan.units import Unit
 
 WorkResult: TypeAlias = "WholeFile | HeldCell | FinishedCell | Failure"
 

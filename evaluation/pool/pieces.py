@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from collections import deque
 
     from evaluation.plan.consumer import Consumer
-    from evaluation.plan.plan import Plan, Unit
+    from evaluation.plan.plan import Plan
+    from evaluation.plan.units import Unit
     from isac_track.plugins import Plugin
     from isac_track.types import Ints
 
@@ -148,7 +149,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
 def _scene_orders(plan: Plan) -> dict[World, Ints]:
     """Return the tracks of every scene, (S, A) rows, by world."""
     settings = plan.settings
-    if plan.axes.why_no_scenes:
+    if plan.axes.scenes.why_left_out:
         return {}
 
     def order(n_tracks: int) -> Ints:
@@ -171,7 +172,7 @@ def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     walked = [(windows, OWN_WORLD) for windows in plan.task_windows]
     walked += [
         (windows, world)
-        for world in plan.axes.linked_mechanisms_by_world
+        for world in plan.axes.linkage.mechanisms_by_world
         for windows in plan.model_task_windows
     ]
     links = []

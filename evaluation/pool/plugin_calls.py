@@ -18,9 +18,10 @@ from evaluation.compute.plugin_call import (
 )
 from evaluation.compute.sharing import declared_knowledge
 from evaluation.plan.consumer import Consumer
-from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.origins import is_user_plugin
-from evaluation.plan.plan import Plan, Unit
+from evaluation.plan.plan import Plan
+from evaluation.plan.units import Unit
+from evaluation.plan.user_plugins import has_user_plugins
 from evaluation.pool.pieces import unfinished
 from evaluation.pool.workers import spread
 from evaluation.store.files import PLUGIN_ERROR, write_whole

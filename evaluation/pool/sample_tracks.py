@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.sample_tracks import sample_mechanisms, sample_rows
-from evaluation.plan.fingerprint import has_user_plugins
 from evaluation.plan.plan import Plan
+from evaluation.plan.user_plugins import has_user_plugins
 from evaluation.pool.workers import spread
 from evaluation.store.cell_files import rename_people
 from evaluation.store.sample_tracks import save_sample_tracks
@@ -29,7 +29,9 @@ def compute_sample_tracks(
     compute = partial(
         _sample_part,
         tracks=plan.scene_tracks,
-        attacks=[plugin for plugin in axes.attacks if plugin.spec not in failed_names],
+        attacks=[
+            plugin for plugin in axes.scenes.attacks if plugin.spec not in failed_names
+        ],
         stages=plan.settings.stages,
         seed=plan.settings.seed,
     )

@@ -95,13 +95,13 @@ def plan_lines(plan: Plan) -> Iterator[str]:
         f"{len(plan.scene_tracks)} of {len(plan.dataset.tracks)} tracks used,"
         f" {scenes_text(plan.identity)}"
     )
-    if plan.axes.why_no_scenes and plan.passages is not None:
+    if plan.axes.scenes.why_left_out and plan.passages is not None:
         size = f"{len(plan.passages)} of {len(plan.dataset.tracks)} passages used"
     yield (
         f"{plan.dataset.name}: {size}; {plan.n_cells} cells{so_far},"
         f" in {short_path(plan.out)}"
     )
-    slow = [consumer for consumer in plan.axes.consumers if consumer.is_slow]
+    slow = [consumer for consumer in plan.axes.scenes.consumers if consumer.is_slow]
     n_levels = len(plan.axes.mechanisms)
     slow_attacks: list[SlowAttack] = []
     for spec in dict.fromkeys(consumer.spec for consumer in slow):

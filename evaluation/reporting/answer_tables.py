@@ -221,14 +221,14 @@ def _frontier_head(row: Mapping[str, Any]) -> str:
     """Return the head of the column in which a row of the frontier stands."""
     if row["metric"] == ROBOT_PLR:
         return METRICS[ROBOT_PLR].head
-    source = parse_consumer(row["consumer"], row["knowledge"])
-    if source == AS_SHARED:
+    reader = parse_consumer(row["consumer"], row["knowledge"])
+    if reader == AS_SHARED:
         state = "shared"
-    elif source.adversary in HEADLINE:
+    elif reader.adversary in HEADLINE:
         state = "attacked"
     else:
-        state = f"after {source.adversary}"
-    return f"{source.task or METRICS[row['metric']].head}, {state}"
+        state = f"after {reader.adversary}"
+    return f"{reader.task or METRICS[row['metric']].head}, {state}"
 
 
 def price_text(priced: pd.DataFrame) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from evaluation.estimates.families import AT_RAW, CLEAN, PAPER_FAMILIES, RAW
 from evaluation.estimates.metrics import DESCRIPTORS
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -134,20 +134,20 @@ def _returning_answers(run: Results) -> tuple[Answer, ...]:
     return (Answer(QUESTION, TOPIC, sentence, return_details(run)),)
 
 
-def reference_level(table: Headline) -> Where:
+def reference_level(table: Headline) -> MechanismLevel:
     """Return the level of the answers: strictest FID, else the costliest, else raw."""
-    wheres = [
-        where for where in table.wheres if table.families[where.mechanism].is_added
+    levels = [
+        where for where in table.levels if table.families[where.mechanism].is_added
     ]
-    if named := [where for where in MAIN_LEVELS if where in wheres]:
+    if named := [where for where in MAIN_LEVELS if where in levels]:
         return named[0]
     costs = {
-        where: cost.value if (cost := table.cost(where)) else -1.0 for where in wheres
+        where: cost.value if (cost := table.cost(where)) else -1.0 for where in levels
     }
     if costs:
         return max(costs, key=costs.__getitem__)
-    raw = [where for where in table.wheres if where.mechanism == RAW]
-    return next(iter([*raw, *table.wheres]), AT_RAW)
+    raw = [where for where in table.levels if where.mechanism == RAW]
+    return next(iter([*raw, *table.levels]), AT_RAW)
 
 
 def best_robot(run: Results) -> str:
@@ -168,7 +168,7 @@ def lead_robot(table: Headline, *, best: str = "") -> HeadlineColumn | None:
 
 def _robot_sentence(
     table: Headline,
-    where: Where,
+    where: MechanismLevel,
     robot: HeadlineColumn | None,
     losing: Sequence[LosingRobot],
     *,
@@ -216,7 +216,7 @@ def losing_robots(
 
 
 def _robot_details(
-    table: Headline, where: Where, robot: HeadlineColumn | None
+    table: Headline, where: MechanismLevel, robot: HeadlineColumn | None
 ) -> tuple[str, ...]:
     """Return what the other robots miss, each at both horizons."""
     sentences = []
@@ -233,7 +233,7 @@ def _robot_details(
     return tuple(sentences)
 
 
-def _leak_sentence(table: Headline, where: Where, *, start: str) -> str:
+def _leak_sentence(table: Headline, where: MechanismLevel, *, start: str) -> str:
     """Return how many positions are known as sent and after an attack."""
     shared = table.at(where, table.shared)
     if shared is None:
@@ -249,15 +249,15 @@ def _leak_sentence(table: Headline, where: Where, *, start: str) -> str:
     return " ".join([f"{known}, {percent(attacked)} after an attack.", *other])
 
 
-def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
+def _leak_details(table: Headline, where: MechanismLevel) -> tuple[str, ...]:
     """Return the name of the attack, and the numbers under other assumptions."""
     column = table.attacked
     if column is None or table.at(where, column) is None:
         return ()
     family = table.families.get(where.mechanism)
     is_headline = family is None or family.family in (*PAPER_FAMILIES, CLEAN)
-    source = column.measure.source
-    attack = f"the {attack_name(source.consumer)} ({source.label})"
+    reader = column.measure.reader
+    attack = f"the {attack_name(reader.consumer)} ({reader.label})"
     if not is_headline:
         attack = "the strongest against this mechanism"
     sentences = [f"The attack is {attack}. A stronger attack may know more."]
@@ -275,30 +275,30 @@ def _leak_details(table: Headline, where: Where) -> tuple[str, ...]:
     return tuple(sentences)
 
 
-def _links_sentence(table: Headline, where: Where, *, start: str) -> str:
+def _links_sentence(table: Headline, where: MechanismLevel, *, start: str) -> str:
     """Return the share of re-identified people in the first two tasks of the table."""
     numbers = _linked_numbers(table, where)[:2]
     if not numbers:
         return "Not tested: the run has no linkage task with a linkage attack."
     (lead, rank1), *further = numbers
-    phrase = task_phrase(lead.measure.source.task)
+    phrase = task_phrase(lead.measure.reader.task)
     sentence = f"{start}{phrase} {percent(rank1)} of people are re-identified"
     for column, share in further:
-        phrase = task_phrase(column.measure.source.task).removesuffix(" of silence")
+        phrase = task_phrase(column.measure.reader.task).removesuffix(" of silence")
         sentence += f", {phrase} {bare_percent(share)}"
     other = _other_rule(table, where, [column for column, _ in numbers])
     return " ".join([sentence_case(f"{sentence}."), *other])
 
 
-def _links_details(table: Headline, where: Where) -> tuple[str, ...]:
+def _links_details(table: Headline, where: MechanismLevel) -> tuple[str, ...]:
     """Return each task with its attack, its chance and the size of its gallery."""
     sentences = []
     for column, rank1 in _linked_numbers(table, where):
-        source = column.measure.source
-        phrase = sentence_case(task_phrase(source.task))
+        reader = column.measure.reader
+        phrase = sentence_case(task_phrase(reader.task))
         joint = " It matches all people at once." if column.is_joint else ""
         sentences.append(
-            f"{phrase}, the strongest attack is {source.without_task.label} with"
+            f"{phrase}, the strongest attack is {reader.without_task.label} with"
             f" {percent(rank1)}.{joint}"
         )
         if math.isfinite(column.candidates):
@@ -310,7 +310,7 @@ def _links_details(table: Headline, where: Where) -> tuple[str, ...]:
 
 
 def _linked_numbers(
-    table: Headline, where: Where
+    table: Headline, where: MechanismLevel
 ) -> list[tuple[HeadlineColumn, Estimate]]:
     """Return the columns of linkage tasks that have a number at a level, with it."""
     numbers = [(column, table.at(where, column)) for column in table.linked]
@@ -399,7 +399,7 @@ def people_needed(n: float) -> str:
 
 
 def _descriptors_details(
-    items: Sequence[Mapping[str, Any]], table: Headline, where: Where
+    items: Sequence[Mapping[str, Any]], table: Headline, where: MechanismLevel
 ) -> tuple[str, ...]:
     """Return the source of the answer, its evidence, and the count of all decisions."""
     own = _descriptor_items(items)
@@ -426,14 +426,14 @@ def _descriptors_details(
     return tuple(sentences)
 
 
-def _raw_beside(table: Headline, where: Where, column: HeadlineColumn) -> str:
+def _raw_beside(table: Headline, where: MechanismLevel, column: HeadlineColumn) -> str:
     """Return the number of raw positions in brackets; empty at raw itself."""
     raw = table.at(AT_RAW, column) if where.mechanism != RAW else None
     return f" (raw positions: {bare_percent(raw)})" if raw else ""
 
 
 def _other_rule(
-    table: Headline, where: Where, columns: Sequence[HeadlineColumn]
+    table: Headline, where: MechanismLevel, columns: Sequence[HeadlineColumn]
 ) -> list[str]:
     """Return a sentence on the other adding rule, if any number clearly differs there.
 
@@ -447,7 +447,7 @@ def _other_rule(
         pairs = [
             (
                 table.at(where, column),
-                table.at(Where(twin.mechanism, where.level), column),
+                table.at(MechanismLevel(twin.mechanism, where.level), column),
             )
             for column in columns
         ]

@@ -12,7 +12,7 @@ from evaluation.estimates.metrics import (
     RANK1,
     RANK1_GAP,
 )
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.plan.world import World
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import PERCENT
@@ -46,7 +46,7 @@ def world_error_law(world: World, run: Results) -> str:
 def bound_table(run: Results) -> Table:
     """Return the gap between the closest attack and the optimum of each model world."""
     ceilings = {
-        key.where: make.estimate_cell(PLR, ceiling)
+        key.mechanism_level: make.estimate_cell(PLR, ceiling)
         for key, ceiling in estimates(
             run.ours[run.ours["metric"] == PLR_CEILING]
         ).items()
@@ -54,7 +54,7 @@ def bound_table(run: Results) -> Table:
 
     def recorded(row: Mapping[str, Any]) -> Cell:
         has_own_law = not row["world"].law
-        return ceilings.get(row["where"], Cell()) if has_own_law else Cell()
+        return ceilings.get(row["mechanism_level"], Cell()) if has_own_law else Cell()
 
     columns = [
         make.text_column("error law", lambda row: world_error_law(row["world"], run)),
@@ -97,7 +97,7 @@ def _table(
     records = []
     for gap in run.headline.gaps:
         if bool(gap.attack.task) == links:
-            mechanism, level = gap.where
+            mechanism, level = gap.mechanism_level
             records.append(gap._asdict() | {"mechanism": mechanism, "level": level})
     return make.build_table(
         "bounds-linked" if links else "bounds",
@@ -110,12 +110,14 @@ def _table(
     )
 
 
-def gap_text(known: Sequence[ClosestAttack], where: Where, task: str = "") -> str:
+def gap_text(
+    known: Sequence[ClosestAttack], where: MechanismLevel, task: str = ""
+) -> str:
     """Return how far the attacks on a level are from the optimum; empty if unknown."""
     lacks = [
         f"{'' if gap.is_exact else 'at most '}{max(PERCENT * gap.gap.value, 0.0):.1f}"
         for gap in known
-        if gap.where == where and gap.attack.task == task
+        if gap.mechanism_level == where and gap.attack.task == task
     ]
     if not lacks:
         return ""

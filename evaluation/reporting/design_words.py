@@ -141,7 +141,7 @@ def to_json(answer: DesignAnswer) -> dict[str, Any]:
 def _offer(offer: Offer, answer: DesignAnswer) -> dict[str, Any]:
     """Return a level as plain values."""
     advice = answer.recommendation
-    mechanism, level = offer.where
+    mechanism, level = offer.mechanism_level
     return {
         "mechanism": mechanism,
         "level": level,
@@ -165,8 +165,8 @@ def _side(side: AttackNumbers, limit: float | None = None) -> dict[str, Any]:
     """Return the positions that an adversary knows as plain values."""
     values: dict[str, Any] = {
         "adversary": side.adversary or None,
-        "attack": side.source.consumer if side.source else None,
-        "knowledge": side.source.adversary if side.source else None,
+        "attack": side.reader.consumer if side.reader else None,
+        "knowledge": side.reader.adversary if side.reader else None,
     }
     if limit is not None:
         values["breaks"] = side.breaks(limit)
@@ -177,8 +177,8 @@ def _linked(linked: TaskLinkage) -> dict[str, Any]:
     """Return the linkage of a task as plain values."""
     return {
         "task": linked.task,
-        "attack": linked.source.attack_spec if linked.source else None,
-        "knowledge": linked.source.adversary if linked.source else None,
+        "attack": linked.reader.attack_spec if linked.reader else None,
+        "knowledge": linked.reader.adversary if linked.reader else None,
         "metric": linked.metric,
         "rank1": _number(linked.rank1),
         "chance": _finite(linked.chance),
@@ -212,7 +212,7 @@ def _nearest_levels(offers: Iterable[Offer]) -> list[Offer]:
     """Return the nearest level of every mechanism."""
     nearest: dict[str, Offer] = {}
     for offer in offers:
-        nearest.setdefault(offer.where.mechanism, offer)
+        nearest.setdefault(offer.mechanism_level.mechanism, offer)
     return list(nearest.values())
 
 
@@ -306,7 +306,7 @@ def _level_lines(
         side = _limited_side(offer, advice)
         linked = offer.linked.share if offer.linked else None
         numbers = [offer.cost, side.value(PLR), side.value(PLR_WIDE), linked]
-        name = short_mechanism_name(offer.family, offer.where.level)
+        name = short_mechanism_name(offer.family, offer.mechanism_level.level)
         rows.append([shorten_name(name, room=_NAME_WIDTH), *map(percent_cell, numbers)])
     how = "as sent" if advice.question.as_shared else "attacked"
     groups = [
@@ -322,7 +322,7 @@ def _level_lines(
 
 def _limited_side(offer: Offer, advice: Recommendation) -> AttackNumbers:
     """Return the positions under limits: as sent, or after the strongest attack."""
-    if advice.question.as_shared or offer.attacked.source is None:
+    if advice.question.as_shared or offer.attacked.reader is None:
         return offer.shared
     return offer.attacked
 
@@ -390,7 +390,7 @@ def answer_table(advice: Recommendation) -> Table:
     columns = [
         make.text_column(
             "what is shared",
-            lambda offer: mechanism_name(offer.family, offer.where.level),
+            lambda offer: mechanism_name(offer.family, offer.mechanism_level.level),
         ),
         Column(
             "missed",
@@ -420,7 +420,7 @@ def answer_table(advice: Recommendation) -> Table:
 
 def _position_cell(metric: str, offer: Offer) -> Cell:
     """Return a number of the positions after the attack, or as sent without any."""
-    side = offer.attacked if offer.attacked.source else offer.shared
+    side = offer.attacked if offer.attacked.reader else offer.shared
     return make.estimate_cell(metric, side.value(metric))
 
 

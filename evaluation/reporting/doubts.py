@@ -41,7 +41,7 @@ def _untried_proposal(run: Results) -> list[str]:
     """Return that no further adversary was tried on the proposal."""
     proposals = run.recommendation().proposals[:1]
     is_untried = any(
-        all(side.source is None for side in offer.beyond) for offer in proposals
+        all(side.reader is None for side in offer.beyond) for offer in proposals
     )
     return ["the proposal was tried against one release only"] if is_untried else []
 
@@ -57,7 +57,7 @@ def _missing_intervals(run: Results) -> list[str]:
     """Return which numbers have no interval at any level."""
     table, subjects = run.headline, dict[str, None]()  # A set that keeps its order.
     for column in table.columns:
-        numbers = [table.at(where, column) for where in table.wheres]
+        numbers = [table.at(where, column) for where in table.levels]
         finite = [number for number in numbers if number is not None]
         if finite and not any(math.isfinite(number.ci_low) for number in finite):
             subjects[column.subject] = None

@@ -55,7 +55,7 @@ def load(out: Path | str) -> Results:
     values = map(_Value, rows["value"])
     estimates: Any = dict(zip(row_addresses(rows), values, strict=True))
     best = strongest_by_task(estimates, results.families)
-    attacks = {task: source.without_task for task, source in best.items()}
+    attacks = {task: reader.without_task for task, reader in best.items()}
     return replace(results, strongest=attacks, make_first_table=_first_table)
 
 

@@ -9,7 +9,7 @@ from functools import partial
 from typing import Any, Final, NamedTuple
 
 from evaluation.estimates.families import CLEAN
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import (
     PERCENT,
@@ -233,14 +233,14 @@ class ScreenTable:
     table: Headline
     groups: Sequence[Group]
     columns: Sequence[HeadlineColumn]  # Of all groups.
-    named: Sequence[Where]  # Levels that come first.
+    named: Sequence[MechanismLevel]  # Levels that come first.
 
-    def levels(self, *, most: int, has_clean: bool = True) -> list[Where]:
+    def levels(self, *, most: int, has_clean: bool = True) -> list[MechanismLevel]:
         """Return at most `most` levels that have a number in any column."""
         table = self.table
         numbered = [
             where
-            for where in table.wheres
+            for where in table.levels
             if any(table.at(where, column) for column in self.columns)
         ]
         if not has_clean:
@@ -250,7 +250,7 @@ class ScreenTable:
             ]
         return screen_levels(table, numbered, most=most, named=self.named)
 
-    def row(self, where: Where) -> list[str]:
+    def row(self, where: MechanismLevel) -> list[str]:
         """Return the texts of a level: its name, then a share in each column."""
         name = shorten_name(self.table.short_name(where), room=_LABEL_WIDTH)
         shares = [self.table.at(where, column) for column in self.columns]
@@ -258,7 +258,10 @@ class ScreenTable:
 
 
 def _make_screen_table(
-    table: Headline, robot: HeadlineColumn | None, *, named: Sequence[Where] = ()
+    table: Headline,
+    robot: HeadlineColumn | None,
+    *,
+    named: Sequence[MechanismLevel] = (),
 ) -> ScreenTable:
     """Return the table of a screen with a robot; the level of the answers has a row."""
     pairs = screen_columns(table, robot)
@@ -332,19 +335,23 @@ def short_table(table: Headline) -> Table:
     return make.build_table("screen", "", levels, [names, *cells])
 
 
-def _short_cell(table: Headline, column: HeadlineColumn, where: Where) -> make.Cell:
+def _short_cell(
+    table: Headline, column: HeadlineColumn, where: MechanismLevel
+) -> make.Cell:
     """Return a share with half of its interval as a cell of text."""
     return make.text_cell(percent_cell(table.at(where, column)))
 
 
 def _mean_missed(table: Headline, robot: HeadlineColumn) -> float:
     """Return the mean missed rate of a robot over all levels; infinite if unknown."""
-    missed = [table.at(where, robot) for where in table.wheres]
+    missed = [table.at(where, robot) for where in table.levels]
     values = [rate.value for rate in missed if rate is not None]
     return sum(values) / len(values) if values else math.inf
 
 
-def _estimated(table: Headline, column: HeadlineColumn, where: Where) -> make.Cell:
+def _estimated(
+    table: Headline, column: HeadlineColumn, where: MechanismLevel
+) -> make.Cell:
     """Return the cell of a level in a column, with its interval."""
     return make.estimate_cell(column.measure.metric, table.at(where, column))
 
@@ -385,8 +392,12 @@ def screen_columns(
 
 
 def screen_levels(
-    table: Headline, known: Sequence[Where], *, most: int, named: Sequence[Where]
-) -> list[Where]:
+    table: Headline,
+    known: Sequence[MechanismLevel],
+    *,
+    most: int,
+    named: Sequence[MechanismLevel],
+) -> list[MechanismLevel]:
     """Return at most `most` levels, in the order of the run.
 
     Raw positions and the `named` levels come first. Then follow one level of each
@@ -395,7 +406,7 @@ def screen_levels(
     under the other adding rule.
     """
     without_level = [where for where in known if where.level is None]
-    lead: dict[str, Where] = {}
+    lead: dict[str, MechanismLevel] = {}
     for where in known:
         if (table.families[where.mechanism].name, where.level) in MAIN_LEVELS:
             lead.setdefault(where.mechanism, where)
@@ -408,9 +419,11 @@ def screen_levels(
     return sorted(wanted[:most], key=lambda where: _order(table, where))
 
 
-def _repeated_noises(table: Headline, levels: Sequence[Where]) -> set[Where]:
+def _repeated_noises(
+    table: Headline, levels: Sequence[MechanismLevel]
+) -> set[MechanismLevel]:
     """Return the levels whose noise stands before them under the other adding rule."""
-    noises, repeated = set[tuple[str, float | None]](), set[Where]()
+    noises, repeated = set[tuple[str, float | None]](), set[MechanismLevel]()
     for where in levels:
         noise = table.families[where.mechanism].name, where.level
         if noise in noises:
@@ -419,7 +432,7 @@ def _repeated_noises(table: Headline, levels: Sequence[Where]) -> set[Where]:
     return repeated
 
 
-def _order(table: Headline, where: Where) -> tuple[int, str, float, str]:
+def _order(table: Headline, where: MechanismLevel) -> tuple[int, str, float, str]:
     """Return the sort key of a level: families as in the run, both rules together."""
     families = list(dict.fromkeys(family.family for family in table.families.values()))
     family = table.families[where.mechanism]

@@ -36,7 +36,7 @@ from evaluation.estimates.strongest import (
 )
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.estimates.worst_off import LEAST_PEOPLE, LEAST_RELEASES
-from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel, parse_consumer
 from evaluation.plan.presets import BASELINE
 from evaluation.plan.world import OTHER_LAW_WORLD, OWN_WORLD, World
 from evaluation.reporting import table as make
@@ -121,7 +121,8 @@ class Headline:
     attacked: HeadlineColumn | None  # After the strongest reconstruction.
     worst: HeadlineColumn | None  # The same of the most exposed tenth of the people.
     linked: Sequence[HeadlineColumn]  # By the strongest linker of each task.
-    wheres: Sequence[Where]  # All levels of the run: clean positions come last.
+    # All levels of the run: clean positions come last.
+    levels: Sequence[MechanismLevel]
     epsilon_m: float  # A position that is closer to the truth is known.
     horizon_s: float | None = None  # The longest further horizon of the run.
     # Numbers at that horizon.
@@ -156,11 +157,11 @@ class Headline:
         return [
             column
             for column in columns
-            if any(self.at(where, column) for where in self.wheres)
+            if any(self.at(where, column) for where in self.levels)
         ]
 
     def at(
-        self, where: Where, column: HeadlineColumn, *, other_law: bool = False
+        self, where: MechanismLevel, column: HeadlineColumn, *, other_law: bool = False
     ) -> Estimate | None:
         """Return the number of a column at a level; None if it is unknown."""
         numbers = self.numbers
@@ -173,20 +174,20 @@ class Headline:
             return None
         return estimate
 
-    def cost(self, where: Where) -> Estimate | None:
+    def cost(self, where: MechanismLevel) -> Estimate | None:
         """Return the first robot's missed conflicts at a level; None if unknown."""
         return self.at(where, self.robots[0]) if self.robots else None
 
-    def name(self, where: Where) -> str:
+    def name(self, where: MechanismLevel) -> str:
         """Return the plain name of a level."""
         return mechanism_name(find_family(self.families, where.mechanism), where.level)
 
-    def short_name(self, where: Where) -> str:
+    def short_name(self, where: MechanismLevel) -> str:
         """Return the name of a level for a narrow column."""
         family = find_family(self.families, where.mechanism)
         return short_mechanism_name(family, where.level)
 
-    def phrase(self, where: Where) -> str:
+    def phrase(self, where: MechanismLevel) -> str:
         """Return the name of a level for the middle of a sentence."""
         family = find_family(self.families, where.mechanism)
         return mechanism_phrase(family, where.level)
@@ -213,7 +214,7 @@ def headline(
     numbers, families = estimates(own), families_in(own)
     if attacks is None:
         best = strongest_by_task(numbers, families)
-        attacks = {task: source.without_task for task, source in best.items()}
+        attacks = {task: reader.without_task for task, reader in best.items()}
     horizons_s = {other.horizon_s for other in world.unique()} - {None}
     horizon_s = max(horizons_s, default=None)
     later: dict[Address, Estimate] = {}
@@ -232,7 +233,7 @@ def headline(
         worst = HeadlineColumn(
             above, "worst tenth", reconstruction.measured(WORST_TENTH)
         )
-    wheres = dict.fromkeys(key.where for key in numbers)
+    levels = dict.fromkeys(key.mechanism_level for key in numbers)
     return Headline(
         families=families,
         numbers=numbers | by_mechanism,
@@ -245,8 +246,8 @@ def headline(
         linked=_linked(attacks, numbers, linkability),
         horizon_s=horizon_s,
         later=later,
-        wheres=sorted(
-            wheres, key=lambda where: families[where.mechanism].family == CLEAN
+        levels=sorted(
+            levels, key=lambda where: families[where.mechanism].family == CLEAN
         ),
         epsilon_m=epsilon_m,
     )
@@ -284,7 +285,7 @@ def _cross_fitted(
     tasks = rows["task"].astype(object).fillna("")
     numbers = estimates(rows).items()
     return {
-        replace(attacks[task], task=task).at(*key.where, key.metric): estimate
+        replace(attacks[task], task=task).at(*key.mechanism_level, key.metric): estimate
         for task, (key, estimate) in zip(tasks, numbers, strict=True)
         if task in attacks
     }
@@ -317,9 +318,9 @@ def _own_strongest(
             )
             for where, metric in product(blocks, metrics):
                 is_usual = families[where.mechanism].family in (*PAPER_FAMILIES, CLEAN)
-                source = headline if is_usual else best.get(where.mechanism, headline)
-                rule = rules.get(source, RANK1) if metric == RANK1 else metric
-                if (key := source.at(*where, rule)) in numbers:
+                reader = headline if is_usual else best.get(where.mechanism, headline)
+                rule = rules.get(reader, RANK1) if metric == RANK1 else metric
+                if (key := reader.at(*where, rule)) in numbers:
                     own[headline.at(*where, metric)] = numbers[key]
     return own
 
@@ -341,11 +342,11 @@ def _linked(
     rules, columns = naming_rules(numbers), []
     own_tasks = [task for task in attacks if task]
     for task in [name for name in SHOWN_TASKS if name in attacks] or own_tasks[:3]:
-        source, head = replace(attacks[task], task=task), task_head(task)
+        reader, head = replace(attacks[task], task=task), task_head(task)
         column = HeadlineColumn(
             _LINKED,
             head,
-            source.measured(RANK1_AMONG_100),
+            reader.measured(RANK1_AMONG_100),
             chance=1.0 / GALLERY,
             candidates=GALLERY,
         )
@@ -353,27 +354,27 @@ def _linked(
             column = HeadlineColumn(
                 _LINKED,
                 head,
-                source.measured(RANK1),
-                chance=values.get(source.measured("chance"), math.nan),
-                candidates=_mean_candidates(source, linkability),
-                is_joint=rules.get(source) == RANK1_JOINT,
+                reader.measured(RANK1),
+                chance=values.get(reader.measured("chance"), math.nan),
+                candidates=_mean_candidates(reader, linkability),
+                is_joint=rules.get(reader) == RANK1_JOINT,
             )
         columns.append(column)
     return columns
 
 
-def _mean_candidates(source: Address, linkability: pd.DataFrame | None) -> float:
+def _mean_candidates(reader: Address, linkability: pd.DataFrame | None) -> float:
     """Return the mean size of the gallery of a linker; NaN if it is unknown."""
     if linkability is None:
         return math.nan
-    is_source = linkability["consumer"] == source.consumer
-    sizes = linkability.loc[is_source, "gallery_mean"].dropna().to_list()
+    is_reader = linkability["consumer"] == reader.consumer
+    sizes = linkability.loc[is_reader, "gallery_mean"].dropna().to_list()
     return float(np.mean(sizes)) if sizes else math.nan
 
 
 def choose_levels(
-    table: Headline, *, most: int = MOST_LEVELS, named: Collection[Where] = ()
-) -> list[Where]:
+    table: Headline, *, most: int = MOST_LEVELS, named: Collection[MechanismLevel] = ()
+) -> list[MechanismLevel]:
     """Return the levels that have a row: all of them if there are at most `most`.
 
     Otherwise these are the headline levels and one level of every other mechanism. That
@@ -381,12 +382,12 @@ def choose_levels(
     the strictest FID. Of these the `named` levels come first; the first of them has a
     row in any case.
     """
-    first = [where for where in MAIN_LEVELS if where in table.wheres]
-    rest = [where for where in table.wheres if where not in first]
-    if len(table.wheres) <= most:
+    first = [where for where in MAIN_LEVELS if where in table.levels]
+    rest = [where for where in table.levels if where not in first]
+    if len(table.levels) <= most:
         return [*first, *rest]
     cost = {where: missed.value for where in rest if (missed := table.cost(where))}
-    strict = table.cost(Where(FID, 1.0))
+    strict = table.cost(MechanismLevel(FID, 1.0))
     target = strict.value if strict else max(cost.values(), default=0.0)
     others = [where for where in rest if where in named]
     first = first[: max(1, most - len(others[:1]))]
@@ -394,7 +395,7 @@ def choose_levels(
     for name in dict.fromkeys(name for name, _ in rest if name not in shown):
         family = table.families[name].name
         usual = [
-            Where(name, level)
+            MechanismLevel(name, level)
             for mechanism, level in MAIN_LEVELS
             if mechanism == family
         ]
@@ -416,11 +417,11 @@ def headline_table(first: Headline) -> Table:
             isotropic = partial(_cell, first, column, other_law=True)
             columns.append(Column(f"{column.title}, isotropic error", isotropic, "%"))
         worst = first.worst
-        if worst and any(first.at(where, worst) for where in first.wheres):
+        if worst and any(first.at(where, worst) for where in first.levels):
             name = f"{column.title}, worst tenth of people"
             columns.append(Column(name, partial(_cell, first, worst), "%"))
-    wheres = choose_levels(first, most=len(first.wheres))
-    return make.build_table("headline", "", wheres, columns, notes=_worst_notes(first))
+    levels = choose_levels(first, most=len(first.levels))
+    return make.build_table("headline", "", levels, columns, notes=_worst_notes(first))
 
 
 def _worst_notes(table: Headline) -> list[str]:
@@ -440,7 +441,11 @@ def _worst_notes(table: Headline) -> list[str]:
 
 
 def _cell(
-    first: Headline, column: HeadlineColumn, where: Where, *, other_law: bool = False
+    first: Headline,
+    column: HeadlineColumn,
+    where: MechanismLevel,
+    *,
+    other_law: bool = False,
 ) -> Cell:
     """Return the cell of a level in a column."""
     estimate = first.at(where, column, other_law=other_law)

@@ -7,18 +7,18 @@ import pandas as pd
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import row_addresses
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 
 if TYPE_CHECKING:
     from evaluation.plan.address import Address
     from isac_track.intervals import Estimate
 
 MAIN_LEVELS: Final = (
-    Where("raw"),
-    Where("fid", 1.0),
-    Where("fid", 1000.0),
-    Where("fixed", 0.7),
-    Where("fixed", 1.0),
+    MechanismLevel("raw"),
+    MechanismLevel("fid", 1.0),
+    MechanismLevel("fid", 1000.0),
+    MechanismLevel("fixed", 0.7),
+    MechanismLevel("fixed", 1.0),
 )
 """The few main levels: mechanism without its adding rule, and level."""
 ENDS: Final = ["value", "ci_low", "ci_high"]  # Columns of an estimate.

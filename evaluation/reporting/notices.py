@@ -141,9 +141,11 @@ def plan_notices(plan: Plan, *, slow: Sequence[SlowAttack]) -> list[str]:
         texts.append(f"notice: {dataset.notice}")
     if dataset.name not in KNOWN:  # Of a known recording docs/how-to/data.md tells.
         texts += [f"notice: {text}" for text in data_notices(describe_data(plan))]
-    if why := plan.axes.why_no_scenes:
+    if why := plan.axes.scenes.why_left_out:
         texts.append(f"notice: left out: scenes, patrols and other linkage; {why}")
-    texts += [f"notice: left out: {reason}" for reason in plan.axes.skipped.values()]
+    texts += [
+        f"notice: left out: {reason}" for reason in plan.axes.linkage.skipped.values()
+    ]
     texts += _gallery_notices(plan)
     texts += [
         f"notice: the attack {attack.spec} is slow: {cost_text(attack.cost_s)} for"

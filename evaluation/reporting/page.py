@@ -140,5 +140,5 @@ def level_names(table: Headline) -> dict[str, str]:
     """Return the plain name of each level by its SPEC, as `gallery.parquet` has it."""
     return {
         spec_text(table.families[where.mechanism], where.level): table.name(where)
-        for where in table.wheres
+        for where in table.levels
     }

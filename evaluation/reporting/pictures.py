@@ -8,7 +8,7 @@ import pandas as pd
 
 from evaluation.estimates.families import RAW
 from evaluation.estimates.metrics import MISSED_RATE
-from evaluation.plan.address import Where, parse_consumer
+from evaluation.plan.address import MechanismLevel, parse_consumer
 from evaluation.reporting import takeaways
 from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.answers import reference_level
@@ -77,7 +77,7 @@ def pictures(table: Headline) -> list[Picture | None]:
         _levels(
             table,
             "People re-identified by the strongest attack",
-            {task_phrase(task.measure.source.task): task for task in table.linked},
+            {task_phrase(task.measure.reader.task): task for task in table.linked},
             x_label=_REIDENTIFIED,
             caption=takeaways.linked_people(table, where),
         ),
@@ -93,7 +93,7 @@ def _linkage_plane(table: Headline) -> Picture | None:
     linked = table.linked[-1]
     curves = _curves(table, table.shared, linked)
     title = (
-        f"Re-identified {task_phrase(linked.measure.source.task)}, over PLR as shared"
+        f"Re-identified {task_phrase(linked.measure.reader.task)}, over PLR as shared"
     )
     return _plane(
         table,
@@ -146,7 +146,7 @@ def planes(table: Headline) -> dict[str, list[Picture]]:
 
 def _front(table: Headline, robot: str, privacy: HeadlineColumn) -> Picture | None:
     """Return all levels over a robot's misses and a privacy metric, with the front."""
-    task = privacy.measure.source.task
+    task = privacy.measure.reader.task
     missed = HeadlineColumn("", "", parse_consumer(robot).measured(MISSED_RATE))
     curves = _curves(table, missed, privacy)
     points = _points(curves)
@@ -223,13 +223,13 @@ def _curves(
     x: HeadlineColumn,
     y: HeadlineColumn,
     *,
-    among: Collection[Where] = (),
+    among: Collection[MechanismLevel] = (),
 ) -> list[list[Point]]:
     """Return a curve for each mechanism, of the levels at which both numbers are known.
 
     `among` are the levels to draw, by default all.
     """
-    ordered = sorted(among or table.wheres, key=lambda where: where.level or 0.0)
+    ordered = sorted(among or table.levels, key=lambda where: where.level or 0.0)
     curves = list[list[Point]]()
     for mechanism, look in mechanism_looks(table.families.values()).items():
         points = []

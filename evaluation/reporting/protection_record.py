@@ -11,7 +11,7 @@ import numpy as np
 
 from attacks.tasks.task_list import ALL_TASKS, RETURNS
 from evaluation.estimates.families import AT_RAW
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import (
     counted,
     listed,
@@ -48,7 +48,7 @@ def protection_record(run: Results, table: Headline) -> list[Entry]:
     beside them.
     """
     where = reference_level(table)
-    singled = [task for task in table.linked if task.measure.source.task in _SAME_STEPS]
+    singled = [task for task in table.linked if task.measure.reader.task in _SAME_STEPS]
     linked = [task for task in table.linked if task not in singled]
     return [
         Entry("What is processed", _processed(run, table)),
@@ -112,7 +112,7 @@ def _recipients(run: Results) -> tuple[str, ...]:
 
 
 def _reidentified(
-    table: Headline, where: Where, tasks: list[HeadlineColumn]
+    table: Headline, where: MechanismLevel, tasks: list[HeadlineColumn]
 ) -> tuple[str, ...]:
     """Return the share of people that the strongest attack links in each task."""
     sentences = []
@@ -120,7 +120,7 @@ def _reidentified(
         linked, raw = table.at(where, task), table.at(AT_RAW, task)
         if linked is None:
             continue
-        phrase = task_phrase(task.measure.source.task)
+        phrase = task_phrase(task.measure.reader.task)
         among = f" among {task.candidates:.0f}" if np.isfinite(task.candidates) else ""
         text = (
             f"{table.name(where)}: {precise_percent(linked)} of people linked"
@@ -145,7 +145,7 @@ def _against_chance(task: HeadlineColumn, low: float) -> str:
     return f"The run does not show more than {chance}."
 
 
-def _inferred(table: Headline, where: Where) -> tuple[str, ...]:
+def _inferred(table: Headline, where: MechanismLevel) -> tuple[str, ...]:
     """Return the share of positions known as sent and after the strongest attack."""
     sent = table.at(where, table.shared)
     attacked = table.at(where, table.attacked) if table.attacked else None

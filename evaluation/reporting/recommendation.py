@@ -6,7 +6,7 @@ from typing import Any, Final
 
 from evaluation.estimates.metrics import MEDIAN_ERROR, METRICS, PLR, PLR_WIDE, RANK1
 from evaluation.estimates.strongest import BEYOND
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import (
     PERCENT,
     bare_percent,
@@ -62,10 +62,12 @@ _RUN_LACKS: Final = ("no horizon", "no robot", "no handover", "adversary not tri
 """Reasons that name their subject themselves."""
 
 
-def named_levels(run: Results) -> list[Where]:
+def named_levels(run: Results) -> list[MechanismLevel]:
     """Return the levels that the first screen names."""
     answer = run.recommendation()
-    return [offer.where for offer in answer.proposals[:1] or answer.refused[:1]]
+    return [
+        offer.mechanism_level for offer in answer.proposals[:1] or answer.refused[:1]
+    ]
 
 
 def epsilon_m(manifest: Mapping[str, Any]) -> float:
@@ -75,7 +77,7 @@ def epsilon_m(manifest: Mapping[str, Any]) -> float:
 
 def offer_name(offer: Offer) -> str:
     """Return a level in the middle of a sentence."""
-    return mechanism_phrase(offer.family, offer.where.level)
+    return mechanism_phrase(offer.family, offer.mechanism_level.level)
 
 
 def levels_text(offers: Sequence[Offer]) -> str:
@@ -155,7 +157,7 @@ def chosen_robot(answer: Recommendation) -> str:
 
 def _screen_standing(offer: Offer, answer: Recommendation) -> list[str]:
     """Return the standing of a proposal; none if no adversary was tried."""
-    was_tried = any(side.source is not None for side in offer.beyond)
+    was_tried = any(side.reader is not None for side in offer.beyond)
     return standing_sentences(offer, answer)[:1] if was_tried else []
 
 
@@ -264,7 +266,7 @@ def conflicts_text(criterion: Criterion) -> str:
 def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
     """Return the adversaries that break a level, that do not, and all others."""
     limit = _plr_limit(answer)
-    tried = [side for side in offer.beyond if side.source is not None]
+    tried = [side for side in offer.beyond if side.reader is not None]
     broken = [
         f"{adversary_name(side.adversary)} (knows {bare_percent(_worse(side, limit))})"
         for side in tried
@@ -276,7 +278,7 @@ def standing_sentences(offer: Offer, answer: Recommendation) -> list[str]:
     unknown = [
         adversary_name(side.adversary) for side in tried if side.breaks(limit) is None
     ]
-    untried = [side.adversary for side in offer.beyond if side.source is None]
+    untried = [side.adversary for side in offer.beyond if side.reader is None]
     sentences = []
     if broken:
         verb = "breaks" if len(broken) == 1 else "break"
@@ -298,7 +300,7 @@ def untried_text(answer: Recommendation) -> str:
         side.adversary
         for offer in shown
         for side in offer.beyond
-        if side.source is None
+        if side.reader is None
     )
     return f"Not tried: --adversary {listed(list(untried), 'or')}. " if untried else ""
 
@@ -319,8 +321,8 @@ def _worse(side: AttackNumbers, limit: float) -> Estimate:
 
 def offer_text(offer: Offer, answer: Recommendation, *, epsilon_m: float) -> str:
     """Return the cost and the privacy of a level, and the adversaries that break it."""
-    side = offer.attacked if offer.attacked.source else offer.shared
-    is_attacked = side.source is not None and side.source.adversary
+    side = offer.attacked if offer.attacked.reader else offer.shared
+    is_attacked = side.reader is not None and side.reader.adversary
     subject = "an attack" if is_attacked else "without an attack, an adversary"
     wide_m = WIDE_TIMES * epsilon_m
     near, wide = percent(side.value(PLR)), percent(side.value(PLR_WIDE))
@@ -432,7 +434,7 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
 
 def _adversary(check: Check) -> str:
     """Return the adversary of a check."""
-    if check.source is None or not check.source.adversary:
+    if check.reader is None or not check.reader.adversary:
         return "an adversary without an attack"
     return adversary_name(check.adversary) if check.adversary in BEYOND else "an attack"
 

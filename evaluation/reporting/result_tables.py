@@ -26,7 +26,7 @@ from evaluation.estimates.metrics import (
     UTILITY,
 )
 from evaluation.estimates.strongest import most_knowing
-from evaluation.plan.address import AS_SHARED, Address, Where, parse_consumer
+from evaluation.plan.address import AS_SHARED, Address, MechanismLevel, parse_consumer
 from evaluation.plan.constants import ORACLE
 from evaluation.plan.presets import IDENTITY, SHARED
 from evaluation.reporting import table as make
@@ -37,8 +37,8 @@ from evaluation.reporting.rows import (
     Results,
     estimates_by_level,
     mechanism_columns,
+    reader_rows,
     representative_levels,
-    source_rows,
 )
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict.offers import WEAK
@@ -106,16 +106,16 @@ def _sweep_table(
     metrics = {parse_consumer(predictor): UTILITY}
     if place == 0:
         metrics |= {AS_SHARED: DESCRIPTORS}
-    rows = rows[rows["consumer"].isin([source.consumer for source in metrics])]
+    rows = rows[rows["consumer"].isin([reader.consumer for reader in metrics])]
     measured = set(rows["metric"])
     columns = [
         Column(
-            f"{METRICS[metric].head}{', shared' if source == AS_SHARED else ''}",
-            partial(_cell, source, metric),
+            f"{METRICS[metric].head}{', shared' if reader == AS_SHARED else ''}",
+            partial(_cell, reader, metric),
             METRICS[metric].unit,
         )
-        for source in metrics
-        for metric in metrics[source]
+        for reader in metrics
+        for metric in metrics[reader]
         if metric in measured
     ]
     name, title, notes = f"sweep-{place}", "All levels", list[str]()
@@ -190,8 +190,8 @@ def _level_table(
     notes: list[str],
 ) -> Table:
     records = [
-        {"mechanism": mechanism, "level": level, "sources": sources}
-        for (mechanism, level), sources in estimates_by_level(rows).items()
+        {"mechanism": mechanism, "level": level, "readers": readers}
+        for (mechanism, level), readers in estimates_by_level(rows).items()
     ]
     columns = [*mechanism_columns(families_in(rows)), *columns]
     title = f"{title}; 95 % intervals"
@@ -200,8 +200,8 @@ def _level_table(
     )
 
 
-def _cell(source: Address, metric: str, level: Mapping[str, Any]) -> Cell:
-    return make.estimate_cell(metric, level["sources"].get(source, {}).get(metric))
+def _cell(reader: Address, metric: str, level: Mapping[str, Any]) -> Cell:
+    return make.estimate_cell(metric, level["readers"].get(reader, {}).get(metric))
 
 
 def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
@@ -212,8 +212,8 @@ def after_attack(summary: pd.DataFrame) -> pd.DataFrame:
     return rows.assign(knowledge=rows["knowledge"].where(is_attack(rows), ""))
 
 
-def list_sources(rows: pd.DataFrame) -> list[Address]:
-    """Return the sources of positions in some rows, in the order of the run."""
+def list_readers(rows: pd.DataFrame) -> list[Address]:
+    """Return the readers of positions in some rows, in the order of the run."""
     first = rows[["consumer", "knowledge"]].drop_duplicates()
     return [parse_consumer(*pair) for pair in first.itertuples(index=False)]
 
@@ -225,15 +225,15 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
     """
     rows = after_attack(summary)
     rows = rows[rows["metric"] == PLR]
-    shown = most_knowing(list_sources(rows))
-    columns = [Column(source.label, partial(_cell, source, PLR)) for source in shown]
+    shown = most_knowing(list_readers(rows))
+    columns = [Column(reader.label, partial(_cell, reader, PLR)) for reader in shown]
     notes = []
-    if any(source.adversary == ORACLE for source in shown):
+    if any(reader.adversary == ORACLE for reader in shown):
         notes.append(_ORACLE)
     notes += [
-        f"{source.consumer} saw only the first release of each source track."
-        for source in shown
-        if source.consumer in slow
+        f"{reader.consumer} saw only the first release of each source track."
+        for reader in shown
+        if reader.consumer in slow
     ]
     title = "After attack: PLR in % at all levels"
     rows = rows if len(shown) > 1 else rows[:0]
@@ -243,21 +243,21 @@ def exposure_table(summary: pd.DataFrame, *, slow: Collection[str] = ()) -> Tabl
 def attack_table(summary: pd.DataFrame, *, only: Address | None = None) -> Table:
     """Return descriptors after all attacks at representative levels.
 
-    With `only` they are those of a single source, at all levels.
+    With `only` they are those of a single reader, at all levels.
     """
     rows = after_attack(summary)
     if only is not None:
-        rows = source_rows(rows, only)
+        rows = reader_rows(rows, only)
     known, blocks = families_in(rows), estimates_by_level(rows)
     if only is None:
         title = "After attack, every adversary"
-        wheres = representative_levels(blocks, known)
+        levels = representative_levels(blocks, known)
     else:
         title = f"After {only.label}"
-        wheres = list(blocks)
+        levels = list(blocks)
     if only == AS_SHARED:
         title = "As shared"
-    records = [row for where in wheres for row in _merged(*where, blocks[where])]
+    records = [row for where in levels for row in _merged(*where, blocks[where])]
     # A metric that every level refuses, such as the worst tenth of few people, has no
     # column.
     measured = [
@@ -277,20 +277,20 @@ def attack_table(summary: pd.DataFrame, *, only: Address | None = None) -> Table
 
 
 def _merged(
-    mechanism: str, level: float | None, sources: Mapping[Address, Mapping[str, Any]]
+    mechanism: str, level: float | None, readers: Mapping[Address, Mapping[str, Any]]
 ) -> list[dict[str, Any]]:
     """Return the rows of a level; adversaries with the same numbers share a row."""
     cells = {
-        source: {
+        reader: {
             metric: make.estimate_cell(metric, estimates.get(metric))
             for metric in RECONSTRUCTION
         }
-        for source, estimates in sources.items()
+        for reader, estimates in readers.items()
     }
-    consumers = [source.consumer for source in sources]
+    consumers = [reader.consumer for reader in readers]
     shared = cells.get(AS_SHARED, {})
     groups: dict[tuple[str, tuple[str, ...]], list[Address]] = {}
-    for source, own in cells.items():
+    for reader, own in cells.items():
         # Only an attack has a ratio to the benchmark. A control that says the same is
         # left out.
         is_same = all(
@@ -298,12 +298,12 @@ def _merged(
             for metric, cell in shared.items()
             if cell.text
         )
-        if source.consumer != IDENTITY or not (shared and is_same):
-            key = source.consumer, tuple(cell.full for cell in own.values())
-            groups.setdefault(key, []).append(source)
+        if reader.consumer != IDENTITY or not (shared and is_same):
+            key = reader.consumer, tuple(cell.full for cell in own.values())
+            groups.setdefault(key, []).append(reader)
     rows = []
     for (consumer, _), members in groups.items():
-        knowledge = [source.adversary for source in members]
+        knowledge = [reader.adversary for reader in members]
         is_any = len(members) == consumers.count(consumer) > 1
         row: dict[str, Any] = {"mechanism": mechanism, "level": level}
         row |= cells[members[0]]
@@ -316,19 +316,19 @@ def _merged(
 def rank_table(run: Results, task: TaskOutcomes) -> Table:
     """Return rank 1 of the attacks of a task, a row each, at representative levels."""
     known = run.families
-    wheres = representative_levels(task.cells, known, controls=False)
+    levels = representative_levels(task.cells, known, controls=False)
     columns = [make.text_column("attack", itemgetter(0))]
-    for place, (mechanism, level) in enumerate(wheres, start=1):
+    for place, (mechanism, level) in enumerate(levels, start=1):
         family = find_family(known, mechanism)
         heading = where_text(family.name, level)
         columns.append(Column(heading, itemgetter(place), above=family.adding))
     records = list[list[Any]]()
-    for source in task.attacks:
-        label = source.label.removesuffix(f" ({_USUAL})")
+    for reader in task.attacks:
+        label = reader.label.removesuffix(f" ({_USUAL})")
         label = make.shorten_name(label, room=_LABEL_WIDTH)
-        cells = [_rank(task.cells[where].get(source)) for where in wheres]
+        cells = [_rank(task.cells[where].get(reader)) for where in levels]
         records.append([label, *cells])
-    first_rows = [next(iter(task.cells[where].values())) for where in wheres]
+    first_rows = [next(iter(task.cells[where].values())) for where in levels]
     chances = [make.metric_cell(RANK1, row["chance"]) for row in first_rows]
     records.append(["chance", *chances])
     tasks = (run.manifest.get("linkage") or {}).get("tasks", {})
@@ -339,7 +339,7 @@ def rank_table(run: Results, task: TaskOutcomes) -> Table:
         *_control_notes(task),
         "Cells without a mark link people, by the ranks of all mates.",
     ]
-    if Where(CLEAN) in wheres:
+    if MechanismLevel(CLEAN) in levels:
         notes.append("clean: no error at all, an upper limit.")
     return make.build_table(
         f"linkage-{task.name}",
@@ -403,10 +403,10 @@ def strength_table(run: Results) -> Table:
     for task, attack in run.strongest.items():
         if not task:
             continue
-        source = replace(attack, task=task)
-        by_level = estimates_by_level(source_rows(run.ours, source))
+        reader = replace(attack, task=task)
+        by_level = estimates_by_level(reader_rows(run.ours, reader))
         for where in representative_levels(by_level, run.families, controls=False):
-            row = _strength_cells(by_level[where][source])
+            row = _strength_cells(by_level[where][reader])
             row |= {"mechanism": where.mechanism, "level": where.level}
             records.append(row | {"task": task, "linker": attack.label})
     columns = [

@@ -8,7 +8,7 @@ from attacks.tasks.task_list import RETURNS
 from evaluation.compute.return_columns import GAIN, NESTED_P, STRONGEST
 from evaluation.estimates.families import CLEAN, Family
 from evaluation.estimates.metrics import RANK1
-from evaluation.plan.address import Address, Where, control_name
+from evaluation.plan.address import Address, MechanismLevel, control_name
 from evaluation.plan.consumer import FUSION
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import fine_interval, fine_share
@@ -45,16 +45,16 @@ def return_numbers(run: Results) -> dict[Address, Estimate]:
 
 
 def find_number(
-    numbers: Mapping[Address, Estimate], where: Where, plugin: str, metric: str
+    numbers: Mapping[Address, Estimate], where: MechanismLevel, plugin: str, metric: str
 ) -> Estimate | None:
     """Return a number of a linker or control at a level; None if it is not there."""
-    source = Address(task=RETURNS.name, plugin=plugin)
-    return numbers.get(source.at(*where, metric))
+    reader = Address(task=RETURNS.name, plugin=plugin)
+    return numbers.get(reader.at(*where, metric))
 
 
-def return_levels(numbers: Mapping[Address, Estimate]) -> list[Where]:
+def return_levels(numbers: Mapping[Address, Estimate]) -> list[MechanismLevel]:
     """Return the levels of a run, in its order: the first has no error."""
-    return list(dict.fromkeys(key.where for key in numbers))
+    return list(dict.fromkeys(key.mechanism_level for key in numbers))
 
 
 def linkers(numbers: Mapping[Address, Estimate]) -> list[str]:
@@ -112,7 +112,7 @@ def _level_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
 def _control_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     """Return rank 1 of every control, of passages without any error."""
     chosen = run.verdict.get("returns", {}).get("controls", {})
-    where = Where(CLEAN)
+    where = MechanismLevel(CLEAN)
     names = [
         name
         for name in CONTROL_PHRASES
@@ -166,5 +166,5 @@ def _screen_cell(number: Estimate | None) -> str:
     return fine_interval(number.value, number.ci_low, number.ci_high, unit="")
 
 
-def _level_name(families: Mapping[str, Family], where: Where) -> str:
+def _level_name(families: Mapping[str, Family], where: MechanismLevel) -> str:
     return mechanism_name(find_family(families, where.mechanism), where.level)

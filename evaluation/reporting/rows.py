@@ -1,4 +1,4 @@
-"""A finished run as data frames, and selections of levels and sources."""
+"""A finished run as data frames, and selections of levels and readers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from evaluation.estimates.families import (
 from evaluation.estimates.metrics import METRICS, MISSED_RATE
 from evaluation.plan.address import (
     Address,
-    Where,
+    MechanismLevel,
     is_track_release,
     parse_consumer,
     parse_dataset,
@@ -479,26 +479,29 @@ def mechanism_columns(known: Mapping[str, Family]) -> list[Column]:
 
 def estimates_by_level(
     frame: pd.DataFrame,
-) -> dict[Where, dict[Address, dict[str, Estimate]]]:
-    """Return the estimates of a summary by level, rising, then source, then metric."""
-    by_level: dict[Where, dict[Address, dict[str, Estimate]]] = {}
+) -> dict[MechanismLevel, dict[Address, dict[str, Estimate]]]:
+    """Return the estimates of a summary by level, rising, then reader, then metric."""
+    by_level: dict[MechanismLevel, dict[Address, dict[str, Estimate]]] = {}
     ordered = frame.sort_values("level", kind="stable", na_position="first")
     for key, estimate in estimates(ordered).items():
-        by_source = by_level.setdefault(key.where, {})
-        by_source.setdefault(key.source, {})[key.metric] = estimate
+        by_reader = by_level.setdefault(key.mechanism_level, {})
+        by_reader.setdefault(key.reader, {})[key.metric] = estimate
     place = {name: n for n, name in enumerate(frame["mechanism"].unique())}
     return dict(sorted(by_level.items(), key=lambda item: place[item[0][0]]))
 
 
-def source_rows(frame: pd.DataFrame, source: Address) -> pd.DataFrame:
-    """Return the rows of a summary about the positions of a source."""
-    is_same = frame["knowledge"].fillna("") == source.adversary
-    return frame[is_same & (frame["consumer"] == source.consumer)]
+def reader_rows(frame: pd.DataFrame, reader: Address) -> pd.DataFrame:
+    """Return the rows of a summary about the positions of a reader."""
+    is_same = frame["knowledge"].fillna("") == reader.adversary
+    return frame[is_same & (frame["consumer"] == reader.consumer)]
 
 
 def representative_levels(
-    wheres: Iterable[Where], known: Mapping[str, Family], *, controls: bool = True
-) -> list[Where]:
+    mechanism_levels: Iterable[MechanismLevel],
+    known: Mapping[str, Family],
+    *,
+    controls: bool = True,
+) -> list[MechanismLevel]:
     """Return the few levels that represent a run; all of them if it has none of these.
 
     Those are mechanisms without levels, the headline levels of FID and fixed noise,
@@ -506,7 +509,7 @@ def representative_levels(
     wanted.
     """
     levels: dict[str, list[float | None]] = {}
-    for mechanism, level in wheres:
+    for mechanism, level in mechanism_levels:
         levels.setdefault(mechanism, []).append(level)
     families = {mechanism: find_family(known, mechanism) for mechanism in levels}
     headline_names = {name for name, _ in MAIN_LEVELS}
@@ -534,7 +537,7 @@ def representative_levels(
         return 1 + rules.index(family.adding) if family.is_added else 0
 
     return [
-        Where(name, level)
+        MechanismLevel(name, level)
         for name in sorted(chosen, key=rank)
         for level in chosen[name]
     ]

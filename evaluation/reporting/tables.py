@@ -203,11 +203,11 @@ def write_tex(run: Results, *, folder: Path) -> None:
     with contextlib.suppress(OSError):  # write_whole says what is wrong
         folder.mkdir(parents=True, exist_ok=True)
     attacked = result_tables.after_attack(run.ours)
-    sources = result_tables.list_sources(attacked)
+    readers = result_tables.list_readers(attacked)
     files = {
         "sweep": result_tables.sweep_tables(run.ours, n_reports=run.n_reports),
         "attacks": [
-            result_tables.attack_table(attacked, only=source) for source in sources
+            result_tables.attack_table(attacked, only=reader) for reader in readers
         ],
         "paper": [answer_tables.paper_table(run)],
         "linkability": [result_tables.rank_table(run, task) for task in run.tasks],
@@ -232,13 +232,13 @@ def _linkage(summary: pd.DataFrame) -> Table:
     for where in representative_levels(numbers, families, controls=False):
         heading = mechanism_name(families[where.mechanism], where.level)
         columns.append(cell_column(heading, f"{where}"))
-        for source, metrics in numbers[where].items():
+        for reader, metrics in numbers[where].items():
             keys: dict[str, Any] = {
-                "task": source.task,
-                "linker": source.attack_spec,
+                "task": reader.task,
+                "linker": reader.attack_spec,
                 "chance": f"{PERCENT * metrics['chance'].value:.1f}",
             }
-            record = records.setdefault(source, keys)
+            record = records.setdefault(reader, keys)
             record[f"{where}"] = estimate_cell(RANK1, metrics.get(RANK1))
     return build_table(
         "linkage",
@@ -271,7 +271,9 @@ def published(run: Results) -> pd.DataFrame:
         return summary
     by_level = estimates_by_level(summary)
     shown = set(representative_levels(by_level, run.families, controls=False))
-    is_shown = np.array([key.where in shown for key in row_addresses(summary)])
+    is_shown = np.array(
+        [key.mechanism_level in shown for key in row_addresses(summary)]
+    )
     is_control = np.array(
         [bool(parse_consumer(name).control) for name in summary["consumer"]],
         dtype=bool,

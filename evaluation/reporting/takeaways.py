@@ -8,7 +8,7 @@ import numpy as np
 
 from evaluation.estimates.families import AT_RAW
 from evaluation.estimates.pareto import front
-from evaluation.plan.address import Where
+from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import PERCENT, bare_percent, round_percent
 from evaluation.reporting.charts import Point
 from evaluation.reporting.headline import Headline
@@ -17,7 +17,7 @@ from evaluation.reporting.names import robot_subject, task_phrase
 NEARLY_EQUAL: Final = 0.02  # Difference in PLR that counts as none.
 
 
-def missed_conflicts(table: Headline, where: Where) -> str:
+def missed_conflicts(table: Headline, where: MechanismLevel) -> str:
     """Tell the share of conflicts that the first robot misses, beside raw positions."""
     if not table.robots:
         return ""
@@ -33,7 +33,7 @@ def missed_conflicts(table: Headline, where: Where) -> str:
     return f"With {name}, {subject} misses {bare_percent(rate)} of conflicts{beside}."
 
 
-def known_positions(table: Headline, where: Where) -> str:
+def known_positions(table: Headline, where: MechanismLevel) -> str:
     """Tell the share of positions known at a level, as sent and after an attack."""
     sent = table.at(where, table.shared)
     if sent is None:
@@ -51,13 +51,13 @@ def known_positions(table: Headline, where: Where) -> str:
     )
 
 
-def linked_people(table: Headline, where: Where) -> str:
+def linked_people(table: Headline, where: MechanismLevel) -> str:
     """Tell the share of people that the strongest linker finds, beside chance."""
     first = next((task for task in table.linked if table.at(where, task)), None)
     rank1 = table.at(where, first) if first else None
     if first is None or rank1 is None:
         return ""
-    phrase = task_phrase(first.measure.source.task)
+    phrase = task_phrase(first.measure.reader.task)
     beside = ""
     if np.isfinite(first.chance):
         beside = f"; chance is {round_percent(PERCENT * first.chance)} %"

@@ -17,9 +17,8 @@ from evaluation.estimates.metrics import (
     MISSED_FUTURE,
 )
 from evaluation.plan.address import parse_dataset, parse_policy
-from evaluation.plan.axes import ORACLE_TRACKER
 from evaluation.plan.constants import SHARED
-from evaluation.plan.consumer import LOG, TRACKER
+from evaluation.plan.consumer import LOG, ORACLE_TRACKER, TRACKER
 from evaluation.reporting import table as make
 from evaluation.reporting.amounts import whole_percent
 from evaluation.reporting.names import robot_name, robot_subject

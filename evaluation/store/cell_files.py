@@ -9,7 +9,7 @@ A unit has a record for each stage of its life:
 
 | record | a unit that | holds |
 |---|---|---|
-| `plan.plan.Unit` | a run plans | mechanism and consumers |
+| `plan.units.Unit` | a run plans | mechanism and consumers |
 | `pool.packing.ExpectedUnit` | is still to be computed | keys and digests |
 | `ComputedUnit` | is to be written | tables by consumer |
 | `cell_index.UnitIndex` | a file has | where its tables lie |

@@ -18,8 +18,8 @@ import isac_track
 from attacks.tasks.passages import LEAST_S, LONGEST_S
 from attacks.tasks.task_list import RETURNS
 from evaluation.plan.choices import PLUS
-from evaluation.plan.fingerprint import list_user_plugins
 from evaluation.plan.settings import AXES
+from evaluation.plan.user_plugins import list_user_plugins
 from evaluation.store.people import id_labels
 from evaluation.store.public_text import public_path, public_words, without_folders
 
@@ -47,7 +47,7 @@ def describe_run(plan: Plan) -> dict[str, Any]:
     }
     horizons = {}
     for horizon_s in (
-        settings.stages.conflict.horizons_s if axes.utility_predictors else ()
+        settings.stages.conflict.horizons_s if axes.scenes.utility_predictors else ()
     ):
         n_used = len(tracks.further.get(horizon_s, ()))
         horizons[f"{horizon_s:g}"] = {
@@ -73,7 +73,7 @@ def describe_run(plan: Plan) -> dict[str, Any]:
         "own_plugins": list_user_plugins(axes),
         "granted": {
             plugin.spec: sorted(item.name for item in plugin.instance.requires)
-            for plugin in axes.predictors
+            for plugin in axes.scenes.predictors
             if plugin.instance.requires
         },
         "without_rule": sorted(without_rule),
@@ -86,8 +86,8 @@ def describe_run(plan: Plan) -> dict[str, Any]:
         "history": _describe_history(tracks),
         "groups": [labels[name] for name in sorted(set(tracks.group))],
         "horizons": horizons,
-        "linkage": {"skipped": dict(axes.skipped), "tasks": tasks},
-        "no_scenes": axes.why_no_scenes,
+        "linkage": {"skipped": dict(axes.linkage.skipped), "tasks": tasks},
+        "no_scenes": axes.scenes.why_left_out,
     }
 
 
@@ -104,7 +104,7 @@ def _git_commit() -> str | None:
 def _describe_settings(plan: Plan) -> dict[str, Any]:
     """Return the settings of a run, with the axes that they expand to."""
     settings, axes = plan.settings, plan.axes
-    linkers = dict.fromkeys(link.spec for _, link in axes.links)
+    linkers = [linker.spec for linker in axes.linkage.all_linkers]
     named = {axis: named_values(settings, axis) for axis in AXES}
     described: dict[str, Any] = {
         "preset": settings.preset,
@@ -114,18 +114,18 @@ def _describe_settings(plan: Plan) -> dict[str, Any]:
         "pilot_half_width": settings.pilot_half_width,
         "seed": settings.seed,
         "mechanisms": [plugin.spec for plugin in axes.mechanisms],
-        "predictors": [plugin.spec for plugin in axes.predictors],
-        "attacks": [*(plugin.spec for plugin in axes.attacks), *linkers],
-        "tasks": [task.name for task in axes.tasks],
-        "policies": [plugin.spec for plugin in axes.policies],
+        "predictors": [plugin.spec for plugin in axes.scenes.predictors],
+        "attacks": [*(plugin.spec for plugin in axes.scenes.attacks), *linkers],
+        "tasks": [task.name for task in axes.linkage.tasks],
+        "policies": [plugin.spec for plugin in axes.patrols.policies],
         "named": {axis: values for axis, values in named.items() if values is not None},
     }
-    if axes.links_returns:
+    if axes.linkage.has_returns:
         described["tasks"].append(RETURNS.name)
     if settings.confirming is not None:
         described["confirming"] = settings.confirming
-    if axes.adversaries:
-        described["adversaries"] = list(axes.adversaries)
+    if axes.scenes.adversaries.further:
+        described["adversaries"] = list(axes.scenes.adversaries.further)
     return described | {"stages": settings.stages.flat()}
 
 

@@ -146,8 +146,8 @@ def parse_entries(
     for level in levels:
         at_level = parse_row({name: level[name] for name in ("mechanism", "level")})
         files = tuple(level["files"])
-        for source, consumer in sets[level["consumers"]]:
-            address = source.at(
+        for reader, consumer in sets[level["consumers"]]:
+            address = reader.at(
                 at_level.mechanism, at_level.level, adding=level["adding"]
             )
             entries.append(

@@ -14,7 +14,8 @@ from evaluation.store.entries import Entry, make_entry, other_entries
 from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
-    from evaluation.plan.plan import Plan, Unit
+    from evaluation.plan.plan import Plan
+    from evaluation.plan.units import Unit
     from evaluation.store.cell_index import FileIndex
 
 
@@ -68,13 +69,13 @@ def with_ceiling(entries: list[Entry]) -> list[Entry]:
     The ceiling decides what an attack without success means; in other worlds an attack
     is compared with the optimum instead.
     """
-    ceilings = {entry.address.source for entry in entries if entry.spec == CLEAN}
+    ceilings = {entry.address.reader for entry in entries if entry.spec == CLEAN}
     return [
         entry
         for entry in entries
         if entry.kind != "linkage"
         or entry.address.world
-        or entry.address.source in ceilings
+        or entry.address.reader in ceilings
     ]
 
 

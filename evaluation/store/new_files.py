@@ -11,7 +11,7 @@ from evaluation.plan.fingerprint import SHARING, digest
 if TYPE_CHECKING:
     from collections.abc import Hashable
 
-    from evaluation.plan.plan import Unit
+    from evaluation.plan.units import Unit
 
 
 class NewFile(NamedTuple):

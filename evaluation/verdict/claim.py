@@ -62,11 +62,11 @@ def claims(
     compared = {
         AS_SHARED.measured(descriptor): AS_SHARED_KIND for descriptor in DESCRIPTORS
     }
-    for task, source in strongest.items():
+    for task, reader in strongest.items():
         if task:
-            compared[source.measured(success_metric(sweeps.estimates, source))] = LINKED
+            compared[reader.measured(success_metric(sweeps.estimates, reader))] = LINKED
         else:
-            compared |= dict.fromkeys(map(source.measured, DESCRIPTORS), AFTER_ATTACK)
+            compared |= dict.fromkeys(map(reader.measured, DESCRIPTORS), AFTER_ATTACK)
     costs = {
         parse_consumer(predictor).measured(metric): criterion
         for criterion, metric in CRITERIA.items()
@@ -156,7 +156,7 @@ def _gap(ours: Floats, theirs: Floats, *, n: int, effective: float) -> _Gap:
 
 def _claim(measure: Address, gap: _Gap, about: _Subject) -> Draft:
     """Return the item of a measure compared at the rises."""
-    source, is_linkage = measure.source, about.compared == LINKED
+    reader, is_linkage = measure.reader, about.compared == LINKED
     descriptor = "" if is_linkage else measure.metric
     least = f"{100 * TARGETS[0]:g} points"
     details: dict[str, Any] = {"of": about.compared}
@@ -175,8 +175,8 @@ def _claim(measure: Address, gap: _Gap, about: _Subject) -> Draft:
     return Draft(
         adding=about.adding,
         descriptor=descriptor,
-        task=source.task,
-        subject="" if about.compared == AS_SHARED_KIND else source.without_task.label,
+        task=reader.task,
+        subject="" if about.compared == AS_SHARED_KIND else reader.without_task.label,
         criterion=about.criterion,
         effect=gap.mean,
         parted_at=0.0,
@@ -196,11 +196,11 @@ def _sentences(measure: Address, relative: float, about: _Subject) -> dict[str, 
     if about.compared == AS_SHARED_KIND:
         subject = f"{head} as shared"
     elif about.compared == AFTER_ATTACK:
-        subject = f"{head} after {measure.source.consumer}"
+        subject = f"{head} after {measure.reader.consumer}"
     else:
         is_of_100 = measure.metric == RANK1_AMONG_100
         gallery = "100" if is_of_100 else "the candidates of this run"
-        task = measure.source.task
+        task = measure.reader.task
         subject = f"the share of people found among {gallery} in {task}"
     share = (
         f", {100 * relative:+.0f} % of fixed noise's" if np.isfinite(relative) else ""

@@ -44,18 +44,18 @@ class LevelChecker:
         """Return cost and privacy of a level, with its checks."""
         criterion = self.question.criterion
         robots = {
-            row.source.consumer: row.measured
+            row.reader.consumer: row.measured
             for row in level.rows
             if row.world == criterion.world and row.metric == criterion.metric
         }
         cost = robots.get(self.robot, UNKNOWN)
         tasks = tuple(task_linkage(level, task) for task in level_tasks(level))
         offer = Offer(
-            where=level.where,
+            mechanism_level=level.mechanism_level,
             family=level.family,
             cost=cost,
             robots={name: rate for name, rate in robots.items() if name in self.robots},
-            shared=attack_numbers(level, "", source=AS_SHARED),
+            shared=attack_numbers(level, "", reader=AS_SHARED),
             attacked=attack_numbers(level, SINGLE_RELEASE),
             beyond=tuple(attack_numbers(level, name) for name in BEYOND),
             linked=task_linkage(level, self.task) if self.task else None,
@@ -79,16 +79,16 @@ class LevelChecker:
             missing = "no horizon"
         elif math.isnan(offer.cost.value):
             missing = "no value"
-        source, most = parse_consumer(self.robot), limits.get(MISSED, math.inf)
+        reader, most = parse_consumer(self.robot), limits.get(MISSED, math.inf)
         checks = [
-            Check(MISSED, most, offer.cost, source, scenes=n_scenes, missing=missing)
+            Check(MISSED, most, offer.cost, reader, scenes=n_scenes, missing=missing)
         ]
         if "false_alarm" in limits:
             rates = (
                 row.measured
                 for row in level.rows
                 if row.metric == FALSE_ALARMS
-                and row.source == source
+                and row.reader == reader
                 and row.world == criterion.world
             )
             rate = next(rates, UNKNOWN)
@@ -97,7 +97,7 @@ class LevelChecker:
                     "false_alarm",
                     limits["false_alarm"],
                     rate,
-                    source,
+                    reader,
                     scenes=n_scenes,
                     missing=missing,
                 )
@@ -113,7 +113,7 @@ class LevelChecker:
         sides += [side for side in offer.beyond if side.adversary in question.against]
         for side in sides:
             # An adversary that was not tried gets no further check.
-            for name in (*DESCRIPTORS, PLR_WIDE) if side.source else DESCRIPTORS:
+            for name in (*DESCRIPTORS, PLR_WIDE) if side.reader else DESCRIPTORS:
                 limit = question.limits.get(PLR if name == PLR_WIDE else name)
                 if limit is None:
                     continue
@@ -125,10 +125,10 @@ class LevelChecker:
                         name,
                         limit,
                         side.value(name),
-                        side.source,
+                        side.reader,
                         side.adversary,
                         scenes=self.scenes[0],
-                        missing=untried if side.source is None else None,
+                        missing=untried if side.reader is None else None,
                     )
                 )
         return checks
@@ -138,37 +138,37 @@ class LevelChecker:
         if question.asks_linkage:
             linked = offer.linked or TaskLinkage("", missing="no handover")
             limit = question.limits[LINKED]
-            source, missing = linked.source, linked.missing
-            checks.append(Check(LINKED, limit, linked.share, source, missing=missing))
+            reader, missing = linked.reader, linked.missing
+            checks.append(Check(LINKED, limit, linked.share, reader, missing=missing))
         if RANK1 in question.limits:
             limit = question.limits[RANK1]
             for task in offer.tasks or (TaskLinkage("", missing="no task"),):
                 name = f"{RANK1}/{task.task}"
                 checks.append(
-                    Check(name, limit, task.rank1, task.source, missing=task.missing)
+                    Check(name, limit, task.rank1, task.reader, missing=task.missing)
                 )
         return checks
 
 
 def attack_numbers(
-    level: KnownLevel, adversary: str, *, source: Address | None = None
+    level: KnownLevel, adversary: str, *, reader: Address | None = None
 ) -> AttackNumbers:
     """Return the numbers after an adversary's attack, the strongest by PLR."""
     rows = [
         row
         for row in level.rows
         if row.adversary == adversary
-        and not row.source.task
-        and (source is None or row.source == source)
+        and not row.reader.task
+        and (reader is None or row.reader == reader)
         and row.metric in {*DESCRIPTORS, PLR_WIDE, MEDIAN_ERROR}
     ]
-    by_plr = next((row.source for row in rows if row.metric == PLR), None)
+    by_plr = next((row.reader for row in rows if row.metric == PLR), None)
     return AttackNumbers(adversary, by_plr, {row.metric: row.measured for row in rows})
 
 
 def task_linkage(level: KnownLevel, task: str) -> TaskLinkage:
     """Return the success of a task's strongest linker at a level."""
-    rows = {row.metric: row for row in level.rows if row.source.task == task}
+    rows = {row.metric: row for row in level.rows if row.reader.task == task}
     metric = RANK1_AMONG_100 if RANK1_AMONG_100 in rows else RANK1
     if metric not in rows:
         return TaskLinkage(task, missing="no attack")
@@ -182,5 +182,5 @@ def task_linkage(level: KnownLevel, task: str) -> TaskLinkage:
     share = numbers.get(LINKAGE_SHARE, UNKNOWN)
     chance = numbers.get(CHANCE, UNKNOWN).value
     return TaskLinkage(
-        task, rank1.source, metric, rank1.measured, chance, share, missing
+        task, rank1.reader, metric, rank1.measured, chance, share, missing
     )

@@ -10,7 +10,7 @@ from attacks.tasks.task_list import TASKS
 from evaluation.estimates.best_robot import BEST
 from evaluation.estimates.families import Family
 from evaluation.estimates.metrics import EQUAL_ALARMS, FALSE_ALARMS
-from evaluation.plan.address import Address, Where, parse_row
+from evaluation.plan.address import Address, MechanismLevel, parse_row
 from evaluation.plan.world import World
 from evaluation.verdict.question import Criterion, Question
 from isac_track.errors import SettingsError, did_you_mean
@@ -25,7 +25,7 @@ class LevelRow:
 
     world: World
     adversary: str
-    source: Address
+    reader: Address
     metric: str
     measured: Estimate
     outcome: str
@@ -37,15 +37,15 @@ class LevelRow:
 class KnownLevel:
     """All numbers of a level."""
 
-    where: Where
+    mechanism_level: MechanismLevel
     family: Family
     rows: tuple[LevelRow, ...]
 
 
 def read_levels(table: pd.DataFrame, dataset: str) -> list[KnownLevel]:
     """Return the levels of a table, each with its numbers."""
-    rows: dict[Where, list[LevelRow]] = {}
-    families: dict[Where, Family] = {}
+    rows: dict[MechanismLevel, list[LevelRow]] = {}
+    families: dict[MechanismLevel, Family] = {}
     chosen = ("first_choice", "second_choice")
     texts = (*chosen, "outcome", "invalid", "adversary", "knowledge", "adding")
     tidy = table.assign(
@@ -56,7 +56,7 @@ def read_levels(table: pd.DataFrame, dataset: str) -> list[KnownLevel]:
         if address.recording != dataset:
             # Simulated people beside a recording.
             continue
-        where = address.where
+        where = address.mechanism_level
         families[where] = Family(
             row["mechanism"],
             row["family"],
@@ -66,7 +66,7 @@ def read_levels(table: pd.DataFrame, dataset: str) -> list[KnownLevel]:
         number = LevelRow(
             world=address.world,
             adversary=row["adversary"],
-            source=address.source,
+            reader=address.reader,
             metric=row["metric"],
             measured=Estimate(
                 row["value"], row["ci_low"], row["ci_high"], int(row["n"])
@@ -101,7 +101,7 @@ def check_families(levels: Iterable[KnownLevel], question: Question) -> None:
 def robot_names(levels: Sequence[KnownLevel]) -> tuple[str, ...]:
     """Return the predictors of a run by name."""
     names = (
-        row.source.consumer
+        row.reader.consumer
         for metric in (EQUAL_ALARMS, FALSE_ALARMS)
         for level in levels
         for row in level.rows
@@ -119,7 +119,7 @@ def chosen_robots(
         row.chosen
         for level in levels
         for row in level.rows
-        if row.source.consumer == best and row.world == criterion.world
+        if row.reader.consumer == best and row.world == criterion.world
     )
     return next(chosen, ())
 
@@ -134,4 +134,4 @@ def leading_handover(names: Collection[str]) -> str:
 
 def level_tasks(level: KnownLevel) -> list[str]:
     """Return the linkage tasks with a number at a level."""
-    return [*dict.fromkeys(row.source.task for row in level.rows if row.source.task)]
+    return [*dict.fromkeys(row.reader.task for row in level.rows if row.reader.task)]

@@ -7,7 +7,7 @@ from typing import Final, Literal, TypeAlias
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.metrics import PLR, PLR_WIDE, RANK1
-from evaluation.plan.address import Address, Where
+from evaluation.plan.address import Address, MechanismLevel
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 
 # Up to so many times the scenes of a run, new scenes still show new people.
@@ -36,7 +36,7 @@ class Check:
     name: str  # As in `LIMITS`, `plr_wide`, or `rank1/TASK`.
     limit: float  # Infinite: the number must be known.
     measured: Estimate
-    source: Address | None = None  # The positions, or the linker, that it is of.
+    reader: Address | None = None  # The positions, or the linker, that it is of.
     adversary: str = ""  # `SINGLE_RELEASE` or a name, for a number after attack.
     scenes: int = 0  # Number of scenes behind it; 0: it is not about scenes.
     missing: Unknown | None = None
@@ -95,7 +95,7 @@ class AttackNumbers:
     """Numbers after the strongest attack of an adversary at a level."""
 
     adversary: str  # `SINGLE_RELEASE`, or a name.
-    source: Address | None = None  # None: it was not tried.
+    reader: Address | None = None  # None: it was not tried.
     numbers: Mapping[str, Estimate] = field(default_factory=dict)  # By metric.
 
     def value(self, metric: str) -> Estimate:
@@ -120,7 +120,7 @@ class TaskLinkage:
     """Success of the strongest linker in a task."""
 
     task: str
-    source: Address | None = None  # None: it was not run at this level.
+    reader: Address | None = None  # None: it was not run at this level.
     metric: str = RANK1  # Rank 1, or that of 100 candidates.
     rank1: Estimate = UNKNOWN
     chance: float = math.nan
@@ -132,7 +132,7 @@ class TaskLinkage:
 class Offer:
     """Cost and privacy of a level, and its checks against the limits."""
 
-    where: Where
+    mechanism_level: MechanismLevel
     family: Family
     cost: Estimate  # Missed conflicts of the robot, by the criterion.
     robots: Mapping[str, Estimate]  # Cost of every robot of the run by its name.
@@ -163,7 +163,7 @@ class Offer:
         An unknown number is infinite: it beats no known number, and equals another
         unknown one. A level with an unknown limit is never proposed (`met`).
         """
-        exposed = self.attacked if self.attacked.source else self.shared
+        exposed = self.attacked if self.attacked.reader else self.shared
         linked = self.linked.rank1.value if self.linked else math.nan
         plr = exposed.value(PLR).value
         cost, plr, rank1 = (

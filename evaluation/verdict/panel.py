@@ -124,7 +124,7 @@ def build_panel(
 ) -> Panel | None:
     """Return the panel of a task; None without raw or a sweep of fixed noise."""
     families = [known[level.mechanism] for level in task.levels]
-    wheres = [(level.mechanism, level.level) for level in task.levels]
+    levels = [(level.mechanism, level.level) for level in task.levels]
     raw = [place for place, family in enumerate(families) if family.family == RAW]
     fixed, fid = (
         _sweep(task, families, raw, name=name, adding=adding) for name in (FIXED, FID)
@@ -141,7 +141,7 @@ def build_panel(
         (plugin.name, plugin.level): Family(plugin.name, plugin.family, plugin.adding)
         for plugin in plugins.parse_all("mechanisms", PRESETS[preset].mechanisms)
     }
-    others = [place for place in judged if wheres[place] in wanted]
+    others = [place for place in judged if levels[place] in wanted]
     lacks = [] if fid else ["a sweep of fid"]
     lacks += [
         where_text(*where)
@@ -149,7 +149,7 @@ def build_panel(
         if family.is_added
         and adding in family.rules
         and family.family not in (FID, FIXED)
-        and where not in wheres
+        and where not in levels
     ]
     missing = ""
     if lacks:

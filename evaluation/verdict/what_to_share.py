@@ -103,7 +103,7 @@ def recommend(
             " name one of these or add it with the command of the run"
         )
     robot = question.robot or BEST[question.criterion.metric]
-    task = leading_handover({row.source.task for level in known for row in level.rows})
+    task = leading_handover({row.reader.task for level in known for row in level.rows})
     checker = LevelChecker(question, robot, task, scenes, robots=robots)
     asked = [
         level

@@ -332,7 +332,7 @@ def test_the_screen_has_six_columns_at_most(n_linked):
     later = {
         robot.measure.measured(MISSED_FUTURE).at(*where): Estimate(0.5, 0.4, 0.6)
         for robot in robots
-        for where in first.wheres
+        for where in first.levels
     }
     wide = replace(first, linked=linked, horizon_s=3.0, later=later)
     best = lead_robot(wide, best="kalman_cv")

@@ -193,7 +193,8 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
     crossed = expand_axes(Settings())
     assert Settings().preset == DEFAULT == "quick"
     assert (Settings().n_attacked_scenes, Settings().n_all_scenes) == (250, 2000)
-    assert crossed.mechanisms_by_world == dict.fromkeys(crossed.mechanisms_by_world, ())
+    by_world = crossed.scenes.mechanisms_by_world
+    assert by_world == dict.fromkeys(by_world, ())
     families = {plugin.spec.partition(":")[0] for plugin in crossed.mechanisms}
     assert families == {"raw", "fid", "fixed", "ou"}
     assert {plugin.adding for plugin in crossed.mechanisms} == {
@@ -201,13 +202,14 @@ def test_the_default_is_a_preset_of_few_levels_with_at_least_one_of_each_kind():
         "linear",
         "independent",
     }
-    assert crossed.utility_predictors == {plugin.spec for plugin in crossed.predictors}
-    assert [task.name for task in crossed.tasks] == [
+    assert crossed.scenes.utility_predictors == crossed.scenes.predictors
+    assert [task.name for task in crossed.linkage.tasks] == [
         "rerelease",
         "handover-1s",
         "handover-5s",
     ]
-    assert all(len(crossed.task_consumers(task)) > 2 for task in crossed.tasks)
+    linkage = crossed.linkage
+    assert all(len(linkage.consumers(task)) > 2 for task in linkage.tasks)
 
 
 def test_a_folder_of_another_preset_is_refused_in_one_line(tmp_path, ran):
@@ -241,10 +243,8 @@ def test_the_presets_are_those_of_the_design():
     ]
     assert errors == pytest.approx([step / 10 for step in range(1, 11)], abs=1e-12)
     assert PRESETS["full"].scenes == 5000
-    frontier = expand_axes(Settings(preset="frontier"))
-    assert frontier.utility_predictors == {
-        predictor.spec for predictor in frontier.predictors
-    }  # all scenes, each robot
+    frontier = expand_axes(Settings(preset="frontier")).scenes
+    assert frontier.utility_predictors == frontier.predictors  # all scenes, each robot
 
 
 def test_list_names_everything_that_can_be_named(ran):

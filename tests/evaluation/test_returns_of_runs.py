@@ -124,10 +124,10 @@ def test_a_run_without_scenes_has_a_first_screen_that_says_so(made):
 def test_a_run_without_scenes_says_how_many_people_it_leaves_out(
     sessions, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("evaluation.plan.plan.MOST_SCORES", 2000)
+    monkeypatch.setattr("evaluation.plan.fitted_data.MOST_SCORES", 2000)
     settings = Settings(preset="smoke", sessions=sessions, out=tmp_path / "run")
     plan = make_plan(settings)
-    assert plan.axes.why_no_scenes
+    assert plan.axes.scenes.why_left_out
     assert plan.passages.not_drawn > 0
     (notice,) = [
         text for text in plan_notices(plan, slow=()) if "people of task returns" in text

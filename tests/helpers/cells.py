@@ -16,8 +16,8 @@ from evaluation.compute.linkage import link
 from evaluation.compute.reconstruction import attacked_block, draw_halves
 from evaluation.compute.sharing import share
 from evaluation.compute.work import SceneWork, compute_cells
-from evaluation.plan.axes import Axes
 from evaluation.plan.consumer import Consumer
+from evaluation.plan.linkage_axes import LinkageAxes
 from isac_track import plugins
 from isac_track.config import StageSettings
 from isac_track.plugins import Plugin
@@ -177,11 +177,11 @@ def linked(task_windows, by, *links, controls=False, seed=0, stages=STAGES):
         )
         for linker in links
     ]
-    crossed = Axes((), (), (), links=tuple((task, linker) for linker in linkers))
+    linkage = LinkageAxes(linkers_by_task={task: tuple(linkers)})
     wanted = ("linkage", "control") if controls else ("linkage",)
     results = {
         (consumer.spec, consumer.adversary): link(consumer, level)
-        for consumer in crossed.task_consumers(task)
+        for consumer in linkage.consumers(task)
         if consumer.kind in wanted
     }
     return results, level

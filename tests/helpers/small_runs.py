@@ -66,7 +66,7 @@ def cut_once():
         return known[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("evaluation.plan.plan.cut", cut_or_recalled)
+        patch.setattr("evaluation.plan.fitted_data.cut", cut_or_recalled)
         yield
 
 

@@ -134,7 +134,7 @@ def asked(levels=USUAL, *, scenes=(500, 2000), **question):
 
 def names(offers):
     """Mechanism and level of offers."""
-    return [offer.where for offer in offers]
+    return [offer.mechanism_level for offer in offers]
 
 
 def changed(base=GOOD, /, **values):

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, AT_RAW, RAW
-from evaluation.plan.address import Where, parse_row
+from evaluation.plan.address import MechanismLevel, parse_row
 from evaluation.reporting.amounts import PERCENT, whole_percent
 from evaluation.reporting.charts import (
     LOOKS,
@@ -38,16 +38,16 @@ def figures(run: Results) -> Iterator[Figure]:
     looks = _looks(run, curves)
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for rule in ADDING_RULES:
-        wheres = [
+        mechanism_levels = [
             where
             for where in curves
             if rule in find_family(run.families, where.mechanism).rules
         ]
         drawn = [
             _curve(looks[_name(run, where)], _name(run, where), curves[where])
-            for where in wheres
+            for where in mechanism_levels
         ]
-        if any(where.mechanism != RAW for where in wheres):
+        if any(where.mechanism != RAW for where in mechanism_levels):
             if not label_room(drawn):
                 key |= {curve.label: curve.look for curve in drawn}
             x, y = Axis("net speed (m/s)"), Axis("PLR after attack (%)")
@@ -64,7 +64,7 @@ def figures(run: Results) -> Iterator[Figure]:
     )
 
 
-def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
+def _caption(curves: Mapping[MechanismLevel, pd.DataFrame], run: Results) -> str:
     """Tell attacked PLR of the slowest and fastest people at the noisiest level."""
     added = [where for where in curves if where.mechanism != RAW]
     if not added:
@@ -80,27 +80,27 @@ def _caption(curves: Mapping[Where, pd.DataFrame], run: Results) -> str:
     )
 
 
-def _by_level(rows: pd.DataFrame) -> dict[Where, pd.DataFrame]:
+def _by_level(rows: pd.DataFrame) -> dict[MechanismLevel, pd.DataFrame]:
     """Return the rows of each level."""
     levels = rows["level"].astype(object).where(rows["level"].notna(), None)
-    wheres = list(map(Where, rows["mechanism"], levels))
-    places: dict[Where, list[int]] = {}
-    for place, where in enumerate(wheres):
+    mechanism_levels = list(map(MechanismLevel, rows["mechanism"], levels))
+    places: dict[MechanismLevel, list[int]] = {}
+    for place, where in enumerate(mechanism_levels):
         places.setdefault(where, []).append(place)
     return {where: rows.iloc[own] for where, own in places.items()}
 
 
-def _looks(run: Results, wheres: Iterable[Where]) -> dict[str, Look]:
+def _looks(run: Results, mechanism_levels: Iterable[MechanismLevel]) -> dict[str, Look]:
     """Return the look of each level under both adding rules; raw is a star."""
     names = dict.fromkeys(
-        _name(run, where) for where in wheres if where.mechanism != RAW
+        _name(run, where) for where in mechanism_levels if where.mechanism != RAW
     )
     looks = {name: Look(place % (LOOKS - 1)) for place, name in enumerate(names)}
-    raw = {_name(run, AT_RAW): Look(LOOKS - 1)} if AT_RAW in wheres else {}
+    raw = {_name(run, AT_RAW): Look(LOOKS - 1)} if AT_RAW in mechanism_levels else {}
     return raw | looks
 
 
-def _name(run: Results, where: Where) -> str:
+def _name(run: Results, where: MechanismLevel) -> str:
     """Return the plain name of a level, whatever its adding rule."""
     family = find_family(run.families, where.mechanism)
     return mechanism_name(replace(family, mechanism=family.name), where.level)

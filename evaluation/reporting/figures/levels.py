@@ -32,8 +32,8 @@ from evaluation.reporting.charts import (
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.lookups import ENDS
 from evaluation.reporting.names import attack_name, robot_name, robot_subject
-from evaluation.reporting.result_tables import after_attack, list_sources
-from evaluation.reporting.rows import Results, source_rows
+from evaluation.reporting.result_tables import after_attack, list_readers
+from evaluation.reporting.rows import Results, reader_rows
 from evaluation.reporting.schemes import Scheme, schemes
 
 _FILES = {FID: "fid_threshold", FIXED: "fixed_error"}
@@ -234,23 +234,23 @@ def _attacked(run: Results) -> Iterator[Figure]:
     rows = after_attack(run.ours)
     rows = rows[rows["metric"] == PLR]
     chosen = [
-        source
-        for source in most_knowing(list_sources(rows))
-        if source.consumer != IDENTITY
+        reader
+        for reader in most_knowing(list_readers(rows))
+        if reader.consumer != IDENTITY
     ]
-    oracle = [source for source in chosen if source.adversary == ORACLE]
-    others = [source for source in chosen if source.adversary and source not in oracle]
+    oracle = [reader for reader in chosen if reader.adversary == ORACLE]
+    others = [reader for reader in chosen if reader.adversary and reader not in oracle]
     looks = {AS_SHARED: Look(LOOKS - 1)} if AS_SHARED in chosen else {}
-    looks |= {source: Look(place) for place, source in enumerate(others[: LOOKS - 1])}
+    looks |= {reader: Look(place) for place, reader in enumerate(others[: LOOKS - 1])}
     looks |= {
-        source: Look(place, hollow=True)
-        for place, source in enumerate(oracle[: LOOKS - 1])
+        reader: Look(place, hollow=True)
+        for place, reader in enumerate(oracle[: LOOKS - 1])
     }
     if not looks.keys() - {AS_SHARED}:
         return
     series = [
-        _Series(_label(source), look, source_rows(rows, source), PLR)
-        for source, look in looks.items()
+        _Series(_label(reader), look, reader_rows(rows, reader), PLR)
+        for reader, look in looks.items()
     ]
     series = [part for part in series if len(part.rows)]
     across = _raw_lines([part for part in series if part.label == "as shared"])
@@ -271,11 +271,11 @@ def _attacked(run: Results) -> Iterator[Figure]:
     )
 
 
-def _label(source: Address) -> str:
+def _label(reader: Address) -> str:
     """Return the name of positions: as shared, or the attack and the adversary."""
-    if source == AS_SHARED:
+    if reader == AS_SHARED:
         return "as shared"
-    return f"{attack_name(source.consumer)} ({source.adversary})"
+    return f"{attack_name(reader.consumer)} ({reader.adversary})"
 
 
 def _rise(series: Sequence[_Series]) -> str:

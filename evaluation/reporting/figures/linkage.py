@@ -94,7 +94,7 @@ def figures(run: Results) -> Iterator[Figure]:
 
 def _strongest(run: Results, task: TaskOutcomes) -> _Linked:
     """Return a task by the run's strongest attack, else by the best on average."""
-    rows = {source: _rank1_rows(task, source) for source in task.attacks}
+    rows = {reader: _rank1_rows(task, reader) for reader in task.attacks}
     named = run.strongest.get(task.name)
     if named in rows:
         return _Linked(task.name, rows[named])
@@ -172,10 +172,10 @@ def _caption(tasks: Sequence[_Linked], shown: Sequence[Scheme]) -> str:
     return ""
 
 
-def _rank1_rows(task: TaskOutcomes, source: Address) -> pd.DataFrame:
+def _rank1_rows(task: TaskOutcomes, reader: Address) -> pd.DataFrame:
     """Return finite rank 1 of an attack, and chance, with the columns of a summary."""
     keys = "mechanism", "level", "rank1", "ci_low", "ci_high", "chance"
-    known = (block[source] for block in task.cells.values() if source in block)
+    known = (block[reader] for block in task.cells.values() if reader in block)
     rows = [[row[key] for key in keys] for row in known if math.isfinite(row["rank1"])]
     return pd.DataFrame(rows, columns=["mechanism", "level", *ENDS, "chance"])
 

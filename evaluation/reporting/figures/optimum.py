@@ -54,7 +54,8 @@ def figures(run: Results) -> Iterator[Figure]:
 def _level(run: Results, gap: ClosestAttack) -> str:
     """Return the plain name of the level of a gap."""
     return short_mechanism_name(
-        find_family(run.families, gap.where.mechanism), gap.where.level
+        find_family(run.families, gap.mechanism_level.mechanism),
+        gap.mechanism_level.level,
     )
 
 

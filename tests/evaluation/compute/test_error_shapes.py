@@ -9,7 +9,7 @@ from helpers.cells import STAGES, World, parsed
 from evaluation.compute.frames import Frame, adversary_view
 from evaluation.compute.sharing import share
 from evaluation.compute.walk_bounds import benchmark
-from evaluation.plan.axes import Axes
+from evaluation.plan.scene_axes import SceneAxes
 from isac_track import plugins
 from isac_track.measurement import share_within
 from isac_track.sharing import perturb
@@ -112,7 +112,7 @@ def test_cells_of_a_run_know_the_shape(tracks, mechanism):
     )
     world = World(tracks, n_scenes=4, stages=stages)
     attack = parsed("attacks", "kalman_rts")
-    consumers = Axes(mechanisms=(), predictors=(), attacks=(attack,)).consumers
+    consumers = SceneAxes(attacks=(attack,)).consumers
     by_knowledge = {
         consumer.adversary: rows
         for _, consumer, rows in world.cells((mechanism,), consumers)

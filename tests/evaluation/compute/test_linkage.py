@@ -736,14 +736,14 @@ class TestAxes:
     def test_who_is_asked_for_by_name_alone_does_something(self, name):
         rows = {
             consumer.adversary
-            for consumer in expand_axes(paper(adversaries=(name,))).consumers
+            for consumer in expand_axes(paper(adversaries=(name,))).scenes.consumers
         }
         assert rows == {"", *USUAL, name}
 
     def test_who_is_in_every_run_adds_nothing_to_it_when_asked_for(self):
         assert (
-            expand_axes(paper(adversaries=USUAL)).consumers
-            == expand_axes(paper()).consumers
+            expand_axes(paper(adversaries=USUAL)).scenes.consumers
+            == expand_axes(paper()).scenes.consumers
         )
 
     def test_who_links_where(self):
@@ -756,9 +756,8 @@ class TestAxes:
             ("histogram@savgol:0.5", "split", "histogram@savgol:width_s=0.5"),
         ):
             result = expand_axes(Settings(attacks=(attack,), tasks=(task,)))
-            assert [(where.name, link.spec) for where, link in result.links] == [
-                (task, spec)
-            ]
+            ((linked_task, (linker,)),) = result.linkage.linkers_by_task.items()
+            assert (linked_task.name, linker.spec) == (task, spec)
 
     def test_preset_quick_leaves_out_the_oracle_where_a_lesser_adversary_can_attack(
         self,
@@ -768,7 +767,7 @@ class TestAxes:
         )
         rows = {
             (consumer.spec, consumer.adversary)
-            for consumer in crossed.consumers
+            for consumer in crossed.scenes.consumers
             if consumer.kind == "attack"
         }
         assert {knowledge for spec, knowledge in rows if spec == "radial_rts"} == {
@@ -776,15 +775,15 @@ class TestAxes:
             "informed",
         }
         assert ("averaging", "oracle") in rows
-        asked = expand_axes(Settings(preset="quick", adversaries=("oracle",))).consumers
-        assert "oracle" in {item.adversary for item in asked}
+        asked = expand_axes(Settings(preset="quick", adversaries=("oracle",)))
+        assert "oracle" in {item.adversary for item in asked.scenes.consumers}
 
     def test_paper_has_every_task_and_every_linker_and_nothing_is_linked_without_tasks(
         self,
     ):
         result = expand_axes(paper())
-        assert {task.name for task in result.tasks} == TASKS.keys()
-        linkers = {link.plugin.name for _, link in result.links}
+        assert {task.name for task in result.linkage.tasks} == TASKS.keys()
+        linkers = {linker.plugin.name for linker in result.linkage.all_linkers}
         known = {"shape", "profile", "dtw", "behaviour", "histogram", "kinematic"}
         known |= {
             "likelihood_ratio",
@@ -792,9 +791,9 @@ class TestAxes:
             "mean_distance",
         }
         assert linkers == known
-        assert result.ceiling.spec == "clean"
+        assert result.linkage.mechanisms[0].spec == "clean"
         nothing = expand_axes(Settings(tasks=()))
-        assert (nothing.links, nothing.ceiling) == ((), None)
+        assert nothing.linkage.tasks == nothing.linkage.mechanisms == ()
 
 
 def entry(consumer, mechanism, p_value, low=1.0):

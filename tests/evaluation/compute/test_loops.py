@@ -18,11 +18,10 @@ from isac_track import compiling
 
 def crossed_cells(crossed):
     """Every level of some axes with each of its consumers, those of tasks included."""
-    linked = [each for task in crossed.tasks for each in crossed.task_consumers(task)]
     return [
         (level, item)
         for level in crossed.mechanisms
-        for item in (*crossed.consumers, *linked)
+        for item in (*crossed.scenes.consumers, *crossed.linkage.all_consumers)
     ]
 
 

@@ -219,7 +219,7 @@ def test_a_policy_that_cannot_be_meant_is_one_line(ran, recording, policy, says)
 def test_a_longer_horizon_of_conflicts_makes_room_for_that_of_a_policy(horizon):
     settings = smoke("plaza", policies=(f"ahead:2,{horizon}",))
     stages = settings.stages.changed({"conflict.horizons_s": (9.0,)})
-    assert expand_axes(replace(settings, stages=stages)).policies
+    assert expand_axes(replace(settings, stages=stages)).patrols.policies
 
 
 @pytest.mark.usefixtures("single_process")

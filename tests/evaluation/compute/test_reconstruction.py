@@ -16,7 +16,7 @@ from attacks.reconstruction.kalman_rts import KalmanRTS
 from evaluation.compute import reconstruction
 from evaluation.compute.reconstruction import draw_halves
 from evaluation.compute.walk_bounds import benchmark
-from evaluation.plan.axes import Axes
+from evaluation.plan.scene_axes import SceneAxes
 from isac_track.errors import DataError, PluginError
 from isac_track.plugins import Plugin
 from isac_track.protocols import grants
@@ -36,7 +36,7 @@ MECHANISM, SIGMA, TRAIN, SCENE, REPEATS = (
 def computed(tracks, *attacks, mechanisms=("raw",), n_scenes=N_SCENES, size=None):
     """Rows of every cell of scenes by (mechanism, consumer, adversary), in blocks."""
     attacks = tuple(parsed("attacks", attack) for attack in attacks)
-    consumers = Axes(mechanisms=(), predictors=(), attacks=attacks).consumers
+    consumers = SceneAxes(attacks=attacks).consumers
     result = {}
     for level, consumer, rows in World(tracks, n_scenes=n_scenes).cells(
         mechanisms, consumers, size=size

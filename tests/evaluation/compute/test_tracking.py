@@ -224,7 +224,7 @@ def linked(recording, tracker, **stages):
     recorded = datasets.load(str(recording)).tracks
     setup = make_tracking_setup(recorded, stages=settings.stages, seed=0)
     crossed = expand_axes(settings)
-    links = [each for each in crossed.track_consumers() if each.task]
+    links = [each for each in crossed.tracks.consumers() if each.task]
     links = [link for link in links if link.track_release.name == tracker]
     raw, plugin = parse("mechanisms", "raw")[0], parse("trackers", tracker)[0]
     releases = share_tracked(raw, plugin, setup)
@@ -498,6 +498,8 @@ def test_every_setting_changes_the_rows(counted, changes, least):
 
 def test_a_mechanism_that_leaves_samples_out_has_no_tracks():
     settings = smoke("plaza", mechanisms=("raw", "window:2"), stages=FEW)
-    assert [plugin.spec for plugin in expand_axes(settings).track_mechanisms] == ["raw"]
+    assert [plugin.spec for plugin in expand_axes(settings).tracks.mechanisms] == [
+        "raw"
+    ]
     with pytest.raises(SettingsError, match="unknown tracker"):
         expand_axes(smoke("plaza", stages=FEW | {"tracking.method": "nobody"}))

@@ -20,9 +20,8 @@ from isac_track.scenes import cut
 def piece(tracks):
     known, task = cut(tracks, settings=STAGES, seed=0), TASKS["rerelease"]
     attacks = ("shape", "histogram", "histogram@kalman_rts")
-    consumers = expand_axes(
-        Settings(attacks=attacks, tasks=(task.name,))
-    ).task_consumers(task)
+    crossed = expand_axes(Settings(attacks=attacks, tasks=(task.name,)))
+    consumers = crossed.linkage.consumers(task)
     levels = tuple(
         (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
     )

@@ -51,7 +51,7 @@ def at(best, consumer, metric, where=LEVELS[1]):
 def missed_by_hand(scored, name, people, weight, where, *, future=False):
     """Misses of a robot by some people at the false-alarm rate that it has at raw."""
     by_where = {
-        robot.entry.address.where: robot
+        robot.entry.address.mechanism_level: robot
         for robot in scored
         if robot.entry.address.consumer == name
     }
@@ -184,7 +184,7 @@ def test_a_robot_that_lacks_levels_is_no_rival_and_others_choose_on_shared_level
     }
     at_raw = best_robots(scored, make_manifest(40), known, among={"raw"})
     assert at_raw.choices[ALL] == ("b", "b")
-    assert {key.where for key in at_raw.estimates} == {("raw", None)}
+    assert {key.mechanism_level for key in at_raw.estimates} == {("raw", None)}
 
 
 def test_a_half_weighs_the_same_whoever_is_chosen():

@@ -66,7 +66,9 @@ def test_in_worlds_of_the_fitted_motion_attacks_stand_beside_the_optimum(
         assert (world, "averaging", "oracle", "plr_gap") not in rows
     assert abs(gap[isotropic]) < gap[radial]
     assert len(bound_table(results).rows) == 2
-    assert [gap_row.where for gap_row in gaps(results.summary)] == [("fixed", 0.5)] * 2
+    assert [gap_row.mechanism_level for gap_row in gaps(results.summary)] == [
+        ("fixed", 0.5)
+    ] * 2
     assert {gap_row.attack.consumer for gap_row in gaps(results.summary)} == {
         "kalman_rts"
     }

@@ -161,8 +161,8 @@ def test_the_strongest_on_each_mechanism_is_cross_fitted():
         # The second is the better one against FID, and about as good, by chance,
         # against fixed.
         gain, left = 0.2 * (key.mechanism == "fid"), estimates[key].value
-        for source, own in ((first, people[0]), (second, people[1] + gain)):
-            at = source.measured(key.metric).at(*key.where)
+        for reader, own in ((first, people[0]), (second, people[1] + gain)):
+            at = reader.measured(key.metric).at(*key.mechanism_level)
             over = np.stack([(0.5 + own) * left, np.ones(n)])
             sums[at] = ClusterSums(over, weights)
             value, drawn = over[0].mean(), weights @ over[0] / n

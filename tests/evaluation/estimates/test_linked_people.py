@@ -100,10 +100,10 @@ def test_other_mechanisms_are_linked_by_whoever_is_strongest_there(run):
             "rank1_assigned",
         ):  # a linker counts by the better of both
             for key, item in numbers.items():
-                is_linker = key.adversary and key.source.task == task
+                is_linker = key.adversary and key.reader.task == task
                 if key.mechanism == "offset" and key.metric == rule and is_linker:
-                    source = key.source
-                    rivals[source] = max(item.value, rivals.get(source, 0.0))
+                    reader = key.reader
+                    rivals[reader] = max(item.value, rivals.get(reader, 0.0))
         assert len(rivals) > 1
         assert linkers == {
             "raw": linker,
@@ -153,8 +153,8 @@ def test_each_half_of_the_people_is_linked_by_whom_the_other_half_chose(run):
     for level in read["rerelease"][:2]:
         spec = SPECS[level.mechanism, level.level]
         first, second = (
-            stored_rows(out, spec, source.consumer, source.adversary)
-            for source in (linker, other)
+            stored_rows(out, spec, reader.consumer, reader.adversary)
+            for reader in (linker, other)
         )
         is_first = first_half(level.clusters)[level.cluster]
         by_rank = np.where(first["above"] == 0, 1.0 / first["tied"].clip(lower=1), 0.0)

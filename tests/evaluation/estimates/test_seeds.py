@@ -164,7 +164,7 @@ class TestRuns:
     def test_one_run_pooled_is_the_run_itself(self, outs):
         first = read(outs[0])
         seen = 0
-        for where in first.table.wheres:
+        for where in first.table.levels:
             for number, column in enumerate(first.columns):
                 known = first.table.at(where, column)
                 if known is not None:

@@ -22,11 +22,11 @@ SHAPE, DTW = (
 LEVELS = (("raw", None), ("fixed", 1.0), ("fid", 1.0))
 
 
-def values(by_source, *, metric="rank1", levels=LEVELS):
+def values(by_reader, *, metric="rank1", levels=LEVELS):
     """Return each attack's success by level: a number for all, or a number for each."""
     return {
-        source.measured(metric).at(*where): Estimate(achieved)
-        for source, successes in by_source.items()
+        reader.measured(metric).at(*where): Estimate(achieved)
+        for reader, successes in by_reader.items()
         for where, achieved in zip(
             levels, np.broadcast_to(successes, len(levels)), strict=True
         )
@@ -88,11 +88,11 @@ def test_what_one_half_chose_is_scored_on_the_other():
     assert used.size < n
     is_first = first_half(tuple(map(str, range(n))))
     own = {first: np.where(is_first, 0.9, 0.1), second: np.where(is_first, 0.2, 0.8)}
-    shares = {source: share * tracks for source, share in own.items()}
+    shares = {reader: share * tracks for reader, share in own.items()}
     every = {
-        source.measured(metric).at(*where): np.stack([share * rng.random(n), tracks])
+        reader.measured(metric).at(*where): np.stack([share * rng.random(n), tracks])
         for where in LEVELS
-        for source, share in shares.items()
+        for reader, share in shares.items()
         for metric in ("plr", "mel")
     }
     sums = {
@@ -107,7 +107,7 @@ def test_what_one_half_chose_is_scored_on_the_other():
         for where in LEVELS
         for metric in ("plr", "mel")
     ):
-        theirs = every[second.measured(key.metric).at(*key.where)][0]
+        theirs = every[second.measured(key.metric).at(*key.mechanism_level)][0]
         scored = np.where(is_first, theirs, every[key][0])
         assert result[key].value == pytest.approx(scored.sum() / tracks.sum())
         assert result[key].replicates == pytest.approx(

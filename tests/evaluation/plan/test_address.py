@@ -95,7 +95,7 @@ def test_the_columns_of_an_address_say_all_of_it(address):
 @given(addresses(), st.booleans())
 def test_a_label_says_who_reads_where(address, is_joint):
     metric = "rank1_assigned" if is_joint else ""
-    reader = replace(address.source, world=address.world, metric=metric)
+    reader = replace(address.reader, world=address.world, metric=metric)
     assert parse_label(reader.cell_label) == reader
     assert parse_label(reader.label) == replace(reader, world=OWN_WORLD)
 
@@ -158,11 +158,11 @@ def test_a_part_of_an_address_stands_for_all_that_it_leaves_out():
         level=1.0,
         metric="rank1",
     )
-    assert number.where == ("fid", 1.0)
+    assert number.mechanism_level == ("fid", 1.0)
     assert number.measure.at("fid", 1.0) == number
-    assert number.source == parse_consumer("split/dtw@kalman_rts", "informed")
-    assert number.source.measured("rank1") == number.measure
-    assert number.source.without_task.label == "dtw@kalman_rts (informed)"
+    assert number.reader == parse_consumer("split/dtw@kalman_rts", "informed")
+    assert number.reader.measured("rank1") == number.measure
+    assert number.reader.without_task.label == "dtw@kalman_rts (informed)"
     assert number.attack_spec == "dtw@kalman_rts"
     assert math.isnan(replace(number, level=None).to_columns()["level"])
     # It follows from the mechanism: not a second number.

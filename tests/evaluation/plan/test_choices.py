@@ -31,9 +31,13 @@ def specs(settings):
     crossed = expand_axes(settings)
     return {
         "mechanisms": [plugin.spec for plugin in crossed.mechanisms],
-        "predictors": [plugin.spec for plugin in crossed.predictors],
-        "attacks": [plugin.spec for plugin in crossed.attacks],
-        "links": [(task.name, link.spec) for task, link in crossed.links],
+        "predictors": [plugin.spec for plugin in crossed.scenes.predictors],
+        "attacks": [plugin.spec for plugin in crossed.scenes.attacks],
+        "links": [
+            (task.name, linker.spec)
+            for task, linkers in crossed.linkage.linkers_by_task.items()
+            for linker in linkers
+        ],
     }
 
 
@@ -80,7 +84,7 @@ def test_a_linker_that_is_added_links_and_the_others_still_do():
 
 def test_a_task_that_is_added_is_linked():
     result = expand_axes(typed("--preset", "frontier", "--task", "+split"))
-    assert [task.name for task in result.tasks] == ["rerelease", "split"]
+    assert [task.name for task in result.linkage.tasks] == ["rerelease", "split"]
 
 
 def test_all_that_a_preset_does_besides_its_axes_stays():
@@ -92,30 +96,35 @@ def test_all_that_a_preset_does_besides_its_axes_stays():
             predictors=["+kalman_cv:2"],
         )
     )
-    assert added.slow_error_attacks == usual.slow_error_attacks
-    assert added.mechanisms_by_world == usual.mechanisms_by_world
-    assert added.linked_mechanisms_by_world == usual.linked_mechanisms_by_world
-    assert added.adversaries == usual.adversaries
-    # A robot that is named is read in all scenes and at every horizon.
-    assert len(added.utility_predictors) == len(usual.utility_predictors) + 1
+    assert added.scenes.slow_error_attacks == usual.scenes.slow_error_attacks
+    assert added.scenes.mechanisms_by_world == usual.scenes.mechanisms_by_world
+    assert added.linkage.mechanisms_by_world == usual.linkage.mechanisms_by_world
+    assert added.scenes.adversaries == usual.scenes.adversaries
+    # A robot that is named reads all scenes, at every horizon.
+    added_robots = added.scenes.utility_predictors
+    assert len(added_robots) == len(usual.scenes.utility_predictors) + 1
 
 
 def test_without_the_attacks_of_a_preset_its_further_adversaries_go():
-    assert expand_axes(Settings()).adversaries
-    assert expand_axes(Settings(attacks=["savgol"])).adversaries == ()
+    usual, replaced = Settings(), Settings(attacks=["savgol"])
+    assert expand_axes(usual).scenes.adversaries.further
+    assert expand_axes(replaced).scenes.adversaries.further == ()
 
 
 def test_an_attack_of_slow_errors_that_is_named_runs_against_every_mechanism():
-    (spec,) = expand_axes(Settings()).slow_error_attacks
-    assert expand_axes(Settings(attacks=[f"+{spec}"])).slow_error_attacks == frozenset()
+    (spec,) = expand_axes(Settings()).scenes.slow_error_attacks
+    named = expand_axes(Settings(attacks=[f"+{spec}"]))
+    assert named.scenes.slow_error_attacks == frozenset()
 
 
 def test_twice_is_once():
     for name in PRESETS["smoke"].attacks:
         once = expand_axes(Settings(preset="smoke"))
         assert (
-            expand_axes(Settings(preset="smoke", attacks=[f"+{name}"])).links
-            == once.links
+            expand_axes(
+                Settings(preset="smoke", attacks=[f"+{name}"])
+            ).linkage.linkers_by_task
+            == once.linkage.linkers_by_task
         )
 
 
@@ -123,8 +132,9 @@ def test_an_object_follows_a_plus_of_its_own():
     result = expand_axes(
         Settings(preset="smoke", attacks=["+", OwnAttack(), "savgol:0.4"])
     )
-    assert result.attacks[-2].instance == OwnAttack()
-    assert len(result.attacks) == len(expand_axes(Settings(preset="smoke")).attacks) + 2
+    usual = expand_axes(Settings(preset="smoke"))
+    assert result.scenes.attacks[-2].instance == OwnAttack()
+    assert len(result.scenes.attacks) == len(usual.scenes.attacks) + 2
 
 
 @pytest.mark.parametrize("axis", AXES)

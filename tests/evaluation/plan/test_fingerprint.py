@@ -127,9 +127,17 @@ SOURCES = {
     ),
     (): (
         "evaluation.plan.presets",
+        "evaluation.plan.adversaries",
         "evaluation.plan.axes",
         "evaluation.plan.consumer",
+        "evaluation.plan.fitted_data",
+        "evaluation.plan.linkage_axes",
         "evaluation.plan.linkers",
+        "evaluation.plan.patrol_axes",
+        "evaluation.plan.scene_axes",
+        "evaluation.plan.track_axes",
+        "evaluation.plan.units",
+        "evaluation.plan.user_plugins",
         "evaluation.plan.workers",
         "isac_track.plugins",
         "isac_track.testing.engine",
@@ -163,7 +171,7 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
     crossed = expand_axes(
         Settings(attacks=("savgol", "kalman_rts", "shape@savgol", "shape"))
     )
-    consumers = (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0]))
+    consumers = (*crossed.scenes.consumers, *crossed.linkage.all_consumers)
 
     def keys():
         return {
@@ -189,6 +197,6 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
 
 def test_raw_scores_are_another_thing_to_keep():
     crossed = expand_axes(Settings(attacks=("savgol", "shape")))
-    for item in (*crossed.consumers, *crossed.task_consumers(crossed.tasks[0])):
+    for item in (*crossed.scenes.consumers, *crossed.linkage.all_consumers):
         keys = {consumer_key(item, code=(), keep_scores=keep) for keep in (True, False)}
         assert len(keys) == 1 + (item.kind in ("linkage", "control"))

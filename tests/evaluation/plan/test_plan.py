@@ -86,9 +86,9 @@ def test_a_wrong_policy_is_refused(csv_recording, policy, message):
 
 
 def test_the_optimum_of_a_linkage_task_has_a_kind_that_files_do_not_have():
-    crossed = expand_axes(Settings(preset="paper", tasks=("rerelease",)))
-    (task,) = crossed.tasks
-    *linkers, optimum = crossed.task_consumers_in(World(is_model=True), task)
+    linkage = expand_axes(Settings(preset="paper", tasks=("rerelease",))).linkage
+    (task,) = linkage.tasks
+    *linkers, optimum = linkage.model_consumers(World(is_model=True), task)
     assert {linker.kind for linker in linkers} == {"linkage"}
     assert optimum.kind == "link_bound"
     assert optimum.kind_in_files == "linkage"

@@ -266,7 +266,7 @@ def test_further_scenes_are_for_utility_and_change_none_of_the_attacked(
     axes |= {"policies": ()}
     few = replace(PRESETS["paper"], scenes=4, utility_scenes=10, **axes)
     monkeypatch.setitem(PRESETS, DEFAULT, few)
-    for name in ("plan.plan", "pool.pieces"):
+    for name in ("plan.units", "pool.pieces"):
         monkeypatch.setattr(f"evaluation.{name}.BLOCK_SCENES", 4)
     own_horizon = {"conflict.horizons_s": ()}
     usual = Settings(

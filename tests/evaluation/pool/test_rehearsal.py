@@ -167,9 +167,10 @@ class TestHowLong:
     def test_every_built_in_consumer_has_a_rate(self):
         crossed = expand_axes(Settings(preset="paper"))
         # Of plaza, where nobody comes back.
-        tasks = [task for task in crossed.tasks if not task.links_returning_people]
-        readers = [crossed.task_consumers(task) for task in tasks]
-        names = {rate_name(item) for item in chain(crossed.consumers, *readers)}
+        linkage = crossed.linkage
+        tasks = [task for task in linkage.tasks if not task.links_returning_people]
+        readers = [linkage.consumers(task) for task in tasks]
+        names = {rate_name(item) for item in chain(crossed.scenes.consumers, *readers)}
         assert names <= measured_rates().keys()
         assert all(rate > 0 for rate in measured_rates().values())
 

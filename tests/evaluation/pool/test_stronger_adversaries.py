@@ -81,7 +81,7 @@ def test_only_candidates_are_tried_and_only_by_those_who_know_more(made):
     tried = summary[summary["consumer"] == "ou_rts"]
     assert set(tried["knowledge"]) == set(STRONGER_ADVERSARIES)
     answer = results["plain"].recommendation()
-    expected = {offer.where for offer in answer.candidates}
+    expected = {offer.mechanism_level for offer in answer.candidates}
     assert 1 <= len(expected) <= 5
     assert set(zip(tried["mechanism"], tried["level"], strict=True)) == expected
     assert "offset" not in {name for name, _ in expected}

@@ -126,9 +126,11 @@ class TestTheTextFile:
     ],
 )  # fmt: skip
 def test_representative_levels_are_those_of_the_headline_or_all(at, controls, chosen):
-    wheres = [(name, None if np.isnan(level) else level) for name, level in at]
+    mechanism_levels = [
+        (name, None if np.isnan(level) else level) for name, level in at
+    ]
     known = families_in(make_summary(at))
-    representative = representative_levels(wheres, known, controls=controls)
+    representative = representative_levels(mechanism_levels, known, controls=controls)
     rest = [
         (name, level)
         for name, level in representative

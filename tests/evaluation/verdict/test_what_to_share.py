@@ -133,8 +133,8 @@ class TestEachLimit:
     def test_an_adversary_breaks_a_limit_only_where_that_is_known(
         self, plr, wide, breaks
     ):
-        source = parse_consumer("ou_rts", "insider")
-        side = AttackNumbers("insider", source, {"plr": plr, "plr_wide": wide})
+        reader = parse_consumer("ou_rts", "insider")
+        side = AttackNumbers("insider", reader, {"plr": plr, "plr_wide": wide})
         assert side.breaks(0.5) is breaks
         assert AttackNumbers("insider").breaks(0.5) is None
 
