@@ -1,4 +1,4 @@
-"""Section b of the verdict: whether a track's own PLR, AEL or MEL predicts its linkage.
+"""The section *within*: whether a track's own PLR, AEL or MEL predicts its linkage.
 
 The comparison is within a mechanism level, and beyond the covariates that anybody sees
 without a descriptor: length, speed and noise of the track in both releases.
@@ -14,14 +14,14 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
-from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
 from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import rules
-from evaluation.verdict.items import Draft
+from evaluation.verdict.bands import Draft
+from evaluation.verdict.items import Topic, WithinDetails
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
@@ -32,14 +32,14 @@ _LEAST_RANGE: Final = 1e-9  # Of a covariate's term; one below it is constant.
 _LEAST_SCALE: Final = 1e-12  # Of residuals, by which ranks are divided.
 
 
-def within_level_items(
+def draft_within(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
     success: Mapping[str, Address],
     seed: int,
 ) -> Iterator[Draft]:
-    """Yield an item for every adding rule, descriptor and task.
+    """Yield a draft for every adding rule, descriptor and task.
 
     `levels` are by task; the levels of a task share cluster numbers. `sweeps` tell
     under which rule a mechanism is judged; `success` is the linker of each task.
@@ -64,7 +64,7 @@ def within_level_items(
                 release = np.column_stack([linked.hit, *linked.descriptors.values()])
                 distinct.setdefault(release.tobytes(), linked)
         if any(linked.mechanism != RAW for linked in distinct.values()):
-            yield _item(
+            yield _draft(
                 [*distinct.values()],
                 adding,
                 descriptor,
@@ -73,7 +73,7 @@ def within_level_items(
             )
 
 
-def _item(
+def _draft(
     levels: Sequence[LinkedProbes],
     adding: str,
     descriptor: str,
@@ -107,10 +107,13 @@ def _item(
     elif not np.isfinite(correlation.value):
         untestable = f"{name} hardly varies beyond length, speed and noise"
     return Draft(
-        adding=adding,
-        descriptor=descriptor,
-        task=linker.task,
-        subject=linker.without_task.label,
+        topic=Topic(
+            rules.WITHIN,
+            adding,
+            descriptor=descriptor,
+            task=linker.task,
+            attack=linker.without_task.label,
+        ),
         effect=correlation,
         parted_at=rules.LEAST_CORRELATION,
         above=rules.TRACKS,
@@ -124,7 +127,7 @@ def _item(
             "": f"{sentence}.",
         },
         untestable=untestable,
-        details={"levels": len(levels), "linked": json_number(excess.value)},
+        details=WithinDetails(n_levels=len(levels), linked=excess.value),
     )
 
 
