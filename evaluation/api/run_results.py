@@ -58,14 +58,7 @@ from evaluation.store.manifest import file_names, read_manifest
 from evaluation.store.sample_tracks import read_sample_tracks
 from evaluation.verdict.items import LinkedPeopleSections
 from evaluation.verdict.level_rows import leading_handover
-from evaluation.verdict.patrols import (
-    USUAL_LIMITS,
-    built_in,
-    choose_policy,
-    farthest_horizon,
-    lacking_part,
-    patrol_options,
-)
+from evaluation.verdict.patrol_json import patrols_json
 from evaluation.verdict.returns import return_verdict
 from evaluation.verdict.sections import build_verdict, linked_people_sections
 from evaluation.verdict.verdict_json import to_bytes, verdict_json
@@ -204,26 +197,11 @@ def _further_verdicts(
     """Return the answers on patrols and people who come back, where a run has any."""
     answered: dict[str, Any] = {}
     if on_patrol:
-        answered["patrols"] = _patrol_verdict(on_patrol, families)
+        answered["patrols"] = patrols_json(on_patrol, families=families)
     confirming = manifest["settings"].get("confirming")
     if returning := return_verdict(returns, confirming=confirming):
         answered["returns"] = returning
     return answered
-
-
-def _patrol_verdict(
-    numbers: Sequence[PatrolNumber], families: Mapping[str, Family]
-) -> dict[str, Any]:
-    """Return the options on patrol and the usual proposal, for `verdict.json`."""
-    options = patrol_options(numbers, families=families)
-    return {
-        "recommended": choose_policy(
-            options, USUAL_LIMITS, horizon_s=farthest_horizon(options)
-        ),
-        "options": options,
-        "lacks": lacking_part(numbers),
-        "by_construction": built_in(numbers),
-    }
 
 
 def _flags(

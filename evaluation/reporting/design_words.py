@@ -43,7 +43,7 @@ from evaluation.reporting.terminal import Part
 from evaluation.store.csv_files import read_report_file
 from evaluation.store.manifest import read_manifest
 from evaluation.verdict.offers import AttackNumbers, Check, Offer, TaskLinkage
-from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
+from evaluation.verdict.patrol_records import USUAL_LIMITS, PatrolLimits
 from evaluation.verdict.question import LIMITS, MISSED, Question
 from evaluation.verdict.what_to_share import Recommendation, recommend
 from isac_track.errors import SettingsError
