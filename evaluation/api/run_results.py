@@ -59,7 +59,7 @@ from evaluation.store.sample_tracks import read_sample_tracks
 from evaluation.verdict.items import LinkedPeopleSections
 from evaluation.verdict.level_rows import leading_handover
 from evaluation.verdict.patrol_json import patrols_json
-from evaluation.verdict.returns import return_verdict
+from evaluation.verdict.returns import return_answer, return_json
 from evaluation.verdict.sections import build_verdict, linked_people_sections
 from evaluation.verdict.verdict_json import to_bytes, verdict_json
 
@@ -199,8 +199,8 @@ def _further_verdicts(
     if on_patrol:
         answered["patrols"] = patrols_json(on_patrol, families=families)
     confirming = manifest["settings"].get("confirming")
-    if returning := return_verdict(returns, confirming=confirming):
-        answered["returns"] = returning
+    if returning := return_answer(returns, confirming=confirming):
+        answered["returns"] = return_json(returning)
     return answered
 
 

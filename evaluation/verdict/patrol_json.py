@@ -1,11 +1,10 @@
 """The records of patrols as `verdict.json` has them, written and read."""
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from evaluation.estimates.families import Family
-from evaluation.estimates.json_numbers import json_interval
+from evaluation.estimates.json_numbers import json_interval, read_interval
 from evaluation.estimates.patrols import PatrolNumber
 from evaluation.verdict.patrol_records import (
     USUAL_LIMITS,
@@ -19,7 +18,6 @@ from evaluation.verdict.patrols import (
     lacking_part,
     patrol_options,
 )
-from isac_track.intervals import Estimate
 
 
 def patrols_json(
@@ -98,20 +96,12 @@ def _read_option(content: Mapping[str, Any]) -> PatrolOption:
         level=content["level"],
         policy=content["policy"],
         may_be_proposed=content["may_be_proposed"],
-        missed=_read_share(content, "missed"),
-        lost=_read_share(content, "lost"),
-        known=_read_share(content, "known"),
-        followed=_read_share(content, "followed"),
+        missed=read_interval(content, "missed"),
+        lost=read_interval(content, "lost"),
+        known=read_interval(content, "known"),
+        followed=read_interval(content, "followed"),
         n=content["n"],
     )
-
-
-def _read_share(content: Mapping[str, Any], name: str) -> Estimate:
-    value, low, high = (
-        math.nan if content[key] is None else content[key]
-        for key in (name, f"{name}_low", f"{name}_high")
-    )
-    return Estimate(value, low, high)
 
 
 def _built_in(numbers: Iterable[PatrolNumber]) -> list[dict[str, Any]]:
