@@ -64,15 +64,16 @@ def draft_claims(
     }
     for adding in ADDING_RULES:
         fixed = sweeps.named(FIXED, adding=adding)
-        for mechanism in sweeps.swept(adding):
-            if mechanism == fixed:
-                continue
+        rivals = [name for name in sweeps.swept(adding) if name != fixed]
+        for mechanism in rivals:
             name = sweeps.families[mechanism].name
             curves = sweeps.curves(mechanism, fixed, [*costs, *compared])
             for cost, criterion in costs.items():
                 pairs = at_changes(curves, cost, compared, at=np.array(TARGETS))
                 for pair in pairs:
                     measure = pair.measure
+                    n, effective = sweeps.rests_on((mechanism, fixed), cost, measure)
+                    gap = _gap(pair.first, pair.second, n=n, effective=effective)
                     topic = _topic(
                         measure,
                         adding=adding,
@@ -81,8 +82,6 @@ def draft_claims(
                         mechanism="" if name == FID else name,
                         horizon_s=horizon_s,
                     )
-                    n, effective = sweeps.rests_on((mechanism, fixed), cost, measure)
-                    gap = _gap(pair.first, pair.second, n=n, effective=effective)
                     yield _draft(measure, gap, topic)
 
 

@@ -1,7 +1,6 @@
-"""The records of the verdict as `verdict.json` has them: keys, and their order.
+"""The items of the verdict as `verdict.json` has them: keys, and their order.
 
-docs/reference/ and docs/explanation/verdict.md say what the keys mean. An unknown
-number is null.
+docs/explanation/verdict.md says what the keys mean. An unknown number is null.
 """
 
 import json
