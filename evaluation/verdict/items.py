@@ -1,7 +1,7 @@
 """Records of the verdict: its items, decided, and what stands beside them.
 
-`verdict_json` writes them to `verdict.json`. A share is a fraction of people; an unknown
-number is NaN.
+`verdict_json` writes them to `verdict.json`. A share is a fraction of people; an
+unknown number is NaN.
 """
 
 from collections.abc import Mapping
