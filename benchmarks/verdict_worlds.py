@@ -15,7 +15,7 @@ import argparse
 from collections import Counter
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtri
@@ -24,7 +24,7 @@ from evaluation.estimates.families import Family
 from evaluation.estimates.linked_people import LinkedLevel, TaskSums
 from evaluation.plan.address import Address
 from evaluation.plan.presets import PRESETS
-from evaluation.verdict import rules, spread
+from evaluation.verdict import power, rules
 from evaluation.verdict.validity import validity
 from isac_track import plugins
 from isac_track.rng import stream
@@ -32,6 +32,7 @@ from isac_track.rng import stream
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from evaluation.verdict.items import ValiditySection
     from isac_track.plugins import Plugin
     from isac_track.types import Floats
 
@@ -139,7 +140,7 @@ def linked_task(world: World, *, seed: int) -> TaskSums:
     return TaskSums(TASK, 100, names, tuple(levels))
 
 
-def judge(world: World, *, seed: int) -> dict[str, Any]:
+def judge(world: World, *, seed: int) -> ValiditySection:
     """Return the verdict on a world: items, controls and descriptors on trial."""
     task = linked_task(world, seed=seed)
     return validity(
@@ -171,10 +172,10 @@ def tally(world: World, *, times: int, seed: int = 0) -> Tally:
     decisions = Counter[str]()
     wrong = promised = right = controls = 0
     needed: list[int] = []
-    truth = spread.EQUAL if world.right == rules.TRACKS else "10 points in one family"
+    truth = power.EQUAL if world.right == rules.TRACKS else "10 points in one family"
     for place in range(times):
         verdict = judge(world, seed=seed + place)
-        decided = [item["decision"] for item in verdict["items"]]
+        decided = [item.decision for item in verdict.items]
         decisions.update(decided)
         wrong += any(
             decision in (rules.TRACKS, rules.DOES_NOT) and decision != world.right
@@ -182,19 +183,15 @@ def tally(world: World, *, times: int, seed: int = 0) -> Tally:
         )
         sure = [
             item
-            for item in verdict["items"]
-            if item["power_if"][truth][world.right] >= LEAST_RIGHT
+            for item in verdict.items
+            if item.power_if[truth][world.right] >= LEAST_RIGHT
         ]
         promised += len(sure)
-        right += sum(item["decision"] == world.right for item in sure)
+        right += sum(item.decision == world.right for item in sure)
         controls += any(
-            item["decision"] == rules.DOES_NOT for item in verdict["controls"]
+            control.answer.decision == rules.DOES_NOT for control in verdict.controls
         )
-        needed += [
-            item["n_needed"]
-            for item in verdict["items"]
-            if item["n_needed"] is not None
-        ]
+        needed += [item.n_needed for item in verdict.items if item.n_needed is not None]
     median = float(np.median(needed)) if needed else np.nan
     return Tally(times, wrong, decisions, promised, right, controls, median)
 

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from evaluation.verdict.patrols import PatrolLimits
+    from evaluation.verdict.patrol_records import PatrolLimits
     from evaluation.verdict.question import Question
 
 _EPILOG = """\
@@ -209,7 +209,7 @@ def _parser() -> Parser:
 
 def _patrol_limits(options: argparse.Namespace) -> PatrolLimits:
     """Return the limits on patrols; SettingsError for impossible values."""
-    from evaluation.verdict.patrols import (  # noqa: PLC0415 - heavy
+    from evaluation.verdict.patrol_records import (  # noqa: PLC0415 - heavy
         MOST_LOST,
         PatrolLimits,
     )

@@ -56,17 +56,12 @@ from evaluation.store.files import FRAMES, write_whole
 from evaluation.store.lock import locked
 from evaluation.store.manifest import file_names, read_manifest
 from evaluation.store.sample_tracks import read_sample_tracks
-from evaluation.verdict import sections as verdict
+from evaluation.verdict.items import LinkedPeopleSections
 from evaluation.verdict.level_rows import leading_handover
-from evaluation.verdict.patrols import (
-    USUAL_LIMITS,
-    built_in,
-    choose_policy,
-    farthest_horizon,
-    lacking_part,
-    patrol_options,
-)
-from evaluation.verdict.returns import return_verdict
+from evaluation.verdict.patrol_json import patrols_json
+from evaluation.verdict.returns import return_answer, return_json
+from evaluation.verdict.sections import build_verdict, linked_people_sections
+from evaluation.verdict.verdict_json import to_bytes, verdict_json
 
 limit_threads = partial(threadpool_limits, limits=1, user_api="blas")
 """Keep linear algebra to this thread: for small matrices others would only spin."""
@@ -99,7 +94,7 @@ def build(out: Path, *, pictures: bool = True, pdf: bool = False) -> Results:
         write_whole(
             out / "flags.json", weak_attacks.to_json(results.flags, search_extent)
         )
-        write_whole(out / "verdict.json", verdict.to_bytes(results.verdict))
+        write_whole(out / "verdict.json", to_bytes(results.verdict))
         write_tex(results, folder=out / "tables")
         write_text(results)
         for name, content in zip(FRAMES.values(), wait_for_csv(), strict=True):
@@ -136,8 +131,8 @@ def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
         tracked = track_numbers(out, manifest)
         flags, search_extent = _flags(manifest, scenes, tidy)
         speeds = by_speed(out, manifest, sweeps.estimates, families=families, best=best)
-        gallery_table, validity = wait_for_people()
-    verdict_parts = _verdict(manifest, scenes, compared, validity)
+        gallery_table, linked_people = wait_for_people()
+    verdict_parts = _verdict(manifest, scenes, compared, linked_people)
     verdict_parts |= _further_verdicts(manifest, on_patrol, returns, families)
     results = Results(
         out=out,
@@ -202,26 +197,11 @@ def _further_verdicts(
     """Return the answers on patrols and people who come back, where a run has any."""
     answered: dict[str, Any] = {}
     if on_patrol:
-        answered["patrols"] = _patrol_verdict(on_patrol, families)
+        answered["patrols"] = patrols_json(on_patrol, families=families)
     confirming = manifest["settings"].get("confirming")
-    if returning := return_verdict(returns, confirming=confirming):
-        answered["returns"] = returning
+    if returning := return_answer(returns, confirming=confirming):
+        answered["returns"] = return_json(returning)
     return answered
-
-
-def _patrol_verdict(
-    numbers: Sequence[PatrolNumber], families: Mapping[str, Family]
-) -> dict[str, Any]:
-    """Return the options on patrol and the usual proposal, for `verdict.json`."""
-    options = patrol_options(numbers, families=families)
-    return {
-        "recommended": choose_policy(
-            options, USUAL_LIMITS, horizon_s=farthest_horizon(options)
-        ),
-        "options": options,
-        "lacks": lacking_part(numbers),
-        "by_construction": built_in(numbers),
-    }
 
 
 def _flags(
@@ -290,9 +270,9 @@ def _verdict(
     manifest: Mapping[str, Any],
     scenes: SceneEstimates,
     compared: AttackComparison,
-    validity: dict[str, list[dict[str, Any]]],
+    linked_people: LinkedPeopleSections,
 ) -> dict[str, Any]:
-    """Return the verdict of a run, with records of a user's own plug-ins."""
+    """Return the verdict as in `verdict.json`, with a user's own plug-ins."""
     judged = compared.judged_sweeps()
     later = {
         horizon_s: Sweeps(
@@ -300,14 +280,15 @@ def _verdict(
         )
         for horizon_s, robots in scenes.further_horizons.items()
     }
-    parts = verdict.verdict(
+    decided = build_verdict(
         judged,
-        validity,
+        linked_people,
         strongest=compared.best,
         scored={task: crossed.choices for task, crossed in compared.crossed.items()},
         later=later,
         manifest=manifest,
     )
+    parts = verdict_json(decided)
     if own_plugins := manifest.get("own_plugins"):
         estimates = RunNumbers(
             own=compared.sweeps.estimates,
@@ -330,12 +311,12 @@ def _people_tables(
     sweeps: Sweeps,
     best: Mapping[str, Address],
     choices: Mapping[tuple[str, str], Choices],
-) -> tuple[pd.DataFrame, dict[str, list[dict[str, Any]]]]:
+) -> tuple[pd.DataFrame, LinkedPeopleSections]:
     """Return `gallery.csv`, and the parts of the verdict about linked people."""
     probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     gallery_table = galleries(probes, sweeps.estimates, dataset=dataset, seed=seed)
-    return gallery_table, verdict.validity_sections(
+    return gallery_table, linked_people_sections(
         probes, sweeps, strongest=best, manifest=manifest
     )
 

@@ -1,6 +1,7 @@
 """Numbers and intervals as in JSON, which has no NaN."""
 
 import math
+from collections.abc import Mapping
 
 from isac_track.intervals import Estimate
 
@@ -25,3 +26,12 @@ def json_interval(
         f"{ends}_low": json_number(estimate.ci_low),
         f"{ends}_high": json_number(estimate.ci_high),
     }
+
+
+def read_interval(content: Mapping[str, float | None], name: str) -> Estimate:
+    """Return a number and its interval, as `json_interval` writes them by a name."""
+    value, low, high = (
+        math.nan if (number := content[key]) is None else number
+        for key in (name, f"{name}_low", f"{name}_high")
+    )
+    return Estimate(value, low, high)

@@ -28,6 +28,7 @@ from evaluation.reporting.result_tables import laplace_notes
 from evaluation.reporting.rows import Results, mechanism_columns
 from evaluation.reporting.table import Cell, Column, Table
 from evaluation.verdict import rules
+from evaluation.verdict.number_text import is_realistic
 
 # How operating points are matched.
 CRITERIA = {
@@ -329,7 +330,7 @@ def _criterion_text(item: Mapping[str, Any]) -> str:
 def _people_needed(row: Mapping[str, Any]) -> Cell:
     """Return how many people would show that linkage is equal, if so many can exist."""
     needed = row["n_needed"]
-    if needed is not None and not rules.is_realistic(needed):
+    if needed is not None and not is_realistic(needed):
         return make.text_cell("no realistic number")
     return make.number_cell(needed, digits=0)
 

@@ -38,7 +38,7 @@ from evaluation.reporting.return_words import (
 )
 from evaluation.reporting.rows import Results
 from evaluation.verdict import rules
-from evaluation.verdict.validity import ATTACKS, SHOWN
+from evaluation.verdict.number_text import people_amount
 from isac_track.intervals import Estimate
 
 _MATTERS: Final = 0.05  # Difference between the adding rules that a sentence mentions.
@@ -395,7 +395,7 @@ def _decision_sentence(
 
 def people_needed(n: float) -> str:
     """Return how many people would decide an item that is open now."""
-    return f"{sentence_case(rules.people_amount(n))} people would decide it."
+    return f"{sentence_case(people_amount(n))} people would decide it."
 
 
 def _descriptors_details(
@@ -412,9 +412,9 @@ def _descriptors_details(
     sentences = [f"The widest spread is {spread} of 100 people at equal {head}, {how}."]
     if lead["decision"] == rules.NOT_TESTABLE:
         sentences = [f"Not testable {how}: {lead['why']}."]
-    if SHOWN in lead["evidence"]:
+    if rules.SHOWN in lead["evidence"]:
         sentences.append("An attack that links more people shows it.")
-    if ATTACKS in lead["evidence"]:
+    if rules.ATTACKS in lead["evidence"]:
         sentences.append(
             "It holds as far as these attacks go; a stronger attack may change it."
         )

@@ -42,8 +42,9 @@ from evaluation.reporting.table import Cell, Column, Table, shorten_name
 from evaluation.reporting.terminal import Part
 from evaluation.store.csv_files import read_report_file
 from evaluation.store.manifest import read_manifest
+from evaluation.verdict.level_checks import scene_counts
 from evaluation.verdict.offers import AttackNumbers, Check, Offer, TaskLinkage
-from evaluation.verdict.patrols import USUAL_LIMITS, PatrolLimits
+from evaluation.verdict.patrol_records import USUAL_LIMITS, PatrolLimits
 from evaluation.verdict.question import LIMITS, MISSED, Question
 from evaluation.verdict.what_to_share import Recommendation, recommend
 from isac_track.errors import SettingsError
@@ -85,9 +86,8 @@ def answer_question(
     """
     manifest = read_manifest(out)
     table = read_report_file(out, "levels.csv", columns=COLUMNS)
-    identity, dataset = manifest["identity"], manifest["dataset"]["name"]
-    scenes = identity["scenes"], identity.get("scenes_utility", identity["scenes"])
-    advice = recommend(table, question, dataset=dataset, scenes=scenes)
+    dataset = manifest["dataset"]["name"]
+    advice = recommend(table, question, dataset=dataset, scenes=scene_counts(manifest))
     on_patrol = answer_on_patrol(
         read_report_file(out, "verdict.json").get("patrols", {}),
         limits,

@@ -13,12 +13,13 @@ from evaluation.reporting.patrol_words import (
     shared_name,
 )
 from evaluation.reporting.table import Table
-from evaluation.verdict.patrols import (
-    Option,
+from evaluation.verdict.patrol_json import option_json, proposal_json, read_options
+from evaluation.verdict.patrol_records import (
     PatrolLimits,
-    Proposal,
-    choose_policy,
+    PatrolOption,
+    PatrolProposal,
 )
+from evaluation.verdict.patrols import choose_policy
 
 _COLUMNS: Final = {
     "missed": "missed at equal alarms",
@@ -34,19 +35,20 @@ class PatrolAnswer:
     """The answer about patrols, of a run and its limits."""
 
     text: str
-    proposal: Proposal  # Empty: the run cannot say.
-    options: Sequence[Option]  # Of the robot and the horizon of the proposal.
+    proposal: PatrolProposal | None  # None: the run cannot say.
+    options: Sequence[PatrolOption]  # Of the robot and the horizon of the proposal.
     # Whether a limit was asked that only patrols can hold.
     is_asked: bool
 
     @property
     def met(self) -> bool:
         """Whether a policy holds all limits, with intervals."""
-        return bool(self.proposal.get("best")) and self.proposal["has_interval"]
+        proposal = self.proposal
+        return proposal is not None and proposal.is_within and proposal.has_interval
 
     def to_json(self) -> dict[str, Any]:
         """Return plain values; without patrols the answer alone."""
-        return {"met": self.met, "answer": self.text, **self.proposal}
+        return {"met": self.met, "answer": self.text, **proposal_json(self.proposal)}
 
 
 def answer_on_patrol(
@@ -62,28 +64,29 @@ def answer_on_patrol(
     `patrols` is that of `verdict.json`, empty without patrols.
     """
     is_asked = limits.known is not None or limits.followed is not None
-    options = patrols.get("options", ())
+    options = read_options(patrols)
     proposal = choose_policy(options, limits, horizon_s=horizon_s, robot=robot)
-    if not proposal:
-        lacking = _lacking(patrols, robot=robot, horizon_s=horizon_s)
-        return PatrolAnswer(f"On patrol: {lacking}", {}, (), is_asked)
+    if proposal is None:
+        lacking = lacking_text(patrols)
+        if options:
+            lacking = _missing_option(options, robot=robot, horizon_s=horizon_s)
+        return PatrolAnswer(f"On patrol: {lacking}", None, (), is_asked)
     own = [
         option
         for option in options
-        if (option["robot"], option["horizon_s"]) == (proposal["robot"], horizon_s)
+        if (option.robot, option.horizon_s) == (proposal.robot, horizon_s)
     ]
     text = f"On patrol: {proposal_sentence(proposal, families=families)}"
-    if not proposal["has_interval"]:
+    if not proposal.has_interval:
         text += " Without intervals no limit holds: add --set patrol.fleets=20."
     return PatrolAnswer(text, proposal, own, is_asked)
 
 
-def _lacking(patrols: Mapping[str, Any], *, robot: str, horizon_s: float | None) -> str:
-    """Return what a run lacks for a proposal on patrols."""
-    options = patrols.get("options", ())
-    if not options:
-        return lacking_text(patrols)
-    judged = [option for option in options if option["horizon_s"] == horizon_s]
+def _missing_option(
+    options: Sequence[PatrolOption], *, robot: str, horizon_s: float | None
+) -> str:
+    """Return why the options of a run have none for a robot at a horizon."""
+    judged = [option for option in options if option.horizon_s == horizon_s]
     if not judged:
         name = "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s"
         add = (
@@ -92,19 +95,26 @@ def _lacking(patrols: Mapping[str, Any], *, robot: str, horizon_s: float | None)
             else f"; add --set conflict.horizons_s={horizon_s:g}"
         )
         return f"no conflicts within {name} were judged{add}."
-    robots = listed([*dict.fromkeys(str(option["robot"]) for option in judged)])
+    robots = listed([*dict.fromkeys(option.robot for option in judged)])
     return f"{robot} does not patrol; the robots of patrols are {robots}."
 
 
-def patrol_table(options: Sequence[Option], families: Mapping[str, Family]) -> Table:
+def patrol_table(
+    options: Sequence[PatrolOption], families: Mapping[str, Family]
+) -> Table:
     """Return the options of a robot at a horizon, in the order of what is known."""
     columns = [
-        make.text_column("policy", lambda option: option["policy"]),
-        make.text_column("mechanism", lambda option: shared_name(option, families)),
+        make.text_column("policy"),
+        make.text_column("mechanism"),
         *(
             make.share_column(head, name, f"{name}_low", f"{name}_high")
             for name, head in _COLUMNS.items()
         ),
     ]
-    ordered = sorted(options, key=lambda option: option["known"])
-    return make.build_table("patrols", "On patrol", ordered, columns, n_keys=2)
+    ordered = sorted(options, key=lambda option: option.known.value)
+    records = [
+        option_json(option)
+        | {"mechanism": shared_name(option.mechanism, option.level, families)}
+        for option in ordered
+    ]
+    return make.build_table("patrols", "On patrol", records, columns, n_keys=2)

@@ -154,7 +154,7 @@ def _records(
 def _shared(run: Results, row: Mapping[str, Any]) -> str:
     """Return the name of the mechanism of a row."""
     level = None if pd.isna(row["level"]) else row["level"]
-    return shared_name({"mechanism": row["mechanism"], "level": level}, run.families)
+    return shared_name(row["mechanism"], level, run.families)
 
 
 def _cell(row: Mapping[str, Any], *, mark: str = "") -> Cell:

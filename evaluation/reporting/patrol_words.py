@@ -1,20 +1,17 @@
 """What to disclose to robots on patrol, in words: for first screen, page and `design`."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
-from evaluation.estimates.families import RAW, Family
+from evaluation.estimates.families import Family
 from evaluation.reporting.amounts import PERCENT, listed, whole_percent
 from evaluation.reporting.lookups import find_family
 from evaluation.reporting.names import mechanism_name, mechanism_phrase, robot_subject
 from evaluation.reporting.rows import Results
-from evaluation.verdict.patrols import (
-    EVERYTHING,
-    Lacking,
-    Option,
-    PatrolLimits,
-    exceeded,
-)
+from evaluation.verdict.patrol_json import read_proposal
+from evaluation.verdict.patrol_records import PatrolOption, PatrolProposal
+from evaluation.verdict.patrols import Lacking
 
 NO_INTERVALS: Final = "no intervals: few routes or people"
 
@@ -39,7 +36,7 @@ def patrol_sentence(run: Results) -> str:
     Where it proposes none the sentence says why; it is empty without patrols.
     """
     patrols = run.verdict.get("patrols", {})
-    if proposal := patrols.get("recommended", {}):
+    if proposal := read_proposal(patrols):
         return proposal_sentence(proposal, families=run.families)
     lacks = patrols.get("lacks", "")
     return f"Nothing is proposed: {_LACKS[lacks]}." if lacks else ""
@@ -51,42 +48,44 @@ def lacking_text(patrols: Mapping[str, Any]) -> str:
 
 
 def proposal_sentence(
-    proposal: Mapping[str, Any], *, families: Mapping[str, Family]
+    proposal: PatrolProposal, *, families: Mapping[str, Family]
 ) -> str:
     """Return what a log reveals under a proposal, or why there is none.
 
     The limits stand in its first sentence, since the first screen drops last sentences
     where it lacks room.
     """
-    everything, best = proposal["everything"], proposal["best"]
+    everything, option = proposal.everything, proposal.option
     limits = listed([*_limit_texts(proposal).values()])
-    certainty = "" if proposal["has_interval"] else f"; {NO_INTERVALS}"
+    certainty = "" if proposal.has_interval else f"; {NO_INTERVALS}"
     counted = (
-        f"Conflicts{ahead_text(proposal['horizon_s'])} are counted, at equal false"
+        f"Conflicts{ahead_text(proposal.horizon_s)} are counted, at equal false"
         f" alarms{certainty}."
     )
-    if best is None:
-        nearest = proposal["nearest"]
-        failing = listed(_excess_texts(nearest, proposal))
+    if not proposal.is_within:
+        failing = listed(_excess_texts(proposal))
         return (
             f"No policy of this run keeps within the limits: {limits}. The nearest is"
-            f" {_option_text(nearest, families)}: {failing}. {counted}"
+            f" {_option_text(option, families)}: {failing}. {counted}"
         )
-    all_sent = f"{whole_percent(everything['known'])} of person-time"
-    if (best["mechanism"], best["policy"]) == (RAW, EVERYTHING):
+    all_sent = f"{whole_percent(everything.known.value)} of person-time"
+    if option.is_reference:
         return (
             f"A log of all answers knows {all_sent}, and no policy of this run lowers"
             f" that within the limits: {limits}. {counted}"
         )
     return (
-        f"Under {_option_text(best, families)} a log knows {whole_percent(best['known'])}"
-        f" instead of {all_sent}, if {limits}. {counted}"
+        f"Under {_option_text(option, families)} a log knows"
+        f" {whole_percent(option.known.value)} instead of {all_sent}, if {limits}."
+        f" {counted}"
     )
 
 
-def shared_name(option: Mapping[str, Any], families: Mapping[str, Family]) -> str:
-    """Return the name of the mechanism of an option, or of a row."""
-    return mechanism_name(find_family(families, option["mechanism"]), option["level"])
+def shared_name(
+    mechanism: str, level: float | None, families: Mapping[str, Family]
+) -> str:
+    """Return the name of a mechanism at a level."""
+    return mechanism_name(find_family(families, mechanism), level)
 
 
 def ahead_text(horizon_s: float | None) -> str:
@@ -94,14 +93,14 @@ def ahead_text(horizon_s: float | None) -> str:
     return f" within {horizon_s:g} s" if horizon_s else ""
 
 
-def _option_text(option: Option, families: Mapping[str, Family]) -> str:
-    family = find_family(families, option["mechanism"])
-    return f"policy {option['policy']} with {mechanism_phrase(family, option['level'])}"
+def _option_text(option: PatrolOption, families: Mapping[str, Family]) -> str:
+    family = find_family(families, option.mechanism)
+    return f"policy {option.policy} with {mechanism_phrase(family, option.level)}"
 
 
-def _limit_texts(proposal: Mapping[str, Any]) -> dict[str, str]:
+def _limit_texts(proposal: PatrolProposal) -> dict[str, str]:
     """Return the limits of a proposal, each as a clause, by name."""
-    robot = f"{robot_subject(proposal['robot'])} may miss"
+    robot = f"{robot_subject(proposal.robot)} may miss"
     texts = {
         "lost": f"{robot} {{points:.4g}} points more conflicts",
         "missed": f"{robot} {{points:.4g}} % of conflicts",
@@ -110,23 +109,22 @@ def _limit_texts(proposal: Mapping[str, Any]) -> dict[str, str]:
     }
     return {
         name: texts[name].format(points=PERCENT * limit)
-        for name, limit in proposal["limits"].items()
+        for name, limit in proposal.limits.named.items()
     }
 
 
-def _excess_texts(option: Option, proposal: Mapping[str, Any]) -> list[str]:
-    """Return the limits that an option exceeds, each with its upper end."""
-    robot = robot_subject(proposal["robot"])
+def _excess_texts(proposal: PatrolProposal) -> list[str]:
+    """Return the limits that its option exceeds, each with its upper end."""
+    robot = robot_subject(proposal.robot)
     texts = {
         "lost": f"{robot} misses up to {{}} more",
         "missed": f"{robot} misses up to {{}}",
         "known": "a log knows up to {}",
         "followed": "a log follows up to {}",
     }
-    above = exceeded(option, PatrolLimits(**{"lost": None} | proposal["limits"]))
     return [
         texts[name].format(
-            "an unknown share" if upper is None else whole_percent(upper)
+            "an unknown share" if math.isnan(upper) else whole_percent(upper)
         )
-        for name, upper in above.items()
+        for name, upper in proposal.option.exceeded(proposal.limits).items()
     ]

@@ -27,9 +27,9 @@ from evaluation.reporting.names import (
 )
 from evaluation.reporting.notices import few_people
 from evaluation.reporting.rows import Results
+from evaluation.verdict.number_text import MOST_PEOPLE
 from evaluation.verdict.offers import AttackNumbers, Check, Offer, Unknown
 from evaluation.verdict.question import LIMITS, LINKED, MISSED, Criterion
-from evaluation.verdict.rules import MOST_PEOPLE
 from evaluation.verdict.what_to_share import Recommendation
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.privacy import WIDE_TIMES

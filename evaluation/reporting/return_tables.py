@@ -21,6 +21,7 @@ from evaluation.reporting.return_words import (
 )
 from evaluation.reporting.rows import Results
 from evaluation.reporting.table import Column, Table, shorten_name
+from evaluation.verdict.returns import read_return
 from isac_track.intervals import Estimate
 
 _CORNER: Final = ("[95 % interval]", "what is shared")
@@ -111,7 +112,8 @@ def _level_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
 
 def _control_table(run: Results, numbers: Mapping[Address, Estimate]) -> Table:
     """Return rank 1 of every control, of passages without any error."""
-    chosen = run.verdict.get("returns", {}).get("controls", {})
+    answer = read_return(run.verdict)
+    chosen = answer.controls if answer else {}
     where = MechanismLevel(CLEAN)
     names = [
         name

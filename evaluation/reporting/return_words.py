@@ -1,5 +1,6 @@
 """Whether people who come back are re-identified, in words: for screen, page, tables."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -10,6 +11,7 @@ from evaluation.plan.consumer import FUSION
 from evaluation.reporting.amounts import PERCENT, counted, fine_interval, fine_share
 from evaluation.reporting.lookups import estimates
 from evaluation.reporting.rows import Results
+from evaluation.verdict.returns import ReturnAnswer, read_return
 from isac_track.intervals import FEWEST_EFFECTIVE, Estimate
 from isac_track.linkability.return_rule import POWER, TRUE_GAIN
 
@@ -34,13 +36,13 @@ def return_sentence(run: Results) -> str:
 
     It is about passages without any error.
     """
-    answer = _evidence(run)
-    if not answer:
+    answer = read_return(run.verdict)
+    if answer is None:
         return ""
-    people = counted(answer["n"], "person", "people")
-    named = fine_interval(answer["rank1"], answer["rank1_low"], answer["rank1_high"])
-    beside = f"guessing {fine_share(answer['chance'])} %, {_control_share(answer)}"
-    match answer["decision"]:
+    people = counted(answer.n, "person", "people")
+    named = _interval_text(answer.rank1)
+    beside = f"guessing {fine_share(answer.chance)} %, {_control_share(answer)}"
+    match answer.decision:
         case "yes":
             return (
                 f"A walk identifies a person in another run: of {people}, {named} are"
@@ -59,24 +61,22 @@ def return_sentence(run: Results) -> str:
 
 def return_details(run: Results) -> tuple[str, ...]:
     """Return the reason of the answer, its power, and what errors change."""
-    answer = _evidence(run)
-    if not answer:
+    answer = read_return(run.verdict)
+    if answer is None:
         return ()
-    gain = fine_interval(
-        answer["gain"], answer["gain_low"], answer["gain_high"], unit=" points"
-    )
+    gain = _interval_text(answer.gain, unit=" points")
     sentences = [
-        f"Decision by the rule: {answer['decision']}, since {answer['why']}.",
+        f"Decision by the rule: {answer.decision}, since {answer.why}.",
         (
             "These positions have no error, and all passages of other runs are enrolled."
             " Linkers and their fusion learn on other people."
         ),
-        f"The gain over the control is {gain}. Nested p is {answer['nested_p']:.3f}.",
+        f"The gain over the control is {gain}. Nested p is {answer.nested_p:.3f}.",
         *_power_sentence(answer),
         *_confirming_sentence(answer),
     ]
     if raw := _rank1(run, RAW):
-        raw_text = fine_interval(raw.value, raw.ci_low, raw.ci_high)
+        raw_text = _interval_text(raw)
         sentences.append(f"With raw sensing, {raw_text} are named first.")
     return tuple(sentences)
 
@@ -101,44 +101,43 @@ def control_text(name: str) -> str:
     return CONTROL_PHRASES.get(name, name.replace("-", " "))
 
 
-def _evidence(run: Results) -> Mapping[str, Any]:
-    answer: Mapping[str, Any] = run.verdict.get("returns", {})
-    return answer
+def _interval_text(share: Estimate, unit: str = " %") -> str:
+    return fine_interval(share.value, share.ci_low, share.ci_high, unit=unit)
 
 
-def _control_share(answer: Mapping[str, Any]) -> str:
+def _control_share(answer: ReturnAnswer) -> str:
     """Return the control and the share that it names; a short name on the screen."""
-    names = list(answer["controls"])
+    names = list(answer.controls)
     name = control_text(names[0] if len(names) == 1 else "strongest")
     short = name.removeprefix("the ").removesuffix(" in the queue")
-    return f"{short} {fine_share(answer['control'])} %"
+    return f"{short} {fine_share(answer.control.value)} %"
 
 
-def _power_sentence(answer: Mapping[str, Any]) -> list[str]:
+def _power_sentence(answer: ReturnAnswer) -> list[str]:
     """Return with which probability so many people say yes; empty if unknown."""
-    if answer["power"] is None or answer["n"] < FEWEST_EFFECTIVE:
+    if math.isnan(answer.power) or answer.n < FEWEST_EFFECTIVE:
         return []
     return [
         (
-            f"With {answer['n']} people the rule says yes to a gain of"
+            f"With {answer.n} people the rule says yes to a gain of"
             f" {PERCENT * TRUE_GAIN:.0f} points with a probability of"
-            f" {answer['power']:.2f}; {answer['n_needed']} people reach {POWER:g}."
+            f" {answer.power:.2f}; {answer.n_needed} people reach {POWER:g}."
         )
     ]
 
 
-def _confirming_sentence(answer: Mapping[str, Any]) -> list[str]:
+def _confirming_sentence(answer: ReturnAnswer) -> list[str]:
     """Return what the session left aside shows; empty without any."""
-    name = answer.get("confirming")
+    name = answer.confirming
     if not name:
         return []
-    if answer["confirming_p"] is None:
+    if answer.confirming_p is None:
         return [f"Session {name} was left aside; it could not change the answer."]
-    gain = fine_share(answer["confirming_gain"])
+    gain = fine_share(answer.confirming_gain.value)
     return [
         (
             f"Session {name}, left aside, has a gain of {gain} points, nested p"
-            f" {answer['confirming_p']:.3f}."
+            f" {answer.confirming_p:.3f}."
         )
     ]
 

@@ -238,15 +238,13 @@ class Results:
         `evaluation.design` gives the same answer: the levels that hold, the cost of
         each, and the adversaries that break it.
         """
-        from evaluation.verdict.what_to_share import (  # noqa: PLC0415 - see `load`
-            recommend,
-        )
+        from evaluation.verdict.level_checks import scene_counts  # noqa: PLC0415 - see `load`
+        from evaluation.verdict.what_to_share import recommend  # noqa: PLC0415 - see `load`
 
         if question is None:
             return self._usual_recommendation
-        return recommend(
-            self.levels, question, dataset=self.dataset, scenes=self._n_scenes
-        )
+        scenes = scene_counts(self.manifest)
+        return recommend(self.levels, question, dataset=self.dataset, scenes=scenes)
 
     @cached_property
     def _usual_recommendation(self) -> Recommendation:
@@ -258,12 +256,6 @@ class Results:
         from evaluation.verdict.question import default_question  # noqa: PLC0415 - see `load`
 
         return self.recommendation(default_question(self.families))
-
-    @property
-    def _n_scenes(self) -> tuple[int, int]:
-        """Numbers of scenes: attacked, and with robots."""
-        identity = self.manifest["identity"]
-        return identity["scenes"], identity.get("scenes_utility", identity["scenes"])
 
     def frame(
         self, metric: str, *, after: str = "", task: str = "", robot: str = ""

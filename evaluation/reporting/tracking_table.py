@@ -218,4 +218,4 @@ def _title(row: Mapping[str, Any], robot: str, *, horizon_s: float | None) -> st
 def _shared(run: Results, row: Mapping[str, Any]) -> str:
     """Return the name of the mechanism of a row."""
     level = None if pd.isna(row["level"]) else row["level"]
-    return shared_name({"mechanism": row["mechanism"], "level": level}, run.families)
+    return shared_name(row["mechanism"], level, run.families)

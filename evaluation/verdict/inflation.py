@@ -1,4 +1,8 @@
-"""Section d of the verdict: how much each descriptor rises from shared to attacked."""
+"""The section *inflation*: how much each descriptor rises from shared to attacked.
+
+A descriptor is *as shared* on the positions that a mechanism releases, and *attacked*
+on those that the strongest reconstruction makes of them.
+"""
 
 from collections.abc import Iterable, Iterator
 from itertools import product
@@ -10,22 +14,23 @@ from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import AS_SHARED, Address
 from evaluation.verdict import rules
-from evaluation.verdict.items import Draft
+from evaluation.verdict.bands import Draft
+from evaluation.verdict.items import InflationDetails, Topic
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import estimate_from_replicates
 
 
-def inflation(sweeps: Sweeps, attacks: Iterable[Address]) -> Iterator[Draft]:
-    """Yield an item for every attack, adding rule, mechanism and descriptor."""
+def draft_inflation(sweeps: Sweeps, attacks: Iterable[Address]) -> Iterator[Draft]:
+    """Yield a draft for every attack, adding rule, mechanism and descriptor."""
     for attack, adding in product(attacks, ADDING_RULES):
         for mechanism, descriptor in product(sweeps.swept(adding), DESCRIPTORS):
-            yield from _inflation_item(sweeps, mechanism, adding, attack, descriptor)
+            yield from _draft(sweeps, mechanism, adding, attack, descriptor)
 
 
-def _inflation_item(
+def _draft(
     sweeps: Sweeps, mechanism: str, adding: str, attack: Address, descriptor: str
 ) -> Iterator[Draft]:
-    """Yield an item, if any level of a mechanism was attacked."""
+    """Yield a draft, if any level of a mechanism was attacked."""
     measures = attack.measured(descriptor), AS_SHARED.measured(descriptor)
     levels = []
     for level in sweeps.levels(mechanism):
@@ -40,9 +45,13 @@ def _inflation_item(
     name = sweeps.families[mechanism].name
     is_known = np.isfinite(mean[0])
     yield Draft(
-        adding=adding,
-        descriptor=descriptor,
-        subject=attack.label,
+        topic=Topic(
+            rules.INFLATION,
+            adding,
+            descriptor=descriptor,
+            attack=attack.label,
+            mechanism=name,
+        ),
         effect=estimate_from_replicates(mean, n=n, effective=effective),
         parted_at=0.0,
         above=rules.INFLATED,
@@ -56,5 +65,5 @@ def _inflation_item(
             )
         },
         untestable="" if is_known else f"{NAME[descriptor]} is 0 at a level",
-        details={"of": name, "levels": len(levels)},
+        details=InflationDetails(n_levels=len(levels)),
     )

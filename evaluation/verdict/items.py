@@ -1,173 +1,216 @@
-"""Items of a section, decided together by simultaneous bands: `verdict.json`.
+"""Records of the verdict: its items, decided, and what stands beside them.
 
-Each item has an effect theta with its standard error s and replicates that share their
-draws of people with all other items. The bands theta +- q s of a section hold the truth
-of all its items at once in `rules.BAND_COVERAGE` of studies. Here q is that quantile
-over replicates of max |theta* - theta| / s (max-t); where tails are heavy s is larger
-(`scale`). An item is decided if its band lies on one side of the value that parts its
-two answers.
+`verdict_json` writes them to `verdict.json`. A share is a fraction of people; an
+unknown number is NaN.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Final
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
 
-import numpy as np
-from scipy.special import ndtr, ndtri, stdtrit
-
-from evaluation.estimates.interpolation import MIN_DEFINED
-from evaluation.estimates.json_numbers import json_number
 from evaluation.plan.world import World
 from evaluation.verdict import rules
-from evaluation.verdict.rules import BETWEEN, NOT_TESTABLE
-from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, LEAST_CLUSTERS, Estimate
-
-_FAR: Final = 0.99  # Quantile of a deviation that shows how heavy its tails are.
-_NORMAL: Final = float(ndtri(0.5 + CONFIDENCE / 2))
-_ABOUT: Final = ("adding", "descriptor", "task", "subject", "criterion")
+from isac_track.intervals import Estimate
 
 
 @dataclass(frozen=True, slots=True)
-class Draft:
-    """An item before its section is decided."""
+class Topic:
+    """What an item is about. Its parts make the item's id, the same in every run."""
 
-    adding: str
-    effect: Estimate  # As it is tested; logarithms of a ratio.
-    parted_at: float  # Value of the effect that parts the two answers.
-    above: str  # Answer to an effect that is surely larger.
-    below: str  # Answer to an effect that is surely smaller.
-    unit: str
-    sentences: Mapping[str, str]  # By decision, "" all others; ``{}`` is the effect.
-    subject: str = ""  # The attack of the item, if it has any.
-    # Reason that nothing can be decided, other than too few people.
-    untestable: str = ""
-    descriptor: str = ""
-    task: str = ""
+    section: str  # One of `rules.SECTIONS`.
+    adding: str  # Rule by which noises add: `linear` or `independent`.
+    descriptor: str = ""  # `plr`, `ael` or `mel`; empty where linkage is compared.
+    task: str = ""  # Linkage task; empty where nobody is linked.
+    attack: str = ""  # Label of the linker or reconstruction; no part of the id.
+    # Claims only: conflicts at which mechanisms are compared, as in `sweeps.CRITERIA`.
     criterion: str = ""
-    details: Mapping[str, Any] = field(default_factory=dict)
+    compared: str = ""  # Claims only: `as-shared`, `after-attack` or `linkage`.
+    # Of an inflation; of a claim, where it is not the paper's (FID).
+    mechanism: str = ""
+    horizon_s: float | None = None  # Claims only; None: the run's own horizon.
 
     @property
-    def is_signed(self) -> bool:
-        """Whether the effect is a difference."""
-        return self.unit != "ratio" and not self.parted_at
-
-    @property
-    def names(self) -> list[str]:
-        """Parts of the item's identity in its section, the same in every run."""
-        kind, mechanism = (
-            str(self.details.get(name, "")) for name in ("of", "mechanism")
-        )
-        horizon_s = self.details.get("horizon_s")
-        horizon = World(horizon_s=horizon_s).text
+    def item_id(self) -> str:
+        """The id in `verdict.json`: `claim/linear/missed/as-shared/plr`."""
+        horizon = World(horizon_s=self.horizon_s).text
+        # A claim has its mechanism last, as an addition to the paper's.
+        first, last = self.compared, self.mechanism
+        if self.section == rules.INFLATION:
+            first, last = self.mechanism, ""
         parts = (
+            self.section,
             self.adding,
             self.criterion,
             horizon,
-            kind,
+            first,
             self.descriptor,
             self.task,
-            mechanism,
+            last,
         )
-        return [name for name in parts if name]
+        return "/".join(part for part in parts if part)
+
+
+@dataclass(frozen=True, slots=True)
+class GapAtRise:
+    """A mechanism less fixed noise in a measure, at one rise of missed conflicts."""
+
+    rise: float  # Of the missed rate over raw, a share of conflicts.
+    gap: Estimate  # In the unit of the item.
+
+
+@dataclass(frozen=True, slots=True)
+class ClaimDetails:
+    """Numbers that only an item of the claim has."""
+
+    metric: str  # Rank 1 that was compared; empty for a descriptor.
+    relative: float  # The effect over the mean of fixed noise.
+    gaps: tuple[GapAtRise, ...]  # At the rises that both mechanisms reach.
+    unreached: tuple[float, ...]  # The other rises.
+
+
+@dataclass(frozen=True, slots=True)
+class WithinDetails:
+    """Numbers that only an item within a level has."""
+
+    n_levels: int
+    linked: float  # Mean share of people linked, above chance.
+
+
+@dataclass(frozen=True, slots=True)
+class InflationDetails:
+    """Number that only an item of inflation has."""
+
+    n_levels: int
+
+
+Details: TypeAlias = ClaimDetails | WithinDetails | InflationDetails | None
+
+
+@dataclass(frozen=True, slots=True)
+class BandItem:
+    """An item of *within*, *claim* or *inflation*, decided by its band (`bands`)."""
+
+    topic: Topic
+    decision: str
+    effect: Estimate  # With its own 95 % interval; a ratio itself, not its logarithm.
+    band_low: float  # Ends of the simultaneous band; NaN for an untestable item.
+    band_high: float
+    unit: str  # `fraction`, `s`, `ratio` or `correlation`.
+    sentence: str
+    why: str  # Reason that nothing is decided; empty for a decision.
+    details: Details = None
+    # Attacks that either half of the people chose; empty: those of the topic.
+    scored_by: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SpreadAnswer:
+    """Decision on a spread: the largest difference of linkage at equal descriptor."""
+
+    decision: str
+    spread: float  # Share of people, as often too high as too low.
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionError:
+    """Error of linkage as predicted from a descriptor; shares of people."""
+
+    value: float
+    low: float
+    high: float
+    null: float  # Error of a prediction without any descriptor.
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """A mechanism level against fixed noise at the same descriptor value."""
+
+    mechanism: str
+    level: float | None  # None: FID, which is read at a quartile.
+    quartile: float | None
+    linker: str  # Label of the linker.
+    gap: Estimate  # Share of people linked, less that under fixed noise.
+    reading: str  # `differs`, `equal`, `between` or `not testable`.
+    evidence: str  # A kind of evidence, as in `rules`.
+    only: str  # `more` or `fewer`, if only this could be seen; else empty.
+    in_panel: bool  # Whether it counts for the decision.
+
+
+@dataclass(frozen=True, slots=True)
+class ValidityItem:
+    """An item of *validity*, decided by the spread of its contrasts (`spread`)."""
+
+    topic: Topic
+    answer: SpreadAnswer
+    metric: str  # Rank 1: plain, or of 100 candidates.
+    error: PredictionError | None
+    evidence: tuple[str, ...]  # Kinds on which the decision rests.
+    power: Mapping[str, float]  # Probability of each right decision.
+    power_if: Mapping[str, Mapping[str, float]]  # The same of all, by supposed truth.
+    n: int  # Clusters of people.
+    n_needed: int | None  # Clusters that would show a true equal.
+    why: str
+    contrasts: tuple[Contrast, ...]
+    sentence: str
 
     @property
-    def why_not(self) -> str:
-        """Reason that nothing can be decided; empty if something can."""
-        error, effective = self.effect.standard_error, self.effect.n_effective
-        if self.untestable or not np.isfinite(self.effect.value):
-            return self.untestable or "there is no number"
-        if np.isfinite(self.effect.replicates).mean() < MIN_DEFINED:
-            return "too few draws of the people have this number"
-        if effective < FEWEST_EFFECTIVE:
-            fewest = f"a decision takes {FEWEST_EFFECTIVE}"
-            return f"it rests on {effective:.0f} effective clusters of people, {fewest}"
-        if not error > rules.NO_SPREAD:
-            return "the people of the run do not differ: no spread"
-        return ""
+    def decision(self) -> str:
+        """The decision, as every item has it."""
+        return self.answer.decision
 
 
-def decided_items(section: str, drafts: Iterable[Draft]) -> list[dict[str, Any]]:
-    """Return the items of a section as in `verdict.json`."""
-    drafts = list(drafts)
-    q = band_quantile([draft.effect for draft in drafts if not draft.why_not])
-    return [_item(section, draft, q) for draft in drafts]
+Item: TypeAlias = BandItem | ValidityItem
 
 
-def band_quantile(
-    effects: Sequence[Estimate], coverage: float = rules.BAND_COVERAGE
-) -> float:
-    """Return the quantile of the largest deviation over its scale; 0 without effects.
+@dataclass(frozen=True, slots=True)
+class PositiveControl:
+    """The question put to a descriptor that must track: linkage of other people."""
 
-    Replicates of all effects share their draws, row by row; missing replicates of an
-    effect are not counted.
-    """
-    n_rows = min((effect.replicates.size for effect in effects), default=0)
-    largest = np.zeros(max(n_rows, 1))
-    for effect in effects:
-        away = np.abs(effect.replicates[:n_rows] - effect.value) / scale(effect)
-        largest = np.fmax(largest, away)
-    return float(np.quantile(largest, coverage))
+    adding: str
+    task: str
+    answer: SpreadAnswer
+    n: int  # Clusters of people.
 
 
-def scale(effect: Estimate) -> float:
-    """Return the unit of a deviation: the standard error, or more with heavy tails.
+@dataclass(frozen=True, slots=True)
+class DescriptorTrial:
+    """A descriptor of the linked windows, and how well it predicts their linkage."""
 
-    For a normal law both are the same. An effect that is read where a curve is steep
-    has a few wild replicates; with the standard error as the unit, these would widen
-    the bands of all other effects.
-    """
-    deviation = np.abs(effect.replicates - effect.value)
-    known_deviation = deviation[np.isfinite(deviation)]
-    if not known_deviation.size:
-        return max(effect.standard_error, 0.0)
-    far = float(np.quantile(known_deviation, _FAR))
-    return max(effect.standard_error, far / float(ndtri(0.5 + _FAR / 2)))
+    adding: str
+    task: str
+    descriptor: str
+    error: PredictionError
+    surely_lowest: bool  # The errors of all other descriptors are surely higher.
 
 
-def around(effect: Estimate, error: float, q: float) -> tuple[float, float]:
-    """Return effect +- q standard errors; q goes from the normal law to Student's t.
+@dataclass(frozen=True, slots=True)
+class ValiditySection:
+    """The items of *validity*, and the controls and descriptors beside them."""
 
-    The standard errors of few clusters vary.
-    """
-    t = float(stdtrit(max(effect.n_effective - 1.0, 1.0), float(ndtr(q))))
-    return effect.value - t * error, effect.value + t * error
+    items: tuple[ValidityItem, ...]
+    controls: tuple[PositiveControl, ...]
+    trials: tuple[DescriptorTrial, ...]
 
 
-def _item(section: str, draft: Draft, q: float) -> dict[str, Any]:
-    effect, why = draft.effect, draft.why_not
-    low, high = np.nan, np.nan
-    if effect.n_effective >= LEAST_CLUSTERS:
-        low, high = around(effect, effect.standard_error, _NORMAL)
-    band_low, band_high = np.nan, np.nan
-    if not why:
-        band_low, band_high = around(effect, scale(effect), q)
-    decision = NOT_TESTABLE if why else BETWEEN
-    if band_low > draft.parted_at:
-        decision = draft.above
-    if band_high < draft.parted_at:
-        decision = draft.below
-    numbers = np.array([effect.value, low, high, band_low, band_high])
-    if draft.unit == "ratio":
-        numbers = np.exp(numbers)
-    value, low, high, band_low, band_high = numbers.tolist()
-    if decision == BETWEEN:
-        ends = (rules.written(end, draft.unit) for end in (band_low, band_high))
-        why = f"the band, over all items of the section, is from {' to '.join(ends)}"
-    sentence = draft.sentences.get(decision, draft.sentences[""])
-    number = Estimate(value, low, high)
-    shown = rules.with_interval(number, draft.unit, signed=draft.is_signed)
-    return {
-        "id": "/".join([section, *draft.names]),
-        "section": section,
-        **{name: getattr(draft, name) for name in _ABOUT},
-        "decision": decision,
-        "sign": rules.SIGN[decision],
-        **rules.numbers(number),
-        "band_low": json_number(band_low),
-        "band_high": json_number(band_high),
-        "unit": draft.unit,
-        "n": effect.n,
-        "sentence": sentence.replace("{}", shown),
-        "why": why,
-        **draft.details,
-    }
+@dataclass(frozen=True, slots=True)
+class LinkedPeopleSections:
+    """The two sections that rest on linked people."""
+
+    validity: ValiditySection
+    within: tuple[BandItem, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """All decisions of a run."""
+
+    dataset: str
+    is_simulated: bool
+    seed: int
+    preset: str
+    n_scenes: int
+    items: tuple[Item, ...]  # In the order of `rules.SECTIONS`.
+    controls: tuple[PositiveControl, ...]
+    trials: tuple[DescriptorTrial, ...]

@@ -1,7 +1,9 @@
 """Levels of a run, each checked against the limits of a question."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, Final
 
 from evaluation.estimates.metrics import (
     CHANCE,
@@ -31,14 +33,32 @@ from evaluation.verdict.question import LINKED, MISSED, Question
 
 
 @dataclass(frozen=True, slots=True)
+class SceneCounts:
+    """Number of scenes behind the numbers of a run; 0 if it is not known."""
+
+    attacks: int = 0
+    robots: int = 0
+
+
+UNKNOWN_SCENES: Final = SceneCounts()
+
+
+def scene_counts(manifest: Mapping[str, Any]) -> SceneCounts:
+    """Return the scenes of a run, from its manifest."""
+    identity = manifest["identity"]
+    n_attacked = identity["scenes"]
+    return SceneCounts(n_attacked, identity.get("scenes_utility", n_attacked))
+
+
+@dataclass(frozen=True, slots=True)
 class LevelChecker:
     """The question and the run, against which every level is checked."""
 
     question: Question
     robot: str  # Whose costs count: a name, or one of `BEST`.
-    task: str
-    scenes: tuple[int, int]
-    robots: tuple[str, ...]
+    task: str  # The leading handover; empty if the run has none.
+    scenes: SceneCounts
+    robots: tuple[str, ...]  # Predictors of the run by name.
 
     def offer(self, level: KnownLevel) -> Offer:
         """Return cost and privacy of a level, with its checks."""
@@ -70,7 +90,7 @@ class LevelChecker:
 
     def _cost_checks(self, offer: Offer, level: KnownLevel) -> list[Check]:
         limits, criterion = self.question.limits, self.question.criterion
-        n_scenes = self.scenes[1]
+        n_scenes = self.scenes.robots
         worlds = {row.world for row in level.rows}
         missing: Unknown | None = None
         if not self.robots:
@@ -127,7 +147,7 @@ class LevelChecker:
                         side.value(name),
                         side.reader,
                         side.adversary,
-                        scenes=self.scenes[0],
+                        scenes=self.scenes.attacks,
                         missing=untried if side.reader is None else None,
                     )
                 )

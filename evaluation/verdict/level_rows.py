@@ -24,13 +24,13 @@ class LevelRow:
     """A number of a level."""
 
     world: World
-    adversary: str
-    reader: Address
+    adversary: str  # `SINGLE_RELEASE`, or a name in `BEYOND`; empty without an attack.
+    reader: Address  # The robot, attack or linker that gives the number.
     metric: str
     measured: Estimate
-    outcome: str
-    invalid: str
-    chosen: tuple[str, str]  # By either half of the people.
+    outcome: str  # Of a linkage attack, as in `linkability.csv`; else empty.
+    invalid: str  # Shortcuts that make the number worthless; empty: none.
+    chosen: tuple[str, str]  # Plug-ins that the first and the second half chose.
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Cost and privacy of a level, with its checks against the limits of a question."""
+"""Offers: the cost and privacy of a level, checked against the limits of a question."""
 
 import math
 from collections.abc import Mapping
@@ -25,18 +25,20 @@ Unknown: TypeAlias = Literal[
     "too few people",
 ]
 """Reason that a check has no answer."""
+Status: TypeAlias = Literal["met", "not met", "cannot say"]
+"""Answer of a check."""
 WEAK: Final = "attack too weak"
 UNKNOWN: Final = Estimate(math.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One limit at one level."""
+    """A limit of the question, put to a level."""
 
     name: str  # As in `LIMITS`, `plr_wide`, or `rank1/TASK`.
     limit: float  # Infinite: the number must be known.
     measured: Estimate
-    reader: Address | None = None  # The positions, or the linker, that it is of.
+    reader: Address | None = None  # The robot, positions or linker of the number.
     adversary: str = ""  # `SINGLE_RELEASE` or a name, for a number after attack.
     scenes: int = 0  # Number of scenes behind it; 0: it is not about scenes.
     missing: Unknown | None = None
@@ -54,8 +56,8 @@ class Check:
         return None
 
     @property
-    def status(self) -> str:
-        """Answer: met (the upper end is at most the limit), not met, or cannot say."""
+    def status(self) -> Status:
+        """The answer: met (the upper end is at most the limit), not met, or cannot say."""
         if self.unknown:
             return "cannot say"
         return "met" if self.measured.ci_high <= self.limit else "not met"

@@ -19,6 +19,7 @@ from evaluation.estimates.interpolation import (
     isotonic_rows,
     nearest_positions,
 )
+from evaluation.verdict.items import PredictionError
 from isac_track.intervals import percentile_interval
 from isac_track.types import Floats
 
@@ -52,9 +53,22 @@ class SquaredError:
         return SquaredError(self.drawn - other.drawn, self.centre - other.centre)
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class DescriptorErrors:
+    """Squared errors of the same predictions with a descriptor, and without."""
+
+    own: SquaredError
+    null: SquaredError  # Of the mean of the other kinds.
+
+    @property
+    def numbers(self) -> PredictionError:
+        """The errors as shares of people."""
+        return PredictionError(*self.own.roots, null=self.null.roots[0])
+
+
 def prediction_errors(
     descriptor: Floats, success: Floats, kinds: Sequence[str]
-) -> tuple[SquaredError, SquaredError] | None:
+) -> DescriptorErrors | None:
     """Return the squared error of a descriptor, and that of the mean of other kinds.
 
     None if fewer than two of the `kinds`, (L,), have a descriptor. `descriptor` and
@@ -81,9 +95,9 @@ def prediction_errors(
         truth = reached[:, is_out]
         rows.append([_squares(truth - predicted), _squares(truth - null)])
     ours, null_error = np.mean(rows, axis=0)
-    return (
-        SquaredError(ours[1:], float(ours[0])),
-        SquaredError(null_error[1:], float(null_error[0])),
+    return DescriptorErrors(
+        own=SquaredError(ours[1:], float(ours[0])),
+        null=SquaredError(null_error[1:], float(null_error[0])),
     )
 
 

@@ -1,159 +1,126 @@
-"""The verdict: do PLR, AEL and MEL track real linkability? `verdict.json`.
+"""The sections of the verdict, put together to a record of the whole run."""
 
-There are four sections, each under both adding rules: *validity* across mechanisms,
-validity *within* a level, the paper's *claim* that FID has the advantage over fixed
-noise at equal missed rate, and *inflation*: how much higher each descriptor is after
-the strongest attack than as shared. The rules of decision are in `rules`, and in words
-in docs/explanation/verdict.md.
-"""
-
-import json
-from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from evaluation.estimates.linked_people import LinkedProbes, sum_by_cluster
 from evaluation.estimates.metrics import PLR
 from evaluation.estimates.sweeps import FUTURE, Sweeps
 from evaluation.plan.address import Address
-from evaluation.verdict import claim, inflation, rules
-from evaluation.verdict.items import Draft, decided_items
+from evaluation.verdict import claim, rules
+from evaluation.verdict.bands import Draft, decide_section
+from evaluation.verdict.inflation import draft_inflation
+from evaluation.verdict.items import (
+    BandItem,
+    ClaimDetails,
+    LinkedPeopleSections,
+    Verdict,
+)
 from evaluation.verdict.validity import validity
-from evaluation.verdict.within_level import within_level_items
-from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE
+from evaluation.verdict.within_level import draft_within
 
 
-def validity_sections(
+def linked_people_sections(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
     strongest: Mapping[str, Address],
     manifest: Mapping[str, Any],
-) -> dict[str, list[dict[str, Any]]]:
+) -> LinkedPeopleSections:
     """Return the sections that rest on linked people: validity and within.
 
     `levels` has the linked probes of each level by task; `strongest` names the
     strongest linker of each task. Only the levels of `sweeps` are used, no estimate.
     """
-    success = {task: linker for task, linker in strongest.items() if task}
+    linkers = {task: linker for task, linker in strongest.items() if task}
     seed = manifest["identity"]["seed"]
-    sections = validity(
+    across_mechanisms = validity(
         sum_by_cluster(levels),
         families=sweeps.families,
         preset=manifest["settings"]["preset"],
         dataset=manifest["dataset"]["name"],
         seed=seed,
     )
-    sections["items"] += decided_items(
-        rules.WITHIN, within_level_items(levels, sweeps, success=success, seed=seed)
-    )
-    return sections
+    within = decide_section(draft_within(levels, sweeps, success=linkers, seed=seed))
+    return LinkedPeopleSections(across_mechanisms, tuple(within))
 
 
-def verdict(
+def build_verdict(
     sweeps: Sweeps,
-    across: Mapping[str, Sequence[dict[str, Any]]],
+    linked_people: LinkedPeopleSections,
     *,
     strongest: Mapping[str, Address],
     scored: Mapping[str, Mapping[str, Sequence[Address]]] | None = None,
     later: Mapping[float, Sweeps] | None = None,
     manifest: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Return the verdict of a run as in `verdict.json`.
+) -> Verdict:
+    """Return the verdict of a run.
 
-    The claim is read with the first predictor of the run. `across` is the result of
-    `validity_sections`; `strongest` gives the strongest linker by task, and under ""
-    the strongest reconstruction. `scored` gives the attacks that either half of the
-    people chose, by task and ranking metric: they score the numbers in `sweeps` under
-    the strongest's name. `later` are the same with robots judged at further horizons,
-    s: there the claim is read with conflicts that are still to come.
+    `linked_people` is the result of `linked_people_sections`; `strongest` gives the
+    strongest linker by task, and under "" the strongest reconstruction. `scored` gives
+    the attacks that either half of the people chose, by task and ranking metric: they
+    score the numbers in `sweeps` under the strongest's name. `later` are the same with
+    robots judged at further horizons, s: there the claim is read with conflicts that
+    are still to come.
     """
     attacks = [attack for task, attack in strongest.items() if not task]
-    dataset = manifest["dataset"]
+    predictors = manifest["settings"]["predictors"]
+    claims = _draft_all_claims(sweeps, strongest, predictors, later or {})
+    decided = [
+        *decide_section(claims),
+        *decide_section(draft_inflation(sweeps, attacks)),
+    ]
+    scored_items = [
+        replace(item, scored_by=_scoring_attacks(item, scored or {}))
+        for item in decided
+    ]
+    dataset, across_mechanisms = manifest["dataset"], linked_people.validity
+    return Verdict(
+        dataset=dataset["name"],
+        is_simulated=bool(dataset.get("simulated", False)),
+        seed=manifest["identity"]["seed"],
+        preset=manifest["settings"]["preset"],
+        n_scenes=manifest["settings"]["scenes"],
+        items=(*across_mechanisms.items, *linked_people.within, *scored_items),
+        controls=across_mechanisms.controls,
+        trials=across_mechanisms.trials,
+    )
+
+
+def _draft_all_claims(
+    sweeps: Sweeps,
+    strongest: Mapping[str, Address],
+    predictors: Sequence[str],
+    later: Mapping[float, Sweeps],
+) -> list[Draft]:
+    """Return the claims of the first predictor, at the run's horizon and at others."""
     claims: list[Draft] = []
-    for predictor in manifest["settings"]["predictors"][:1]:
-        claims += claim.claims(sweeps, strongest, predictor=predictor)
-        for horizon_s, at_horizon in (later or {}).items():
-            claims += claim.claims(
+    for predictor in predictors[:1]:
+        claims += claim.draft_claims(sweeps, strongest, predictor=predictor)
+        for horizon_s, at_horizon in later.items():
+            claims += claim.draft_claims(
                 at_horizon,
                 strongest,
                 predictor=predictor,
                 criteria=(FUTURE,),
                 horizon_s=horizon_s,
             )
-    items = [
-        *across["items"],
-        *decided_items(rules.CLAIM, claims),
-        *decided_items(rules.INFLATION, inflation.inflation(sweeps, attacks)),
-    ]
-    for item in items:
-        if labels := _scoring_attacks(item, scored or {}):
-            item["scored"] = labels
-    return {
-        "dataset": dataset["name"],
-        "simulated": bool(dataset.get("simulated", False)),
-        "seed": manifest["identity"]["seed"],
-        "preset": manifest["settings"]["preset"],
-        "scenes": manifest["settings"]["scenes"],
-        "rules": _rules(),
-        "counts": {name: _count_decisions(items, name) for name in rules.SECTIONS},
-        "items": items,
-        "controls": across["controls"],
-        "on_trial": across["on_trial"],
-    }
+    return claims
 
 
 def _scoring_attacks(
-    item: Mapping[str, Any],
-    scored: Mapping[str, Mapping[str, Sequence[Address]]],
-) -> list[str]:
-    """Return the attacks that score an item; empty if they are the item's subject."""
-    is_after = (
-        item["section"] == rules.INFLATION or item.get("of") == claim.AFTER_ATTACK
-    )
-    if not is_after and item.get("of") != claim.LINKED:
-        return []
-    ranked = PLR if is_after else str(item.get("metric"))
-    choices = scored.get(item["task"], {}).get(ranked, ())
-    labels = [choice.without_task.label for choice in choices]
-    return labels if {*labels} - {item["subject"]} else []
-
-
-def _count_decisions(
-    items: Sequence[Mapping[str, Any]], section: str
-) -> dict[str, int]:
-    return dict(
-        Counter(item["decision"] for item in items if item["section"] == section)
-    )
-
-
-def _rules() -> dict[str, Any]:
-    """Return the rules of the decisions: numbers, and a text."""
-    margin = 100 * rules.SUCCESS_MARGIN
-    return {
-        "confidence": CONFIDENCE,
-        "band_coverage": rules.BAND_COVERAGE,
-        "margins": {
-            "success": rules.SUCCESS_MARGIN,
-            "fall": rules.LEAST_FALL,
-            "correlation": rules.LEAST_CORRELATION,
-            "span": rules.LEAST_SPAN,
-            "clusters": FEWEST_EFFECTIVE,
-        },
-        "text": (
-            "A descriptor does not track if the lower end of the spread is above"
-            f" {margin:g} of 100 people; that errs on 2.5 % of pages. It tracks if"
-            f" the upper end is below {margin:g}; that errs in 2.5 % of items. The"
-            " three other"
-            " sections are decided by bands. All bands of a section hold at once"
-            f" in {100 * rules.BAND_COVERAGE:g} % of studies, and an item is"
-            " decided if its band lies on one side. Each 95 % interval stands by"
-            " itself."
-        ),
-    }
-
-
-def to_bytes(verdict: Mapping[str, Any]) -> bytes:
-    """Return the content of `verdict.json`."""
-    text = json.dumps(verdict, indent=1, ensure_ascii=False, allow_nan=False)
-    return (text + "\n").encode()
+    item: BandItem, scored: Mapping[str, Mapping[str, Sequence[Address]]]
+) -> tuple[str, ...]:
+    """Return the attacks that score an item; empty if they are those of its topic."""
+    topic, details = item.topic, item.details
+    is_after = topic.section == rules.INFLATION or topic.compared == claim.AFTER_ATTACK
+    if is_after:
+        ranked_by = PLR
+    elif isinstance(details, ClaimDetails) and topic.compared == claim.LINKED:
+        ranked_by = details.metric
+    else:
+        return ()
+    choices = scored.get(topic.task, {}).get(ranked_by, ())
+    labels = tuple(choice.without_task.label for choice in choices)
+    return labels if {*labels} - {topic.attack} else ()

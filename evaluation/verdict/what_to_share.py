@@ -1,8 +1,10 @@
 """The recommended levels of a site: decided only here, from `levels.csv`.
 
 First screen, page, `evaluation.design` and the notebook read the result of `recommend`.
-A limit is met only if the upper end of the interval meets it; a limit that was not
-tried is not met. Nothing is interpolated.
+A `Question` has the limits (`question`), a `KnownLevel` the numbers of a level in the
+run (`level_rows`), an `Offer` the level's cost, its privacy and a `Check` for each limit
+(`offers`, made in `level_checks`). A limit is met only if the upper end of the interval
+meets it; a limit that was not tried is not met. Nothing is interpolated.
 """
 
 from collections.abc import Sequence
@@ -13,9 +15,9 @@ import numpy as np
 import pandas as pd
 
 from evaluation.estimates.best_robot import BEST
-from evaluation.estimates.families import RAW
+from evaluation.estimates.families import RAW, Family
 from evaluation.estimates.pareto import beats
-from evaluation.verdict.level_checks import LevelChecker
+from evaluation.verdict.level_checks import UNKNOWN_SCENES, LevelChecker, SceneCounts
 from evaluation.verdict.level_rows import (
     check_families,
     chosen_robots,
@@ -82,13 +84,12 @@ def recommend(
     question: Question,
     *,
     dataset: str,
-    scenes: tuple[int, int] = (0, 0),
+    scenes: SceneCounts = UNKNOWN_SCENES,
 ) -> Recommendation:
     """Return the levels that hold the limits of a question, or the nearest.
 
-    `table` is `levels.csv` of a run, `scenes` the number of scenes for attacks and the
-    number for robots. Raises SettingsError for a family or a robot that the run does
-    not have.
+    `table` is `levels.csv` of a run, `scenes` the scenes behind it. Raises
+    SettingsError for a family or a robot that the run does not have.
     """
     known = read_levels(table, dataset)
     raw_rows = next((level for level in known if level.family.family == RAW), None)
@@ -97,23 +98,11 @@ def recommend(
     ]
     check_families(rivals, question)
     robots = robot_names(known)
-    if question.robot and question.robot not in robots:
-        raise SettingsError(
-            f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'};"
-            " name one of these or add it with the command of the run"
-        )
+    _check_robot(question, robots)
     robot = question.robot or BEST[question.criterion.metric]
     task = leading_handover({row.reader.task for level in known for row in level.rows})
     checker = LevelChecker(question, robot, task, scenes, robots=robots)
-    asked = [
-        level
-        for level in rivals
-        if (
-            not question.only
-            or {level.family.family, level.family.name} & {*question.only}
-        )
-        and {*level.family.rules} & {*question.adding}
-    ]
+    asked = [level for level in rivals if _is_asked(level.family, question)]
     offers = _under_all_rules(
         [checker.offer(level) for level in asked], question.adding
     )
@@ -133,6 +122,21 @@ def recommend(
         missing=_missing_everywhere(offers),
         task=task,
     )
+
+
+def _check_robot(question: Question, robots: Sequence[str]) -> None:
+    """Raise SettingsError for a robot that is asked for and that a run does not have."""
+    if question.robot and question.robot not in robots:
+        raise SettingsError(
+            f"--predictor {question.robot}: the run has {', '.join(robots) or 'none'};"
+            " name one of these or add it with the command of the run"
+        )
+
+
+def _is_asked(family: Family, question: Question) -> bool:
+    """Return whether a question is about a family, and about a rule that it has."""
+    is_named = not question.only or {family.family, family.name} & {*question.only}
+    return bool(is_named and {*family.rules} & {*question.adding})
 
 
 def non_dominated(offers: Sequence[Offer]) -> list[Offer]:

@@ -1,10 +1,10 @@
-"""Section b of the verdict: whether a track's own PLR, AEL or MEL predicts its linkage.
+"""The section *within*: whether a track's own PLR, AEL or MEL predicts its linkage.
 
 The comparison is within a mechanism level, and beyond the covariates that anybody sees
 without a descriptor: length, speed and noise of the track in both releases.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from typing import Final
@@ -14,14 +14,14 @@ import pandas as pd
 from scipy.special import stdtrit
 
 from evaluation.estimates.families import ADDING_RULES, RAW
-from evaluation.estimates.json_numbers import json_number
 from evaluation.estimates.linked_people import LinkedProbes
 from evaluation.estimates.metrics import DESCRIPTORS
 from evaluation.estimates.summary import N_REPLICATES
 from evaluation.estimates.sweeps import Sweeps
 from evaluation.plan.address import Address
 from evaluation.verdict import rules
-from evaluation.verdict.items import Draft
+from evaluation.verdict.bands import Draft
+from evaluation.verdict.items import Topic, WithinDetails
 from evaluation.verdict.rules import NAME
 from isac_track.intervals import CONFIDENCE, Estimate, effective_clusters
 from isac_track.rng import stream
@@ -32,14 +32,14 @@ _LEAST_RANGE: Final = 1e-9  # Of a covariate's term; one below it is constant.
 _LEAST_SCALE: Final = 1e-12  # Of residuals, by which ranks are divided.
 
 
-def within_level_items(
+def draft_within(
     levels: Mapping[str, Sequence[LinkedProbes]],
     sweeps: Sweeps,
     *,
     success: Mapping[str, Address],
     seed: int,
 ) -> Iterator[Draft]:
-    """Yield an item for every adding rule, descriptor and task.
+    """Yield a draft for every adding rule, descriptor and task.
 
     `levels` are by task; the levels of a task share cluster numbers. `sweeps` tell
     under which rule a mechanism is judged; `success` is the linker of each task.
@@ -56,16 +56,10 @@ def within_level_items(
         for task, task_clusters in clusters.items()
     }
     for adding, descriptor, task in product(ADDING_RULES, DESCRIPTORS, success):
-        wanted = (RAW, *sweeps.swept(adding))
-        # Each release once: several eta may share the same.
-        distinct: dict[bytes, LinkedProbes] = {}
-        for linked in levels.get(task, ()):
-            if linked.mechanism in wanted:
-                release = np.column_stack([linked.hit, *linked.descriptors.values()])
-                distinct.setdefault(release.tobytes(), linked)
-        if any(linked.mechanism != RAW for linked in distinct.values()):
-            yield _item(
-                [*distinct.values()],
+        judged = _distinct_levels(levels.get(task, ()), {RAW, *sweeps.swept(adding)})
+        if any(linked.mechanism != RAW for linked in judged):
+            yield _draft(
+                judged,
                 adding,
                 descriptor,
                 success[task],
@@ -73,7 +67,19 @@ def within_level_items(
             )
 
 
-def _item(
+def _distinct_levels(
+    levels: Sequence[LinkedProbes], mechanisms: Collection[str]
+) -> list[LinkedProbes]:
+    """Return the levels of mechanisms, each release once: several eta may share it."""
+    distinct: dict[bytes, LinkedProbes] = {}
+    for linked in levels:
+        if linked.mechanism in mechanisms:
+            release = np.column_stack([linked.hit, *linked.descriptors.values()])
+            distinct.setdefault(release.tobytes(), linked)
+    return list(distinct.values())
+
+
+def _draft(
     levels: Sequence[LinkedProbes],
     adding: str,
     descriptor: str,
@@ -107,10 +113,13 @@ def _item(
     elif not np.isfinite(correlation.value):
         untestable = f"{name} hardly varies beyond length, speed and noise"
     return Draft(
-        adding=adding,
-        descriptor=descriptor,
-        task=linker.task,
-        subject=linker.without_task.label,
+        topic=Topic(
+            rules.WITHIN,
+            adding,
+            descriptor=descriptor,
+            task=linker.task,
+            attack=linker.without_task.label,
+        ),
         effect=correlation,
         parted_at=rules.LEAST_CORRELATION,
         above=rules.TRACKS,
@@ -124,7 +133,7 @@ def _item(
             "": f"{sentence}.",
         },
         untestable=untestable,
-        details={"levels": len(levels), "linked": json_number(excess.value)},
+        details=WithinDetails(n_levels=len(levels), linked=excess.value),
     )
 
 
@@ -162,31 +171,12 @@ def partial_correlation(
     multipliers of each cluster's influence: Chernozhukov, Chetverikov and Kato, Ann.
     Stat. 41, 2013).
     """
-    residuals: list[Floats] = []
-    clusters: list[Ints] = []
-    for level in levels:
-        needed = np.column_stack([level.descriptor, level.covariates])
-        is_complete = np.isfinite(needed).all(axis=1)
-        if is_complete.sum() < _FEWEST_TRACKS:
-            continue
-        values = np.column_stack([level.descriptor, level.hit, level.covariates])
-        ranks = _ranks(values[is_complete])
-        own_rank = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
-        terms = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
-        varies = np.ptp(terms, axis=0) > _LEAST_RANGE
-        design = np.column_stack([np.ones(len(ranks)), terms[:, varies]])
-        if is_complete.sum() <= design.shape[1] + _FEWEST_TRACKS:
-            continue
-        ranked = np.column_stack([own_rank, ranks[:, 2]])
-        residuals.append(
-            ranked - design @ np.linalg.lstsq(design, ranked, rcond=None)[0]
-        )
-        clusters.append(level.cluster[is_complete])
-    if not residuals:
+    known = [own for level in levels if (own := _rank_residuals(level)) is not None]
+    if not known:
         return Estimate(np.nan)
     # Contiguous: otherwise the sums below would be rounded in another order.
-    x, y = np.ascontiguousarray(np.concatenate(residuals).T)
-    cluster = np.concatenate(clusters)
+    x, y = np.ascontiguousarray(np.concatenate([own.ranks for own in known]).T)
+    cluster = np.concatenate([own.cluster for own in known])
     scale = np.sqrt((x @ x) * (y @ y)) / x.size
     if scale < _LEAST_SCALE:
         return Estimate(np.nan, n=int(np.unique(cluster).size))
@@ -195,6 +185,34 @@ def partial_correlation(
         x * y / scale - value / 2.0 * (x * x / (x @ x) + y * y / (y @ y)) * x.size
     )
     return _estimated(value, influence / x.size, cluster, drawn)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _RankResiduals:
+    """Ranks of N tracks beyond what their covariates explain."""
+
+    ranks: Floats  # (N, 2) of the descriptor, and of the hit
+    cluster: Ints  # (N,)
+
+
+def _rank_residuals(level: LinkedTracks) -> _RankResiduals | None:
+    """Return the residuals of a level; None if it has too few complete tracks."""
+    needed = np.column_stack([level.descriptor, level.covariates])
+    is_complete = np.isfinite(needed).all(axis=1)
+    if is_complete.sum() < _FEWEST_TRACKS:
+        return None
+    values = np.column_stack([level.descriptor, level.hit, level.covariates])
+    ranks = _ranks(values[is_complete])
+    # The first two columns are the descriptor in either release, the third is the hit.
+    descriptor_rank = _ranks(ranks[:, :2].mean(axis=1, keepdims=True))
+    terms = np.column_stack([ranks[:, 3:], ranks[:, 3:] ** 2])
+    varies = np.ptp(terms, axis=0) > _LEAST_RANGE
+    design = np.column_stack([np.ones(len(ranks)), terms[:, varies]])
+    if is_complete.sum() <= design.shape[1] + _FEWEST_TRACKS:
+        return None
+    ranked = np.column_stack([descriptor_rank, ranks[:, 2]])
+    explained = design @ np.linalg.lstsq(design, ranked, rcond=None)[0]
+    return _RankResiduals(ranked - explained, level.cluster[is_complete])
 
 
 def _ranks(values: Floats) -> Floats:

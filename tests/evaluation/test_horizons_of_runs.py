@@ -27,7 +27,8 @@ from evaluation.reporting.headline import HeadlineColumn, headline
 from evaluation.reporting.notices import notices
 from evaluation.store.cell_files import read_rows
 from evaluation.store.entries import Entry, horizons_in
-from evaluation.verdict.items import Draft
+from evaluation.verdict import rules
+from evaluation.verdict.items import Topic
 from isac_track.intervals import Estimate, estimate_from_replicates
 from isac_track.rng import stream
 
@@ -189,18 +190,12 @@ def test_a_run_has_the_further_horizons_of_its_cells():
 
 
 def test_items_of_two_horizons_have_two_names():
-    about = {
-        "adding": "linear",
-        "effect": Estimate(0.0),
-        "parted_at": 0.0,
-        "unit": "fraction",
-    }
-    about |= {"above": "", "below": "", "sentences": {}, "criterion": "missed_future"}
     own, later = (
-        Draft(**about, details=details) for details in ({}, {"horizon_s": 3.0})
+        Topic(rules.CLAIM, "linear", criterion="missed_future", horizon_s=horizon_s)
+        for horizon_s in (None, 3.0)
     )
-    assert own.names == ["linear", "missed_future"]
-    assert later.names == ["linear", "missed_future", WORLD]
+    assert own.item_id == "claim/linear/missed_future"
+    assert later.item_id == f"claim/linear/missed_future/{WORLD}"
 
 
 class TestTimesToConflict:

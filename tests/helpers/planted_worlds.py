@@ -20,7 +20,8 @@ from evaluation.estimates.metrics import EQUAL_ALARMS
 from evaluation.estimates.strongest import strongest_by_task
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import SHARED
-from evaluation.verdict.sections import validity_sections, verdict
+from evaluation.verdict.sections import build_verdict, linked_people_sections
+from evaluation.verdict.verdict_json import verdict_json
 
 KINDS = ("valid", "fooled", "flat", "empty")
 RULES = ("", RULE)
@@ -100,7 +101,8 @@ def planted_verdict(estimates, levels):
     sweeps = make_sweeps(estimates)
     best = strongest_by_task(estimates, sweeps.families)
     about = {"strongest": best, "manifest": manifest}
-    return verdict(sweeps, validity_sections(levels, sweeps, **about), **about)
+    linked_people = linked_people_sections(levels, sweeps, **about)
+    return verdict_json(build_verdict(sweeps, linked_people, **about))
 
 
 def simulated(world, *, rng):

@@ -15,6 +15,7 @@ from evaluation.plan.presets import PRESETS
 from evaluation.plan.source_digest import code_hash
 from evaluation.store.csv_files import from_csv, to_csv
 from evaluation.store.manifest import read_manifest, write_manifest
+from evaluation.verdict.level_checks import SceneCounts
 from evaluation.verdict.question import Question
 from evaluation.verdict.what_to_share import recommend
 from isac_track.config import StageSettings
@@ -129,7 +130,7 @@ def table(levels=USUAL):
 def asked(levels=USUAL, *, scenes=(500, 2000), **question):
     """What is recommended of some levels."""
     result = Question(**{"adding": ("independent",)} | question)
-    return recommend(table(levels), result, dataset=WALKS, scenes=scenes)
+    return recommend(table(levels), result, dataset=WALKS, scenes=SceneCounts(*scenes))
 
 
 def names(offers):

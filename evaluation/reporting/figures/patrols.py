@@ -30,6 +30,7 @@ from evaluation.reporting.lookups import ENDS, find_family
 from evaluation.reporting.names import robot_subject, short_mechanism_name
 from evaluation.reporting.patrol_words import ahead_text, patrol_sentence
 from evaluation.reporting.rows import Results
+from evaluation.verdict.patrol_json import read_proposal
 
 _CHAINS: Final = "blind"
 _KEYS: Final = ["mechanism", "level", "policy"]
@@ -41,15 +42,15 @@ _PANELS: Final = {
 
 def figures(run: Results) -> Iterator[Figure]:
     """Yield missed futures over known share, and over the share that is followed."""
-    proposal = run.verdict.get("patrols", {}).get("recommended", {})
-    if not proposal:
+    proposal = read_proposal(run.verdict.get("patrols", {}))
+    if proposal is None:
         return
-    world = World(horizon_s=proposal["horizon_s"]).text if proposal["horizon_s"] else ""
+    world = World(horizon_s=proposal.horizon_s).text if proposal.horizon_s else ""
     dataset = f"{run.dataset}:{world}" if world else run.dataset
     rows = run.patrols
     missed = rows[
         (rows["metric"] == FUTURE_EQUAL_ALARMS)
-        & (rows["consumer"] == proposal["robot"])
+        & (rows["consumer"] == proposal.robot)
         & (rows["dataset"] == dataset)
     ]
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
@@ -74,8 +75,8 @@ def figures(run: Results) -> Iterator[Figure]:
         name="patrols",
         section="plane",
         title=(
-            f"Policies on patrol: {robot_subject(proposal['robot'])}, future conflicts"
-            f"{ahead_text(proposal['horizon_s'])}"
+            f"Policies on patrol: {robot_subject(proposal.robot)}, future conflicts"
+            f"{ahead_text(proposal.horizon_s)}"
         ),
         panels=panels,
         columns=2,

@@ -17,7 +17,7 @@ from helpers.finished_runs import (
     make_run,
     make_summary,
 )
-from helpers.summaries import BAD, GOOD, RAW, table
+from helpers.summaries import BAD, GOOD, RAW, patrol_option, table
 
 from evaluation.reporting.announcements import condense_notices
 from evaluation.reporting.doubts import doubts
@@ -31,16 +31,14 @@ MANY = [*levels(), *[(f"ou{n}", at) for n in range(20) for at in (0.2, 0.4)]]
 
 def on_patrol(*, is_proposed):
     """A made-up run of two noises whose robots patrol, without intervals."""
-    option = {"mechanism": "raw", "level": None, "policy": "state:2"}
-    option |= {"known": 0.18, "lost": 0.1}
-    bounds = {f"{name}_high": None for name in ("missed", "lost", "known", "followed")}
+    option = patrol_option("state:2", missed=0.4, known=0.18, half=None)
     proposal = {
         "robot": "kalman_cv",
         "horizon_s": 3.0,
         "limits": {"lost": 0.05},
-        "everything": option | bounds | {"policy": "everything", "known": 0.95},
-        "best": option | bounds if is_proposed else None,
-        "nearest": None if is_proposed else option | bounds,
+        "everything": patrol_option("everything", missed=0.3, known=0.95, half=None),
+        "best": option if is_proposed else None,
+        "nearest": None if is_proposed else option,
         "has_interval": False,
     }
     return make_run(at=MANY, verdict=VERDICT | {"patrols": {"recommended": proposal}})

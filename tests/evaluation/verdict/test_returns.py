@@ -5,7 +5,7 @@ import pytest
 from evaluation.estimates.returns import ReturnNumbers
 from evaluation.plan.address import Address
 from evaluation.reporting.amounts import fine_interval, fine_share
-from evaluation.verdict.returns import return_verdict
+from evaluation.verdict.returns import read_return, return_answer, return_json
 from isac_track.intervals import Estimate
 
 GAIN = Estimate(0.3, 0.2, 0.4, n=30)
@@ -47,21 +47,22 @@ def numbers(gain, p_value, *, mechanism="clean", **further):
     ],
 )
 def test_the_rule_decides_on_the_level_without_error(decision, gain, p_value, further):
-    answer = return_verdict(numbers(gain, p_value, **further), confirming="run 4")
-    assert answer["decision"] == decision
-    assert answer["n"] == gain.n
-    assert answer["nested_p"] == p_value
-    assert answer["confirming"] == "run 4"
-    assert answer["confirming_p"] == (
-        further["confirming_p"].value if further else None
-    )
-    assert list(answer["controls"].items()) == [("neighbours", 26), ("speed", 4)]
-    assert answer["control"] == 0.1
+    answer = return_answer(numbers(gain, p_value, **further), confirming="run 4")
+    assert answer.decision == decision
+    assert answer.n == gain.n
+    assert answer.nested_p == p_value
+    assert answer.confirming == "run 4"
+    assert answer.confirming_p == (further["confirming_p"].value if further else None)
+    assert list(answer.controls.items()) == [("neighbours", 26), ("speed", 4)]
+    assert answer.control.value == 0.1
+    content = return_json(answer)
+    assert return_json(read_return({"returns": content})) == content
 
 
 def test_other_levels_decide_nothing():
-    assert return_verdict(numbers(GAIN, 0.001, mechanism="raw")) == {}
-    assert return_verdict(ReturnNumbers()) == {}
+    assert return_answer(numbers(GAIN, 0.001, mechanism="raw")) is None
+    assert return_answer(ReturnNumbers()) is None
+    assert read_return({}) is None
 
 
 def test_shares_have_a_digit_only_below_a_percent():

@@ -10,7 +10,9 @@ import pytest
 import evaluation
 from evaluation.estimates.families import Family
 from evaluation.verdict import rules
-from evaluation.verdict.validity import ATTACKS, CONSTRUCTION, SHOWN, validity
+from evaluation.verdict.rules import ATTACKS, CONSTRUCTION, SHOWN
+from evaluation.verdict.validity import validity
+from evaluation.verdict.verdict_json import control_json, item_json, trial_json
 
 ROOT = Path(evaluation.__file__).parent.parent
 
@@ -30,7 +32,12 @@ def equal(worlds):
 
 def run_validity(worlds, task, **families):
     known = worlds.families() | families
-    return validity([task], families=known, preset="paper", dataset="worlds", seed=0)
+    result = validity([task], families=known, preset="paper", dataset="worlds", seed=0)
+    return {
+        "items": [item_json(item) for item in result.items],
+        "controls": [control_json(control) for control in result.controls],
+        "on_trial": [trial_json(trial) for trial in result.trials],
+    }
 
 
 def item(verdict, name="validity/linear/plr/rerelease"):

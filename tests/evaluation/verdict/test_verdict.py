@@ -10,7 +10,7 @@ from helpers.planted_worlds import KINDS, TASK, World, planted_verdict, run, sim
 
 from evaluation.reporting.answer_tables import item_tables
 from evaluation.verdict import rules
-from evaluation.verdict.sections import to_bytes
+from evaluation.verdict.verdict_json import to_bytes
 
 
 @pytest.fixture(scope="module")

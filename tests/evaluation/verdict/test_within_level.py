@@ -7,12 +7,12 @@ import pytest
 from scipy.special import ndtri
 
 from evaluation.estimates.sweeps import Sweeps
-from evaluation.verdict.items import around
+from evaluation.verdict.bands import interval_around
 from evaluation.verdict.within_level import (
     LinkedTracks,
     clustered_mean,
+    draft_within,
     partial_correlation,
-    within_level_items,
 )
 
 
@@ -73,7 +73,7 @@ def test_its_interval_is_that_of_the_item():
     result = partial_correlation([replace(tracks, cluster=cluster)])
     assert result.n_effective < 5 < result.n
     normal = float(ndtri(0.975))
-    expected = around(result, result.standard_error, normal)
+    expected = interval_around(result, result.standard_error, normal)
     assert (result.ci_low, result.ci_high) == pytest.approx(expected)
 
 
@@ -95,7 +95,5 @@ def test_a_clustered_mean_is_a_plain_one_where_everybody_is_alone():
 
 def test_a_task_whose_windows_failed_has_no_item():
     assert not [
-        *within_level_items(
-            {"split": []}, Sweeps({}, {}), success={"split": None}, seed=0
-        )
+        *draft_within({"split": []}, Sweeps({}, {}), success={"split": None}, seed=0)
     ]

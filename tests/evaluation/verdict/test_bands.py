@@ -5,7 +5,9 @@ import pytest
 from scipy.stats import norm, t
 
 from evaluation.verdict import rules
-from evaluation.verdict.items import Draft, band_quantile, decided_items
+from evaluation.verdict.bands import Draft, band_quantile, decide_section
+from evaluation.verdict.items import Topic
+from evaluation.verdict.verdict_json import item_json
 from isac_track.intervals import Estimate
 
 
@@ -13,14 +15,15 @@ def make_effect(value, drawn, *, n=200, effective=np.nan):
     return Estimate(value, n=n, replicates=value + drawn, effective=effective)
 
 
-def draft(effect, *, parted_at=0.0, unit="fraction", **more):
+def draft(effect, *, section=rules.CLAIM, parted_at=0.0, unit="fraction", **more):
     words = {
         "above": rules.REVERSED,
         "below": rules.HOLDS,
         "unit": unit,
         "sentences": {"": "{}."},
     }
-    return Draft(adding="linear", effect=effect, parted_at=parted_at, **words, **more)
+    topic = Topic(section, "linear")
+    return Draft(topic, effect, parted_at, **words, **more)
 
 
 @pytest.mark.parametrize("n_items", [1, 3, 50])
@@ -58,9 +61,7 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
         items = [
             draft(make_effect(v, d, n=40)) for v, d in zip(mean, drawn.T, strict=True)
         ]
-        missed += any(
-            drawn_row["sign"] for drawn_row in decided_items(rules.CLAIM, items)
-        )
+        missed += any(rules.SIGN[item.decision] for item in decide_section(items))
     assert missed <= 9  # 3.2 are expected; 10 or more in 1 of 500 such tests
 
 
@@ -70,24 +71,23 @@ def test_bands_hold_all_truths_at_once_as_often_as_they_say():
 )
 def test_an_item_is_decided_by_its_band(value, decision):
     drawn = 0.01 * np.random.default_rng(2).standard_normal(2000)
-    (item,) = decided_items(rules.CLAIM, [draft(make_effect(value, drawn, n=31))])
-    assert item["decision"] == decision
-    half, wide = (item[high] - value for high in ("ci_high", "band_high"))
+    (item,) = decide_section([draft(make_effect(value, drawn, n=31))])
+    assert item.decision == decision
+    half, wide = item.effect.ci_high - value, item.band_high - value
     assert half == pytest.approx(t.ppf(0.975, 30) * 0.01, rel=0.05)
     assert wide == pytest.approx(t.ppf(0.996, 30) * 0.01, rel=0.1)
-    assert bool(item["why"]) == (decision == "between")
+    assert bool(item.why) == (decision == "between")
 
 
 def test_a_ratio_is_tested_as_logarithm_and_told_as_it_is():
     drawn = 0.1 * np.random.default_rng(3).standard_normal(2000)
-    (item,) = decided_items(
-        rules.INFLATION, [draft(make_effect(np.log(1.5), drawn), unit="ratio")]
+    (item,) = decide_section(
+        [draft(make_effect(np.log(1.5), drawn), section=rules.INFLATION, unit="ratio")]
     )
-    assert item["effect"] == pytest.approx(1.5)
-    assert item["effect"] / item["ci_low"] == pytest.approx(
-        item["ci_high"] / item["effect"]
-    )
-    assert item["sentence"].startswith("1.50 times [1.2")
+    effect = item.effect
+    assert effect.value == pytest.approx(1.5)
+    assert effect.value / effect.ci_low == pytest.approx(effect.ci_high / effect.value)
+    assert item.sentence.startswith("1.50 times [1.2")
 
 
 NOISE = np.random.default_rng(4).standard_normal(1000)
@@ -114,10 +114,11 @@ def test_what_cannot_be_tested_says_why_and_is_in_no_band(
     effect, more, why, has_interval
 ):
     sure = draft(make_effect(9.0, NOISE))
-    items = decided_items(rules.CLAIM, [draft(effect, **more), sure])
-    assert items[0]["decision"] == "not testable"
-    assert why in items[0]["why"]
-    assert items[0]["band_low"] is None
-    assert (items[0]["ci_low"] is not None) == has_interval
-    assert items[1] == decided_items(rules.CLAIM, [sure])[0]
-    assert decided_items(rules.CLAIM, []) == []
+    untested, tested = decide_section([draft(effect, **more), sure])
+    assert untested.decision == "not testable"
+    assert why in untested.why
+    assert np.isnan(untested.band_low)
+    assert np.isfinite(untested.effect.ci_low) == has_interval
+    (alone,) = decide_section([sure])
+    assert item_json(tested) == item_json(alone)
+    assert decide_section([]) == []
