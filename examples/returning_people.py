@@ -20,14 +20,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from attacks.tasks.return_study import (
-    FUSION,
-    ReturnStudy,
-    crossing,
-    share_passages,
-    study_returns,
-)
-from attacks.tasks.returns import Passages, passages
+from attacks.tasks.passage_releases import share_passages
+from attacks.tasks.passages import Passages, find_passages
+from attacks.tasks.return_study import FUSION, ReturnStudy, crossing, study_returns
 from isac_track import datasets
 from isac_track.errors import IsacTrackError
 from isac_track.intervals import Estimate
@@ -65,7 +60,7 @@ def table_rows(
 
 
 def sweep(
-    walks: Passages,
+    passages: Passages,
     *,
     dataset: str,
     errors: Sequence[str],
@@ -75,8 +70,8 @@ def sweep(
     """Return the rows and the study of every error."""
     rows, studies = [], {}
     for error in errors:
-        release = share_passages(walks, error=error, seed=seed)
-        studies[error] = study_returns(walks, release, enrolled=enrolled, seed=seed)
+        release = share_passages(passages, error=error, seed=seed)
+        studies[error] = study_returns(passages, release, enrolled=enrolled, seed=seed)
         rows += table_rows(studies[error], dataset=dataset, error=error)
     return pd.DataFrame(rows), studies
 
@@ -102,11 +97,10 @@ def print_study(error: str, study: ReturnStudy) -> None:
         f"chance {100 * primary.chance:.1f} %, n = {primary.gain.n}, EER of the fusion"
         f" {100 * primary.eer:.0f} %, nested p = {test.p_value:.3f}"
     )
-    if study.same_run is not None:
-        run = study.same_run
+    if (same_session := study.same_session) is not None:
         print(
-            f"within a run (a control): fusion {percent(run.rank1)}, strongest"
-            f" circumstance {percent(run.control)}"
+            f"within a run (a control): fusion {percent(same_session.rank1)}, strongest"
+            f" circumstance {percent(same_session.control)}"
         )
     if error == "0":
         answer = study.decision
@@ -145,9 +139,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = read_arguments(argv)
     errors = options.error.split(",")
     try:
-        walks = passages(datasets.load(options.dataset).tracks)
+        passages = find_passages(datasets.load(options.dataset).tracks)
         table, studies = sweep(
-            walks,
+            passages,
             dataset=options.dataset,
             errors=errors,
             seed=options.seed,

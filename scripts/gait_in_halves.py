@@ -17,8 +17,9 @@ import numpy as np
 import pandas as pd
 
 from attacks.linkage.gait import Gait
-from attacks.tasks.return_study import share_passages, study_returns
-from attacks.tasks.returns import passages
+from attacks.tasks.passage_releases import share_passages
+from attacks.tasks.passages import find_passages
+from attacks.tasks.return_study import study_returns
 from isac_track import datasets
 from isac_track.rng import stream
 from isac_track.types import Tracks
@@ -55,7 +56,7 @@ def link_halves(
     tracks: Tracks, *, errors: Sequence[str], seed: int
 ) -> list[dict[str, object]]:
     """Return rank 1 of gait at each level of error."""
-    walks, rows = passages(tracks), []
+    walks, rows = find_passages(tracks), []
     for error in errors:
         release = share_passages(walks, error=error, seed=seed)
         study = study_returns(

@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from attacks.tasks.return_study import share_passages, study_returns
-from attacks.tasks.returns import passages
+from attacks.tasks.passage_releases import share_passages
+from attacks.tasks.passages import find_passages
+from attacks.tasks.return_study import study_returns
 from isac_track.intervals import exact_binomial
 from isac_track.rng import stream
 from isac_track.types import Floats, Tracks
@@ -115,7 +116,7 @@ def judge(seed: int, *, traits: str, is_order_kept: bool) -> dict[str, object]:
         is_order_kept=is_order_kept,
         sessions=(*SESSIONS, CONFIRMING),
     )
-    walks = passages(tracks)
+    walks = find_passages(tracks)
     release = share_passages(walks, error="0")
     confirming = f"run {len(SESSIONS)}"
     study = study_returns(walks, release, enrolled=(None,), confirming=confirming)

@@ -15,12 +15,13 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import Task
+from attacks.tasks.window_circumstances import CIRCUMSTANCE_COLUMNS
 from isac_track.sensing import intervals_before
 from isac_track.types import Floats, Ints, Release
 
 Score: TypeAlias = Callable[[Release, Release, Generator], Floats]
+"""From probe, gallery and a stream to scores (P, G), higher = more similar."""
 _NO_SIGMA_M = 1e-9
 _NEIGHBOURS = 5
 _DECIMALS = 9  # Of a noise level: many are at the cap, equal but for rounding.
@@ -31,17 +32,12 @@ class Control:
     """A linker that must not succeed."""
 
     about: str
-    score: Score | None
-    """From probe, gallery and a stream to scores (P, G), higher = more similar.
-
-    None: the scores of an attack, with shuffled mates.
-    """
-    # Another score for tasks in the true frame.
-    in_scene: Score | None = None
-    is_audit: bool = True
-    # Whether it uses a property that a task in the true frame shows on purpose.
-    hides_in_scene: bool = False
-    is_evidence_live: bool = False
+    score: Score | None  # None: the scores of an attack, with shuffled mates.
+    scene_score: Score | None = None  # Instead of it for tasks in the true frame.
+    is_audit: bool = True  # Whether it belongs to the shortcut audit.
+    # Whether a task in the true frame shows its property on purpose.
+    is_shown_in_scene: bool = False
+    is_evidence_in_walk: bool = False
     """Whether its property is evidence where both sides show one time of one walk.
 
     There the control is no shortcut but an ablation: what a linker achieves by this
@@ -56,16 +52,16 @@ class Control:
         """Whether a task has this control."""
         if self.circumstance:
             return task.links_returning_people
-        return not (self.hides_in_scene and task.shows_scene)
+        return not (self.is_shown_in_scene and task.shows_scene)
 
     def audits(self, task: Task) -> bool:
         """Whether success in a task reveals a shortcut, which invalidates the task."""
-        return self.is_audit and not (self.is_evidence_live and task.is_sensed_once)
+        return self.is_audit and not (self.is_evidence_in_walk and task.is_sensed_once)
 
     def scorer(self, task: Task) -> Score | None:
         """Return the score function for a task."""
-        if task.shows_scene and self.in_scene is not None:
-            return self.in_scene
+        if task.shows_scene and self.scene_score is not None:
+            return self.scene_score
         return self.score
 
 
@@ -104,7 +100,7 @@ def _means(values: Floats, release: Release) -> Floats:
 
 
 def _sampling_times(release: Release) -> Floats:
-    """Return mean, mean square, least and greatest of each track's steps, (N, 4)."""
+    """Return mean, mean square, least and greatest of each track's steps, (N, 4) s."""
     step_s = intervals_before(t=release.t, offsets=release.offsets)
     starts = release.offsets[:-1]
     return np.column_stack(
@@ -118,18 +114,21 @@ def _sampling_times(release: Release) -> Floats:
 
 
 def _duration(release: Release) -> Floats:
+    """Return how long each track lasts, (N,) s."""
     return np.asarray(release.t[release.offsets[1:] - 1] - _start(release))
 
 
 def _start(release: Release) -> Floats:
+    """Return the first instant of each track on the clock of the release, (N,) s."""
     return np.asarray(release.t[release.offsets[:-1]])
 
 
 def _sample_count(release: Release) -> Floats:
+    """Return the number of samples of each track, (N,)."""
     return np.asarray(np.diff(release.offsets))
 
 
-def _noise(release: Release) -> Floats:
+def _noise_level(release: Release) -> Floats:
     """Return the mean logarithm of each track's declared noise, (N, 1).
 
     Its range within a track depends on how far the person walked, which is no shortcut.
@@ -139,7 +138,7 @@ def _noise(release: Release) -> Floats:
     return np.asarray(np.round(level, _DECIMALS)[:, None])
 
 
-def _over_neighbours(release: Release) -> Floats:
+def _noise_over_neighbours(release: Release) -> Floats:
     """Return each track's noise level less the mean of its nearest tracks, (N, 1).
 
     In the true frame, noise that grows with the distance from the base station would
@@ -147,19 +146,22 @@ def _over_neighbours(release: Release) -> Floats:
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - heavy, and used here alone
 
-    level, few = _noise(release), min(_NEIGHBOURS, len(release) - 1)
+    level, n_near = _noise_level(release), min(_NEIGHBOURS, len(release) - 1)
     # If all levels are equal, only rounding would remain, which depends on the place.
-    if few == 0 or np.ptp(level) < _NO_SIGMA_M:
+    if n_near == 0 or np.ptp(level) < _NO_SIGMA_M:
         return np.zeros_like(level)
     middle_m = _means(release.xy, release)
-    nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=few + 1)[1])
+    nearest: Ints = np.asarray(cKDTree(middle_m).query(middle_m, k=n_near + 1)[1])
     # The first is the track itself, or somebody in the very same place.
     around = level[nearest[:, 1:], 0].mean(axis=1)[:, None]
     return np.asarray(np.round(level - around, _DECIMALS))
 
 
 def _frame(release: Release) -> Floats:
-    """Return place and heading of each track, (N, 4): from first half to second."""
+    """Return the place, m, and the heading, a unit vector, of each track, (N, 4).
+
+    It heads from the middle of its first half to that of its second.
+    """
     first, sizes = release.offsets[:-1], np.diff(release.offsets)[:, None]
     total = np.add.reduceat(release.xy, first)
     halves = np.column_stack([first, first + sizes[:, 0] // 2]).ravel()
@@ -167,9 +169,9 @@ def _frame(release: Release) -> Floats:
     # A track of one sample has no first half: it stands where it is.
     early = np.where(sizes > 1, total - late, total) / np.maximum(sizes // 2, 1)
     late /= sizes - sizes // 2
-    way = late - early
-    length_m = np.hypot(way[:, 0], way[:, 1])[:, None]
-    heading = np.divide(way, length_m, out=np.zeros_like(way), where=length_m > 0)
+    moved = late - early
+    length_m = np.hypot(moved[:, 0], moved[:, 1])[:, None]
+    heading = np.divide(moved, length_m, out=np.zeros_like(moved), where=length_m > 0)
     return np.column_stack([(early + late) / 2.0, heading])
 
 
@@ -191,23 +193,23 @@ CONTROLS: Final[Mapping[str, Control]] = {
     ),
     "noise_level": Control(
         "the standard deviations declared with it",
-        _closeness_score(_noise),
-        _closeness_score(_over_neighbours),
+        _closeness_score(_noise_level),
+        scene_score=_closeness_score(_noise_over_neighbours),
         # How well somebody is sensed does not change at once: physics, not a leak.
-        is_evidence_live=True,
+        is_evidence_in_walk=True,
     ),
     "frame": Control(
         "where it lies and heads in its frame",
         _closeness_score(_frame),
-        hides_in_scene=True,
+        is_shown_in_scene=True,
     ),
     "clock": _Times(
         "when it starts on its clock",
         _closeness_score(_start),
-        hides_in_scene=True,
+        is_shown_in_scene=True,
     ),
     **{
         name: _Times(f"the {name.replace('_', ' ')} alone", None, circumstance=columns)
-        for name, columns in COLUMNS.items()
+        for name, columns in CIRCUMSTANCE_COLUMNS.items()
     },
 }

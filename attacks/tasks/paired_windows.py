@@ -1,30 +1,34 @@
-"""Tasks in which everybody is in both releases: re-release, split, two sessions.
+"""Tasks in which everybody is on both sides: re-release, split, two sessions.
+
+Every person has a probe and a gallery window. A search has half of the people, so that
+an adversary is trained on the other half.
 
 Where a task hides the frame, each window is first moved to another place of the
 recording. A walk that is sensed twice in one place would show by its distance from the
 base station, on which the noise depends.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from collections.abc import Callable, Mapping, Sequence
+from itertools import pairwise
 from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.random import Generator
 
-from attacks.tasks.draft import LEAST_PEOPLE, Draft, track_rows
-from attacks.tasks.sessions import Sessions, Windows, halves, measure_circumstances
-from attacks.tasks.task_list import NAMED_SESSIONS
+from attacks.tasks.assembly import Searches, assemble
+from attacks.tasks.cutting import cut_windows
+from attacks.tasks.folds import split_people
+from attacks.tasks.task_input import LEAST_PEOPLE, TaskInput, track_rows
+from attacks.tasks.windows import TaskWindows, Windows
 from isac_track.datasets.repair import walking_groups
-from isac_track.errors import DataError, SettingsError
-from isac_track.types import Bools, Floats, Ints, Tracks, end_to_end, sample_runs
+from isac_track.errors import SettingsError
+from isac_track.types import Floats, Ints, Tracks
 
 # People of the two-session crowd: simulating more would not show more.
 MOST_SIMULATED = 300
 # Steps whose ratio is at least this have one rate: clocks are not exact.
 _SAME_RATE = 0.98
-_Starts: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
+StartDraw: TypeAlias = Callable[[Floats, Floats, Generator], Floats]
 """Draws the starts of both windows of a person, (2,) s.
 
 Arguments are the first samples of the tracks to cut, and by how much these tracks are
@@ -32,90 +36,196 @@ longer than needed, (2,) s each.
 """
 
 
-def rerelease(draft: Draft) -> Sessions:
+def rerelease(task_input: TaskInput) -> TaskWindows:
     """Return two windows of each walk, which may overlap: a walk is shared twice."""
-    most_s = draft.settings.linkage.rerelease_shift_s
+    most_s = task_input.settings.linkage.rerelease_shift_s
 
-    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+    def draw_starts(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
         reach_s = min(slack_s[0], most_s)
         base_s = first_s + rng.uniform(0.0, slack_s[0] - reach_s)
         return np.asarray(base_s + rng.uniform(0.0, reach_s, 2))
 
-    return _paired_sessions(draft, draft.settings.linkage.window_s, starts_s)
+    length_s = task_input.settings.linkage.window_s
+    return paired_windows(task_input, draw_starts, length_s=length_s)
 
 
-def split(draft: Draft) -> Sessions:
+def split(task_input: TaskInput) -> TaskWindows:
     """Return two windows of each walk with a gap between them."""
-    settings = draft.settings.linkage
+    settings = task_input.settings.linkage
     length_s, gap_s = settings.split_window_s, settings.split_gap_s
     apart_s = np.array([0.0, length_s + gap_s])
 
-    def starts_s(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+    def draw_starts(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
         return np.asarray(first_s + apart_s + np.sort(rng.uniform(0.0, slack_s)))
 
-    return _paired_sessions(draft, length_s, starts_s, needed_s=2.0 * length_s + gap_s)
+    return paired_windows(
+        task_input, draw_starts, length_s=length_s, needed_s=2.0 * length_s + gap_s
+    )
 
 
-def new_traversal(draft: Draft) -> Sessions:
+def new_traversal(task_input: TaskInput) -> TaskWindows:
     """Return a window of each person's walk in either session of a crowd."""
-    return _paired_sessions(draft, draft.settings.linkage.window_s, _anywhere)
+    length_s = task_input.settings.linkage.window_s
+    return paired_windows(task_input, start_anywhere, length_s=length_s)
 
 
-def _anywhere(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+def start_anywhere(first_s: Floats, slack_s: Floats, rng: Generator) -> Floats:
+    """Draw the starts of both windows anywhere in their tracks, a `StartDraw`."""
     return np.asarray(first_s + rng.uniform(0.0, slack_s))
 
 
-def cross_session(draft: Draft) -> Sessions:
-    """Return a window of each person's walk in the two sessions that most people share.
+def paired_windows(
+    task_input: TaskInput,
+    draw_starts: StartDraw,
+    *,
+    length_s: float,
+    needed_s: float | None = None,
+) -> TaskWindows:
+    """Return windows of people who are on both sides, with a search for each fold.
 
-    If a person has several tracks in a session, the longest counts.
+    Windows last `length_s`, and tracks must last `needed_s`, by default as long.
     """
-    tracks, needed_s = draft.tracks, draft.settings.linkage.window_s
-    # A folder of a single file is a recording of a single session.
-    if (
-        tracks.session is None or tracks.person is None or len(set(tracks.session)) < 2  # noqa: PLR2004 - a pair
-    ):
-        raise DataError(
-            f"task {draft.task.name}: no person is known to be in two sessions; give"
-            f" {NAMED_SESSIONS}"
+    second = task_input.second_session
+    needed_s = length_s if needed_s is None else needed_s
+    long = _rows_long_in_both(task_input, needed_s)
+    rows = _draw_people(task_input, long)
+    second_rows = track_rows(
+        second.tracks, [task_input.tracks.source[row] for row in rows]
+    )
+    start_s = _draw_windows(
+        task_input, draw_starts, rows, second_rows, needed_s=needed_s
+    )
+    group = join_groups(
+        [task_input.tracks.group[row] for row in rows],
+        [second.tracks.group[row] for row in second_rows],
+    )
+    search = _number_searches(task_input, group)
+    # The gallery is in an order of its own, so that no place in the list gives a person
+    # away.
+    order = task_input.rng("order").permutation(rows.size)
+    return assemble(
+        task_input,
+        rows,
+        group=group,
+        searches=_searches(task_input, group, search),
+        probe=_cut_side(
+            task_input,
+            "probe",
+            rows=rows,
+            start_s=start_s[:, 0],
+            length_s=length_s,
+            person=np.arange(rows.size),
+            search=search,
+        ),
+        gallery=_cut_side(
+            second,
+            "gallery",
+            rows=second_rows[order],
+            start_s=start_s[order, 1],
+            length_s=length_s,
+            person=order,
+            search=search[order],
+        ),
+        mate=np.argsort(order),
+        too_short=len(task_input.tracks) - len(long),
+        not_drawn=len(long) - rows.size,
+    )
+
+
+def _rows_long_in_both(task_input: TaskInput, needed_s: float) -> list[int]:
+    """Return the rows of the people whose tracks last `needed_s` in both sessions."""
+    tracks, second = task_input.tracks, task_input.second_session
+    counted = f"of {len(tracks)} tracks last {needed_s:g} s"
+    if not task_input.task.is_single_walk:
+        counted = f"people walk for {needed_s:g} s in both sessions"
+    # People who are absent from the second session are left out.
+    in_second = {second.tracks.source[row] for row in second.rows_lasting(needed_s)}
+    long = [
+        row
+        for row in task_input.rows_lasting(needed_s).tolist()
+        if tracks.source[row] in in_second
+    ]
+    most = task_input.settings.linkage.most_people
+    if most < LEAST_PEOPLE:
+        raise SettingsError(
+            f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}"
         )
-    longest: dict[str, dict[str, int]] = {name: {} for name in tracks.session}
-    long = draft.lasting(needed_s)
-    by_duration = np.argsort((draft.end_s - draft.start_s)[long], kind="stable")
-    for row in long[by_duration].tolist():
-        longest[tracks.session[row]][tracks.person[row]] = row
-    first_session, second_session = max(
-        combinations(longest.values(), 2),
-        key=lambda days: len(days[0].keys() & days[1].keys()),
-    )
-    names = sorted(first_session.keys() & second_session.keys())
-    draft.require_people(len(names), f"people walk for {needed_s:g} s in two sessions")
-    first_rows = np.array([first_session[name] for name in names])
-    second_rows = np.array([second_session[name] for name in names])
-    first = _named(tracks, first_rows, names)
-    second = _named(tracks, second_rows, names)
-    sessions = _paired_sessions(
-        replace(draft, tracks=first, later=second), needed_s, _anywhere
-    )
-    number = np.array([names.index(name) for name in sessions.source])
-
-    def with_circumstances(windows: Windows, rows: Ints) -> Windows:
-        measured = measure_circumstances(tracks, rows[number[windows.person]], windows)
-        return replace(windows, circumstances=measured)
-
-    return replace(
-        sessions,
-        probe=with_circumstances(sessions.probe, first_rows),
-        gallery=with_circumstances(sessions.gallery, second_rows),
-    )
+    task_input.require_people(len(long), counted)
+    return long
 
 
-def _named(tracks: Tracks, rows: Ints, names: Sequence[str]) -> Tracks:
-    """Return some tracks, called by other names."""
-    runs, offsets = sample_runs(tracks.offsets, rows)
-    t, xy = end_to_end(tracks.t, runs), end_to_end(tracks.xy, runs)
-    group = tuple(tracks.group[row] for row in rows)
-    return Tracks(t, xy, offsets, source=tuple(names), group=group)
+def _draw_people(task_input: TaskInput, rows: Sequence[int]) -> Ints:
+    """Return `linkage.most_people` of some rows, drawn; fewer for a simulated crowd."""
+    most = task_input.settings.linkage.most_people
+    if task_input.task.simulated:
+        most = min(most, MOST_SIMULATED)
+    return np.sort(task_input.rng("people").permutation(rows)[:most])
+
+
+def _draw_windows(
+    task_input: TaskInput,
+    draw_starts: StartDraw,
+    rows: Ints,
+    second_rows: Ints,
+    *,
+    needed_s: float,
+) -> Floats:
+    """Return the starts of each person's probe and gallery window, (K, 2) s.
+
+    `rows` and `second_rows`, (K,), are the people's tracks in either session.
+    """
+    second = task_input.second_session
+    first_s = np.column_stack([task_input.start_s[rows], second.start_s[second_rows]])
+    last_s = np.column_stack([task_input.end_s[rows], second.end_s[second_rows]])
+    slack_s = np.maximum(last_s - first_s - needed_s, 0.0)
+    streams = [task_input.rng("windows", task_input.tracks.source[row]) for row in rows]
+    return np.array(list(map(draw_starts, first_s, slack_s, streams)))
+
+
+def _number_searches(task_input: TaskInput, group: tuple[str, ...]) -> Ints:
+    """Return the search of each person, (K,): that of the fold, or a single search."""
+    if task_input.task.links_returning_people:
+        return np.zeros(len(group), dtype=np.int64)
+    return split_people(group, rng=task_input.rng("folds"))
+
+
+def _searches(task_input: TaskInput, group: tuple[str, ...], search: Ints) -> Searches:
+    """Return the searches of the people of some groups; `search` is theirs, (K,).
+
+    Who comes back is linked by an adversary that may know all other groups. Anybody
+    else is linked by an adversary that may know the other fold.
+    """
+    if task_input.task.links_returning_people:
+        cluster = np.unique(group, return_inverse=True)[1]
+        return Searches(("everybody",), np.arange(1), cluster[:, None] != cluster)
+    other_fold = np.stack([search == 1, search == 0])
+    return Searches(("half 1", "half 2"), np.arange(2), other_fold)
+
+
+def _cut_side(
+    task_input: TaskInput,
+    side: str,
+    *,
+    rows: Ints,
+    start_s: Floats,
+    length_s: float,
+    person: Ints,
+    search: Ints,
+) -> Windows:
+    """Return one side; `rows`, `start_s`, `person` and `search` are (K,).
+
+    If the task hides the scene, each window is moved to the place of a drawn sample.
+    """
+    tracks = task_input.tracks
+    cut = cut_windows(task_input, side, rows, start_s, start_s + length_s)
+    if task_input.task.shows_scene:
+        return cut.in_searches(person, search)
+    sizes = np.diff(cut.offsets)
+    middle_m = np.add.reduceat(cut.xy, cut.offsets[:-1]) / sizes[:, None]
+    sources = [tracks.source[row] for row in rows]
+    shares = [task_input.rng("place", side, name).random() for name in sources]
+    target_m = tracks.xy[samples_at_shares(np.array(shares), tracks)]
+    return cut.in_searches(person, search, shift_m=target_m - middle_m)
 
 
 def samples_at_shares(shares: Floats, tracks: Tracks) -> Ints:
@@ -142,140 +252,7 @@ def samples_at_shares(shares: Floats, tracks: Tracks) -> Ints:
     return np.asarray(np.minimum(places, tracks.t.size - 1))
 
 
-def _paired_sessions(
-    draft: Draft, length_s: float, starts_s: _Starts, *, needed_s: float = 0.0
-) -> Sessions:
-    """Return sessions in which everybody is in both, with a search for each half.
-
-    Windows last `length_s`, and tracks must last `needed_s`, by default as long.
-    """
-    tracks, later = draft.tracks, replace(draft, tracks=draft.later)
-    needed_s = needed_s or length_s
-    long = _long_in_both(draft, needed_s)
-    rows = _draw_people(draft, long)
-    rows_later = track_rows(later.tracks, [tracks.source[row] for row in rows])
-    first_s = np.column_stack([draft.start_s[rows], later.start_s[rows_later]])
-    last_s = np.column_stack([draft.end_s[rows], later.end_s[rows_later]])
-    slack_s = np.maximum(last_s - first_s - needed_s, 0.0)
-    streams = [draft.rng("windows", tracks.source[row]) for row in rows]
-    starts = np.array(list(map(starts_s, first_s, slack_s, streams)))
-    group = joined(
-        [tracks.group[row] for row in rows],
-        [later.tracks.group[row] for row in rows_later],
-    )
-    searches = _searches(draft, group)
-    # In an order of its own, so that a place in the list does not give a person away.
-    order = draft.rng("order").permutation(rows.size)
-    everybody = np.arange(rows.size)
-    return draft.sessions(
-        rows,
-        group=group,
-        may_teach=searches.may_teach,
-        probe=_paired_windows(
-            draft,
-            "probe",
-            rows=rows,
-            start_s=starts[:, 0],
-            length_s=length_s,
-            person=everybody,
-            search=searches.search,
-        ),
-        gallery=_paired_windows(
-            later,
-            "gallery",
-            rows=rows_later[order],
-            start_s=starts[order, 1],
-            length_s=length_s,
-            person=order,
-            search=searches.search[order],
-        ),
-        mate=np.argsort(order),
-        fold=np.arange(len(searches.names)),
-        searches=searches.names,
-        too_short=len(tracks) - len(long),
-        not_drawn=len(long) - rows.size,
-    )
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Searches:
-    """The searches that the N people of a task are linked in."""
-
-    search: Ints  # (N,) number of each person's search.
-    may_teach: Bools  # (2 or N, N) from whom the adversary of a half or person learns.
-    names: tuple[str, ...]
-
-
-def _searches(draft: Draft, group: tuple[str, ...]) -> _Searches:
-    """Return a search for each half of the people, or a search in which all come back.
-
-    Who comes back is linked by an adversary who learns from all other groups.
-    """
-    if draft.task.links_returning_people:
-        cluster = np.unique(group, return_inverse=True)[1]
-        everybody = np.zeros(len(group), dtype=np.int64)
-        return _Searches(everybody, cluster[:, None] != cluster, ("everybody",))
-    search = halves(group, rng=draft.rng("folds"))
-    may_teach = np.stack([search == 1, search == 0])
-    return _Searches(search, may_teach, ("half 1", "half 2"))
-
-
-def _long_in_both(draft: Draft, needed_s: float) -> list[int]:
-    """Return the rows of the people whose tracks last `needed_s` in both sessions."""
-    tracks, later = draft.tracks, replace(draft, tracks=draft.later)
-    counted = f"of {len(tracks)} tracks last {needed_s:g} s"
-    if not draft.task.is_single_walk:
-        counted = f"people walk for {needed_s:g} s in both sessions"
-    # People who are absent from the second session are left out.
-    in_second = {later.tracks.source[row] for row in later.lasting(needed_s)}
-    long = [
-        row
-        for row in draft.lasting(needed_s).tolist()
-        if tracks.source[row] in in_second
-    ]
-    most = draft.settings.linkage.most_people
-    if most < LEAST_PEOPLE:
-        raise SettingsError(
-            f"linkage.most_people must be at least {LEAST_PEOPLE}, got {most}"
-        )
-    draft.require_people(len(long), counted)
-    return long
-
-
-def _draw_people(draft: Draft, rows: Sequence[int]) -> Ints:
-    """Return `linkage.most_people` of some rows, drawn; fewer for a simulated crowd."""
-    most = draft.settings.linkage.most_people
-    if draft.task.simulated:
-        most = min(most, MOST_SIMULATED)
-    return np.sort(draft.rng("people").permutation(rows)[:most])
-
-
-def _paired_windows(
-    draft: Draft,
-    side: str,
-    *,
-    rows: Ints,
-    start_s: Floats,
-    length_s: float,
-    person: Ints,
-    search: Ints,
-) -> Windows:
-    """Return one side of closed sessions; `rows`, `start_s` and so on are (N,).
-
-    If the task hides the scene, each window is moved to the place of a drawn sample.
-    """
-    stretches = draft.cut(side, rows, start_s, start_s + length_s)
-    if draft.task.shows_scene:
-        return stretches.windows(person, search)
-    sizes = np.diff(stretches.offsets)
-    middle_m = np.add.reduceat(stretches.xy, stretches.offsets[:-1]) / sizes[:, None]
-    sources = [draft.tracks.source[row] for row in rows]
-    shares = np.array([draft.rng("place", side, name).random() for name in sources])
-    target_m = draft.tracks.xy[samples_at_shares(shares, draft.tracks)]
-    return stretches.windows(person, search, shift_m=target_m - middle_m)
-
-
-def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
+def join_groups(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
     """Return the cluster of each person, given the groups in either session.
 
     People who share a group in a session are in one cluster, also by way of others. A
@@ -289,10 +266,9 @@ def joined(first: Sequence[str], second: Sequence[str]) -> tuple[str, ...]:
     return tuple(group.removeprefix("group:0") for group in groups)
 
 
-PAIRED: Final[tuple[Callable[[Draft], Sessions], ...]] = (
-    rerelease,
-    split,
-    new_traversal,
-    cross_session,
-)
-"""The functions that make the sessions of these tasks, named as the tasks' families."""
+PAIRED: Final[Mapping[str, Callable[[TaskInput], TaskWindows]]] = {
+    "rerelease": rerelease,
+    "split": split,
+    "new_traversal": new_traversal,
+}
+"""The functions that make the windows of these tasks, by the task's family."""

@@ -1,19 +1,25 @@
-"""Are people who come back re-identified? Cells, controls, test and decision."""
+"""Are people who come back re-identified? All numbers of the task `returns`.
+
+The study scores all pairs of passages by each linker (`attacks.tasks.passage_scores`),
+fuses the scores, ranks people, and compares with controls. Then it tests and decides by
+the rule of `isac_track.linkability.return_rule`.
+
+A *cell* is a linker, the fusion or a control, with a number of enrolled passages: rank
+1 and its gain over the control. A person is *enrolled* by passages in the gallery.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from attacks.linkage.behaviour import Behaviour
 from attacks.linkage.gait import Gait
 from attacks.linkage.likelihood_ratio import LikelihoodRatio
-from attacks.tasks.returns import Passages, hide, score_passages
+from attacks.tasks.passage_scores import score_passages
+from attacks.tasks.passages import Passages, returning_people
 from attacks.tasks.task_list import FUSED
-from isac_track.config import StageSettings
-from isac_track.errors import SettingsError
 from isac_track.intervals import Estimate
 from isac_track.linkability.mrqap import Regression, nested_permutation
 from isac_track.linkability.return_rule import (
@@ -37,26 +43,19 @@ from isac_track.linkability.returns import (
     return_cell,
 )
 from isac_track.protocols import LinkageAttack
-from isac_track.resample import sampling_times
 from isac_track.rng import stream
-from isac_track.sensing import (
-    draw_walk_channel,
-    recorded_walk,
-    sense,
-    walked_within,
-)
-from isac_track.types import Bools, Floats, Ints, Release, Sensed
+from isac_track.types import Bools, Floats, Ints, Release
 
 LINKERS: Final[Mapping[str, LinkageAttack]] = dict(
     zip(FUSED, (Gait(), Behaviour(), LikelihoodRatio()), strict=True)
 )
 """The linkers that are fused."""
-STAGES: Final = StageSettings()
 FUSION: Final = "fusion"
 TOGETHER: Final = "all circumstances"
 ENROLLED: Final[tuple[int | None, ...]] = (1, 3, None)
 """Passages of each person in the gallery; None: all."""
 _Key: TypeAlias = tuple[str, int | None]
+"""Name of a linker or of the fusion, and the number of enrolled passages."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -66,12 +65,13 @@ class ReturnStudy:
     Attributes
     ----------
     cells : Mapping
-        Cell of each linker and number of enrolled passages, closed set, another run.
+        Cell of each linker and number of enrolled passages, closed set, another
+        session.
     controls : Mapping
         The same of each circumstance and of all together, all passages enrolled.
-    same_run : ReturnCell or None
-        The fusion within a run, all passages enrolled: a control. None where nobody
-        walks twice in a run.
+    same_session : ReturnCell or None
+        The fusion within a session, all passages enrolled: a control. None where nobody
+        walks twice in a session.
     opened : OpenSet
         The fusion, all passages enrolled, open set.
     regression : Regression
@@ -85,7 +85,7 @@ class ReturnStudy:
 
     cells: Mapping[_Key, ReturnCell]
     controls: Mapping[str, ReturnCell]
-    same_run: ReturnCell | None
+    same_session: ReturnCell | None
     opened: OpenSet
     regression: Regression
     decision: ReturnDecision
@@ -99,13 +99,15 @@ class ReturnStudy:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Scored:
-    """Scores of linkers and circumstances, and how to fuse them."""
+    """Scores of N passages by L linkers and C circumstances, and how to fuse them."""
 
-    returning: Returning
-    scores: Mapping[str, Floats]  # (K + 1 or 1, N, N), linkers, then circumstances
+    returning: Returning  # K people come back.
+    # By linker and circumstance: (K + 1, N, N), or (1, N, N) if it is not trained.
+    scores: Mapping[str, Floats]
     linkers: tuple[str, ...]
     circumstances: tuple[str, ...]
-    laws: Mapping[str, Floats]  # (K + 1, L + 1), of `FUSION` and `TOGETHER`
+    # Of `FUSION`, (K + 1, L + 1), and of `TOGETHER`, (K + 1, C + 1).
+    laws: Mapping[str, Floats]
 
     def members(self, name: str) -> tuple[str, ...]:
         """Return the linkers or circumstances that a name stands for."""
@@ -118,13 +120,13 @@ class _Scored:
         single = np.tile([1.0, 0.0], (self.returning.people.size + 1, 1))
         return self.laws.get(name, single)
 
-    def fused(self, name: str, weights: Floats) -> PersonScores:
-        """Return the scores of a linker, a circumstance or a fusion."""
+    def person_scores(self, name: str, weights: Floats) -> PersonScores:
+        """Return the scores of a linker, a circumstance or a fusion against people."""
         scores = [self.scores[member] for member in self.members(name)]
         return fuse(scores, self.law(name), self.returning, weights)
 
-    def nodes(self, name: str) -> NodeScores:
-        """Return its scores between people in runs."""
+    def node_scores(self, name: str) -> NodeScores:
+        """Return the same scores between nodes: people in sessions."""
         scores = [self.scores[member] for member in self.members(name)]
         return node_scores(scores, self.law(name), self.returning)
 
@@ -149,21 +151,27 @@ def study_returns(
         raise ValueError(f"no session is called {confirming!r}")
     aside = -1 if confirming is None else passages.sessions.index(confirming)
     scored = _score(passages, release, passages.session != aside, linkers, seed)
-    cells = _cells(scored, seed, enrolled)
-    primary = _primary(scored, cells[FUSION, None], seed, n_permutations, None)
-    decision, second = decide_return(primary.evidence), None
-    if confirming is not None and awaits_confirmation(primary.evidence):
+    cells = {
+        (name, most): cell
+        for most in enrolled
+        for name, cell in _closed_cells(
+            scored, (*scored.linkers, FUSION), most=most, seed=seed
+        ).items()
+    }
+    regression = _regress(scored, seed, n_permutations)
+    evidence = ReturnEvidence(cells[FUSION, None].gain, regression.p_value)
+    decision, second = decide_return(evidence), None
+    if confirming is not None and awaits_confirmation(evidence):
         everything = np.ones(len(passages), dtype=bool)
-        again = _score(passages, release, everything, linkers, seed)
-        cell = _closed(again, [FUSION], session=aside, seed=seed)[FUSION]
-        second = _primary(again, cell, seed, n_permutations, aside).evidence
-        decision = decide_return(primary.evidence, confirming=second)
+        scored_all = _score(passages, release, everything, linkers, seed)
+        second = _confirming_evidence(scored_all, aside, seed, n_permutations)
+        decision = decide_return(evidence, confirming=second)
     return ReturnStudy(
         cells=cells,
-        controls=_closed(scored, (*scored.circumstances, TOGETHER), seed=seed),
-        same_run=_same_run(scored, seed),
-        opened=primary.opened,
-        regression=primary.regression,
+        controls=_closed_cells(scored, (*scored.circumstances, TOGETHER), seed=seed),
+        same_session=_same_session_cell(scored, seed),
+        opened=_open_set(scored, seed),
+        regression=regression,
         decision=decision,
         confirming=second,
     )
@@ -178,193 +186,106 @@ def _score(
 ) -> _Scored:
     """Score the chosen passages, (N,) true where chosen, by every linker."""
     rows = np.flatnonzero(chosen)
-    person, session = passages.person[rows], passages.session[rows]
-    names, person = np.unique(person, return_inverse=True)
-    person = person.astype(np.int64)
-    pairs = np.unique(np.stack([person, session]), axis=1)
-    people = np.flatnonzero(np.bincount(pairs[0], minlength=names.size) > 1)
-    returning = Returning(person, session, people.astype(np.int64))
+    returning = _returning(passages.person[rows], passages.session[rows])
     part = release if rows.size == len(release) else release.tracks(rows)
-    values = {
-        name: score_passages(
-            attack,
-            part,
-            person=person,
-            session=session,
-            returning=returning.people,
-            seed=seed,
-        ).values
+    scores = {
+        name: score_passages(attack, part, returning, seed=seed)
         for name, attack in linkers.items()
     }
     for name, closeness in passages.closeness.items():
-        values[name] = closeness[None, rows[:, None], rows]
-    everything = enrolment(returning, seed=seed)
+        scores[name] = closeness[None, rows[:, None], rows]
+    weights = enrolment(returning, seed=seed)
     groups = {FUSION: tuple(linkers), TOGETHER: tuple(passages.closeness)}
     laws = {
-        name: fusion_laws([values[member] for member in members], returning, everything)
+        name: fusion_laws([scores[member] for member in members], returning, weights)
         for name, members in groups.items()
     }
-    return _Scored(returning, values, groups[FUSION], groups[TOGETHER], laws)
+    return _Scored(returning, scores, groups[FUSION], groups[TOGETHER], laws)
 
 
-def _cells(
-    scored: _Scored, seed: int, enrolled: Sequence[int | None]
-) -> dict[_Key, ReturnCell]:
-    """Return the closed cells of another run."""
-    return {
-        (name, most): cell
-        for most in enrolled
-        for name, cell in _closed(
-            scored, (*scored.linkers, FUSION), most=most, seed=seed
-        ).items()
-    }
+def _returning(person: Ints, session: Ints) -> Returning:
+    """Return who walks in which passage, with people numbered anew from 0."""
+    names, number = np.unique(person, return_inverse=True)
+    number = number.astype(np.int64)
+    people = returning_people(number, session, n_people=names.size)
+    return Returning(number, session, people)
 
 
-def _closed(
+def _closed_cells(
     scored: _Scored,
     names: Sequence[str],
     *,
     most: int | None = None,
-    probe: Probe = "another run",
+    probe: Probe = "another session",
     session: int | None = None,
     seed: int,
 ) -> dict[str, ReturnCell]:
-    """Return cells of one gallery; with `session` only its passages are probes."""
+    """Return the cell of each name, in a closed set: every probe has a mate.
+
+    At most `most` passages of each person are enrolled; None: all. With `session` only
+    its passages are probes.
+    """
     returning = scored.returning
     weights = enrolment(returning, most=most, probe=probe, seed=seed)
     rows = np.arange(returning.person.size)
     if session is not None:
         rows = np.flatnonzero(returning.session == session)
     controls = {
-        name: scored.fused(name, weights) for name in (*scored.circumstances, TOGETHER)
+        name: scored.person_scores(name, weights)
+        for name in (*scored.circumstances, TOGETHER)
     }
     return {
-        name: return_cell(scored.fused(name, weights), controls, returning, rows=rows)
+        name: return_cell(
+            scored.person_scores(name, weights), controls, returning, rows=rows
+        )
         for name in names
     }
 
 
-def _same_run(scored: _Scored, seed: int) -> ReturnCell | None:
-    """Return the control within a run, or None where nobody walks twice in a run."""
+def _same_session_cell(scored: _Scored, seed: int) -> ReturnCell | None:
+    """Return the control within a session, or None where nobody walks twice in it."""
     pairs = np.stack([scored.returning.session, scored.returning.person])
     if np.unique(pairs, axis=1).shape[1] == pairs.shape[1]:
         return None
-    return _closed(scored, [FUSION], probe="same run", seed=seed)[FUSION]
+    return _closed_cells(scored, [FUSION], probe="same session", seed=seed)[FUSION]
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Primary:
-    """Results of the cell that decides."""
+def _confirming_evidence(
+    scored: _Scored, session: int, seed: int, n_permutations: int
+) -> ReturnEvidence:
+    """Return the evidence of the primary cell with the probes of one session alone."""
+    cell = _closed_cells(scored, [FUSION], session=session, seed=seed)[FUSION]
+    regression = _regress(scored, seed, n_permutations, session=session)
+    return ReturnEvidence(cell.gain, regression.p_value)
 
-    evidence: ReturnEvidence
-    regression: Regression
-    opened: OpenSet
 
+def _regress(
+    scored: _Scored, seed: int, n_permutations: int, *, session: int | None = None
+) -> Regression:
+    """Return the test whether being the same person explains the scores of the fusion.
 
-def _primary(
-    scored: _Scored,
-    cell: ReturnCell,
-    seed: int,
-    n_permutations: int,
-    session: int | None,
-) -> _Primary:
-    """Return the evidence of the primary cell, its test and its open set."""
-    nodes = scored.nodes(FUSION)
-    person, run = nodes.person, nodes.session
-    controls = np.stack([scored.nodes(name).values for name in scored.circumstances])
-    counts = run[:, None] != run
+    It is beyond all circumstances. With `session` only its passages are probes.
+    """
+    nodes = scored.node_scores(FUSION)
+    controls = [scored.node_scores(name).values for name in scored.circumstances]
+    counts = nodes.session[:, None] != nodes.session
     if session is not None:
-        counts &= (run == session)[:, None]
-    regression = nested_permutation(
+        counts &= (nodes.session == session)[:, None]
+    return nested_permutation(
         nodes.values,
-        (person[:, None] == person).astype(float),
-        controls,
+        (nodes.person[:, None] == nodes.person).astype(float),
+        np.stack(controls),
         counts=counts,
-        block=run,
+        block=nodes.session,
         rng=stream(seed, "returns", "permutations"),
         n_permutations=n_permutations,
     )
-    fused = scored.fused(FUSION, enrolment(scored.returning, seed=seed))
-    evidence = ReturnEvidence(cell.gain, regression.p_value)
-    return _Primary(evidence, regression, open_set(fused, scored.returning))
 
 
-def share_passages(
-    passages: Passages,
-    *,
-    error: str,
-    seed: int = 0,
-    stages: StageSettings = STAGES,
-) -> Release:
-    """Return the passages as an adversary gets them, without frame or clock.
-
-    `error` is the standard deviation of white errors per axis in m, a number of at
-    least 0; or ``raw`` for the suite's own sensing, with its sampling instants.
-    SettingsError for anything else.
-    """
-    t, xy, offsets = passages.t, passages.xy, passages.offsets
-    if error == "raw":
-        robots_m = [stages.scenes.robot_x_m, stages.scenes.robot_y_m]
-        shift_m = robots_m - np.median(xy, axis=0)
-        sensed = sense_passages(passages, shift_m=shift_m, stages=stages, seed=seed)
-        t, xy, offsets = sensed.t, sensed.xy, sensed.offsets
-    else:
-        xy = xy + _white(error, passages, seed)
-    return hide(t=t, xy=xy, offsets=offsets, sigma=None, seed=seed)
-
-
-def _white(error: str, passages: Passages, seed: int) -> Floats:
-    """Return white errors, (M, 2) m; each passage has a stream of its own."""
-    try:
-        std_m = float(error)
-    except ValueError:
-        std_m = -1.0
-    if not 0.0 <= std_m < np.inf:
-        raise SettingsError(f"an error is a number of metres or raw, got {error!r}")
-    sizes = np.diff(passages.offsets).tolist()
-    draws = [
-        stream(seed, "returns", "white", source).standard_normal((size, 2))
-        for source, size in zip(passages.source, sizes, strict=True)
-    ]
-    return std_m * np.concatenate(draws)
-
-
-def sense_passages(
-    passages: Passages,
-    *,
-    shift_m: Floats | None = None,
-    stages: StageSettings = STAGES,
-    seed: int = 0,
-) -> Sensed:
-    """Return what the network senses of whole passages, at its own instants.
-
-    `shift_m`, (2,), moves all of them first; None: they stay where they are.
-    """
-    times, places = list[Floats](), list[Floats]()
-    for row, source in enumerate(passages.source):
-        part = slice(passages.offsets[row], passages.offsets[row + 1])
-        instants = sampling_times(
-            start_s=float(passages.t[part][0]),
-            end_s=float(passages.t[part][-1]),
-            settings=stages.resample,
-            rng=stream(seed, "returns", "sampling", source),
-        )
-        times.append(instants)
-        places.append(CubicSpline(passages.t[part], passages.xy[part])(instants))
-    t, xy = np.concatenate(times), np.concatenate(places)
-    if shift_m is not None:
-        xy = xy + shift_m
-    offsets = np.append(0, np.cumsum([instants.size for instants in times]))
-    walks = [recorded_walk(source) for source in passages.source]
-    channel = draw_walk_channel(
-        walked_m=walked_within(xy, offsets),
-        offsets=offsets,
-        walks=walks,
-        keys=walks,
-        settings=stages.sensing,
-        seed=seed,
-    )
-    return sense(t=t, xy=xy, offsets=offsets, channel=channel, settings=stages.sensing)
+def _open_set(scored: _Scored, seed: int) -> OpenSet:
+    """Return the fusion in an open set: some probes are of nobody enrolled."""
+    weights = enrolment(scored.returning, seed=seed)
+    return open_set(scored.person_scores(FUSION, weights), scored.returning)
 
 
 def crossing(

@@ -3,9 +3,9 @@
 Every task shows walks twice, before and after the pseudonyms change: as probe and as
 gallery. In a handover, all pseudonyms of the live recording rotate at one instant, in
 the true frame and on the true clock. A person who left has no mate; a person who came
-is a candidate all the same. In the other tasks everybody is in both. They hide frame
-and clock, except `rerelease-framed`, the easiest task of all. `returns` alone links
-whole passages of people who come back, several of each person.
+is a candidate all the same. In the other tasks everybody is on both sides. They hide
+frame and clock, except `rerelease-framed`, the easiest task of all. `returns` alone
+links whole passages of people who come back, several of each person.
 """
 
 from collections.abc import Mapping
@@ -25,26 +25,26 @@ class Task:
     about: str
     # Whether the releases come in the true frame and on the true clock.
     shows_scene: bool = False
-    gap_s: float = 0.0  # Silence before all pseudonyms rotate.
-    # Whether it is of the few people in two sessions: to learn, a person is left out.
+    silence_s: float = 0.0  # From the old pseudonyms to the new: without samples.
+    # Whether it is of the few people in two sessions: to train, a person is left out.
     links_returning_people: bool = False
     # Whether both sides show the same steps, at least in part.
-    is_same_stretch: bool = False
+    shows_same_steps: bool = False
     # Whether it needs the two-session crowd instead of a recording.
     simulated: bool = False
 
     @property
     def family(self) -> str:
-        """Name without the gap: that of its function in `attacks.tasks.build`.
+        """Name without the silence. `attacks.tasks.build` has a maker for each family.
 
-        Tasks that differ in the gap alone share their draws.
+        Tasks that differ in the silence alone share their draws.
         """
         return self.name.partition("-")[0]
 
     @property
     def is_open(self) -> bool:
         """Whether some probes have no mate, since people left during the silence."""
-        return self.gap_s > 0.0
+        return self.silence_s > 0.0
 
     @property
     def is_single_walk(self) -> bool:
@@ -54,7 +54,7 @@ class Task:
     @property
     def is_sensed_once(self) -> bool:
         """Whether that walk is sensed once, each side at times of its own."""
-        return self.is_single_walk and not self.is_same_stretch
+        return self.is_single_walk and not self.shows_same_steps
 
     @property
     def granted_to_all(self) -> frozenset[Knowledge]:
@@ -73,14 +73,14 @@ TASKS: Final[Mapping[str, Task]] = {
         Task(
             "rerelease",
             "two logs of the same steps, without frame or clock",
-            is_same_stretch=True,
+            shows_same_steps=True,
         ),
         Task(
             "rerelease-framed",
             "two logs of the same steps, in the true frame and on the true clock: the"
             " bound",
             shows_scene=True,
-            is_same_stretch=True,
+            shows_same_steps=True,
         ),
         Task(
             "split",
@@ -88,13 +88,13 @@ TASKS: Final[Mapping[str, Task]] = {
         ),
         *(
             Task(
-                f"handover-{gap_s:g}s",
-                f"all pseudonyms rotate after {gap_s:g} s of silence, in the true"
+                f"handover-{silence_s:g}s",
+                f"all pseudonyms rotate after {silence_s:g} s of silence, in the true"
                 " frame",
                 shows_scene=True,
-                gap_s=gap_s,
+                silence_s=silence_s,
             )
-            for gap_s in (1.0, 2.0, 5.0)
+            for silence_s in (1.0, 2.0, 5.0)
         ),
         Task(
             "new_traversal", "the same person on another day, simulated", simulated=True
@@ -118,7 +118,7 @@ RETURNS: Final = Task(
     "whole passages of the same real person in another run",
     links_returning_people=True,
 )
-"""The task that links whole passages: `attacks.tasks.returns`."""
+"""The task that links whole passages: `attacks.tasks.return_study`."""
 FUSED: Final = ("gait", "behaviour", "likelihood_ratio")
 """Names of the linkers of `returns`; a run cannot choose others there."""
 ALL_TASKS: Final[Mapping[str, Task]] = {**TASKS, RETURNS.name: RETURNS}

@@ -14,10 +14,15 @@ from typing import Final
 
 import numpy as np
 
-from attacks.tasks.draft import CLOCK_S
-from attacks.tasks.handover import rotation_times, seen_in_other_half
-from attacks.tasks.sessions import N_FOLDS, Sessions, Windows, roles
+from attacks.tasks.folds import (
+    N_FOLDS,
+    present_in_other_fold,
+    set_calibrators_aside,
+)
+from attacks.tasks.rotations import find_rotations
+from attacks.tasks.task_input import CLOCK_S
 from attacks.tasks.task_list import Task
+from attacks.tasks.windows import TaskWindows, Windows
 from isac_track.config import LinkageSettings
 from isac_track.patrols.patrol import Patrol
 from isac_track.rng import stream
@@ -50,19 +55,49 @@ class TrackHandover:
 
     trials: Trials
     # Without at least two rotations with somebody to link there is no search.
-    sessions: Sessions | None
+    task_windows: TaskWindows | None
     releases: tuple[Release, ...]  # Of the windows before and after.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class _Side:
-    """W windows of tracks on a side of all rotations."""
+class _TrackWindows:
+    """W windows of tracks on one side, before or after all rotations."""
 
     rotation: Ints  # (W,)
     rows: Ints  # (M,) samples of the windows, end to end.
     offsets: Ints  # (W + 1,)
     owner: Ints  # (W,) person with more than half of the samples, or `CLUTTER`.
     n_own: Ints  # (W,) samples of the owner.
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Sides:
+    """Windows of tracks and N truly present people on both sides of S rotations."""
+
+    probe: _TrackWindows
+    gallery: _TrackWindows
+    present_before: Bools  # (S, N)
+    present_after: Bools  # (S, N)
+
+    def trials(self) -> Trials:
+        """Return the trials: everybody present on both sides of a rotation."""
+        shape = self.present_before.shape
+        rotation, person = np.nonzero(self.present_before & self.present_after)
+        return Trials(
+            rotation=rotation,
+            person=person,
+            probe=_largest_windows(self.probe, shape)[rotation, person],
+            gallery=_largest_windows(self.gallery, shape)[rotation, person],
+        )
+
+    def at_rotations(self, used: Ints) -> "_Sides":
+        """Return the same sides with the windows of some rotations alone."""
+        return _Sides(
+            probe=_select_rotations(self.probe, used),
+            gallery=_select_rotations(self.gallery, used),
+            present_before=self.present_before,
+            present_after=self.present_after,
+        )
 
 
 def track_handover(
@@ -78,75 +113,73 @@ def track_handover(
     A track counts under the rule of people: it goes on at the rotation, and has shown
     itself for `handover_least_s` on its side.
     """
-    at_s = rotation_times(
-        float(patrol.scan_s[0]), float(patrol.people.t.max()), settings=settings
-    )
-    least_s, window_s = settings.handover_least_s, settings.handover_window_s
-    begin_s = at_s + task.gap_s
-    start_s = shared.release.t[shared.release.offsets[:-1]]
-    end_s = patrol.scan_s[shared.last]
-    before = _present_throughout(start_s, end_s, at_s - least_s, at_s)
-    after = _present_throughout(start_s, end_s, begin_s, begin_s + least_s)
-    rng = stream(seed, "linkage", "tracks", task.family, "order")
-    probe = _cut_windows(shared, before, at_s - window_s, at_s, rng)
-    gallery = _cut_windows(shared, after, begin_s, begin_s + window_s, rng)
-    people = patrol.people
-    came_s = people.t[people.offsets[:-1]]
-    left_s = people.t[people.offsets[1:] - 1]
-    present_before = _present_throughout(came_s, left_s, at_s - least_s, at_s)
-    present_after = _present_throughout(came_s, left_s, begin_s, begin_s + least_s)
-    trials = _trials(present_before & present_after, probe, gallery)
+    sides = _cut_sides(task, patrol, shared, settings=settings, seed=seed)
+    trials = sides.trials()
     # A rotation with nobody to link has no search.
     used = np.unique(trials.rotation[trials.is_linkable])
     if used.size < N_FOLDS:
         return TrackHandover(trials, None, ())
-    sides = tuple(_take_rotations(side, used) for side in (probe, gallery))
-    trials = _trials(present_before & present_after, *sides)
-    sessions = _sessions(
-        task,
-        patrol,
-        shared,
-        trials=trials,
-        sides=sides,
-        present=(present_before | present_after)[used],
-        used=used,
-        seed=seed,
-    )
+    # Windows have other numbers without those of the other rotations.
+    sides = sides.at_rotations(used)
+    trials = sides.trials()
     return TrackHandover(
-        trials, sessions, tuple(_release(shared, side) for side in sides)
+        trials,
+        _task_windows(task, patrol, shared, sides, trials, used=used, seed=seed),
+        (_release(shared, sides.probe), _release(shared, sides.gallery)),
     )
 
 
-def _trials(present: Bools, probe: _Side, gallery: _Side) -> Trials:
-    """Return the trials of people present on both sides of rotations, (S, N)."""
-    rotation, person = np.nonzero(present)
-    return Trials(
-        rotation=rotation,
-        person=person,
-        probe=_largest_windows(probe, present.shape)[rotation, person],
-        gallery=_largest_windows(gallery, present.shape)[rotation, person],
+def _cut_sides(
+    task: Task,
+    patrol: Patrol,
+    shared: SharedTracks,
+    *,
+    settings: LinkageSettings,
+    seed: int,
+) -> _Sides:
+    """Return the windows of all tracks around all rotations."""
+    people, window_s = patrol.people, settings.handover_window_s
+    rotations = find_rotations(
+        float(patrol.scan_s[0]), float(people.t.max()), task=task, settings=settings
+    )
+    start_s = shared.release.t[shared.release.offsets[:-1]]
+    end_s = patrol.scan_s[shared.last]
+    rng = stream(seed, "linkage", "tracks", task.family, "order")
+    # The gallery is drawn after the probes, from the same stream.
+    probe = _cut_windows(
+        shared,
+        rotations.present_before(start_s, end_s),
+        rotations.end_s - window_s,
+        rotations.end_s,
+        rng,
+    )
+    gallery = _cut_windows(
+        shared,
+        rotations.present_after(start_s, end_s),
+        rotations.begin_s,
+        rotations.begin_s + window_s,
+        rng,
+    )
+    came_s, left_s = people.t[people.offsets[:-1]], people.t[people.offsets[1:] - 1]
+    return _Sides(
+        probe=probe,
+        gallery=gallery,
+        present_before=rotations.present_before(came_s, left_s),
+        present_after=rotations.present_after(came_s, left_s),
     )
 
 
-def _take_rotations(side: _Side, used: Ints) -> _Side:
+def _select_rotations(side: _TrackWindows, used: Ints) -> _TrackWindows:
     """Return the windows of some rotations."""
     window = np.flatnonzero(np.isin(side.rotation, used))
-    place, offsets = stretches(side.offsets[window], np.diff(side.offsets)[window])
-    return _Side(
+    rows, offsets = stretches(side.offsets[window], np.diff(side.offsets)[window])
+    return _TrackWindows(
         rotation=side.rotation[window],
-        rows=side.rows[place],
+        rows=side.rows[rows],
         offsets=offsets,
         owner=side.owner[window],
         n_own=side.n_own[window],
     )
-
-
-def _present_throughout(
-    start_s: Floats, end_s: Floats, first_s: Floats, last_s: Floats
-) -> Bools:
-    """Return who is there from a time to another at each rotation, (S, N)."""
-    came = start_s - CLOCK_S <= first_s[:, None]
-    return np.asarray(came & (end_s + CLOCK_S >= last_s[:, None]))
 
 
 def _cut_windows(
@@ -155,17 +188,21 @@ def _cut_windows(
     first_s: Floats,
     last_s: Floats,
     rng: np.random.Generator,
-) -> _Side:
-    """Return the windows of the tracks present at each rotation, in a drawn order."""
+) -> _TrackWindows:
+    """Return the windows of the tracks present at each rotation, in a drawn order.
+
+    `present` is (S, number of tracks); windows last from `first_s` to `last_s`, (S,).
+    """
     t, offsets = shared.release.t, shared.release.offsets
     rotations, firsts, sizes = [], [], []
     for number in range(len(present)):
         track = rng.permutation(np.flatnonzero(present[number]))
         in_window = (t >= first_s[number] - CLOCK_S) & (t <= last_s[number] + CLOCK_S)
-        before = np.append(0, np.cumsum(in_window))
-        size = before[offsets[track + 1]] - before[offsets[track]]
-        begins = np.append(0, np.cumsum(t < first_s[number] - CLOCK_S))
-        first = offsets[track] + begins[offsets[track + 1]] - begins[offsets[track]]
+        n_in_window = np.append(0, np.cumsum(in_window))
+        size = n_in_window[offsets[track + 1]] - n_in_window[offsets[track]]
+        n_earlier = np.append(0, np.cumsum(t < first_s[number] - CLOCK_S))
+        first = offsets[track] + n_earlier[offsets[track + 1]]
+        first = first - n_earlier[offsets[track]]
         rotations.append(np.full(track.size, number)[size > 0])
         firsts.append(first[size > 0])
         sizes.append(size[size > 0])
@@ -173,7 +210,13 @@ def _cut_windows(
     size = np.concatenate([none, *sizes])
     rows, cuts = stretches(np.concatenate([none, *firsts]), size)
     owner, n_own = _owners(shared.person[rows], cuts)
-    return _Side(np.concatenate([none, *rotations]), rows, cuts, owner, n_own)
+    return _TrackWindows(
+        rotation=np.concatenate([none, *rotations]),
+        rows=rows,
+        offsets=cuts,
+        owner=owner,
+        n_own=n_own,
+    )
 
 
 def _owners(person: Ints, offsets: Ints) -> tuple[Ints, Ints]:
@@ -190,7 +233,7 @@ def _owners(person: Ints, offsets: Ints) -> tuple[Ints, Ints]:
     return owner, n_own
 
 
-def _largest_windows(side: _Side, shape: tuple[int, ...]) -> Ints:
+def _largest_windows(side: _TrackWindows, shape: tuple[int, ...]) -> Ints:
     """Return the window with most samples of each person, (S, N), or `MISSING`."""
     best = np.full(shape, MISSING)
     window = np.flatnonzero(side.owner != CLUTTER)
@@ -200,7 +243,7 @@ def _largest_windows(side: _Side, shape: tuple[int, ...]) -> Ints:
     return best
 
 
-def _release(shared: SharedTracks, side: _Side) -> Release:
+def _release(shared: SharedTracks, side: _TrackWindows) -> Release:
     """Return windows as a release, under pseudonyms of their own."""
     release = shared.release
     return derived(
@@ -214,66 +257,72 @@ def _release(shared: SharedTracks, side: _Side) -> Release:
     )
 
 
-def _sessions(
+def _task_windows(
     task: Task,
     patrol: Patrol,
     shared: SharedTracks,
-    *,
+    sides: _Sides,
     trials: Trials,
-    sides: tuple[_Side, ...],
-    present: Bools,
+    *,
     used: Ints,
     seed: int,
-) -> Sessions:
-    """Return the windows of the `used` rotations, (U,), as sessions of people.
+) -> TaskWindows:
+    """Return the windows of the `used` rotations, (U,), as those of N people.
 
-    `present`, (U, N), are the people on either side of each.
+    Windows without an owner belong to one person more, called `NOBODY`.
     """
     people, n_people = patrol.people, len(patrol.people)
     group = (*people.group, NOBODY)
     fold = (np.arange(used.size) * N_FOLDS) // used.size
-    # The owner of a window is seen, and so is nobody: no adversary learns from those.
-    seen = np.ones((used.size, n_people + 1), dtype=bool)
-    seen[:, :n_people] = present
-    for side in sides:
-        owned = np.flatnonzero(side.owner != CLUTTER)
-        number = np.searchsorted(used, side.rotation[owned])
-        seen[number, side.owner[owned]] = True
-    learns, calibrates = roles(
+    trained_on, calibrated_on = set_calibrators_aside(
+        present_in_other_fold(_seen_people(sides, used), fold=fold, group=group),
         group,
-        may_teach=seen_in_other_half(seen, fold=fold, group=group),
         rng=stream(seed, "linkage", "tracks", task.family, "roles"),
     )
-    probe, gallery = (_windows(patrol, shared, side, used) for side in sides)
-    mate = np.full(len(probe), MISSING)
+    mate = np.full(sides.probe.rotation.size, MISSING)
     linkable = trials.is_linkable
     mate[trials.probe[linkable]] = trials.gallery[linkable]
     everybody = np.ones(n_people + 1, dtype=bool)
-    return Sessions(
+    return TaskWindows(
         task=task,
         source=(*people.source, NOBODY),
         group=group,
         alone=everybody,
         moving=everybody,
-        probe=probe,
-        gallery=gallery,
+        probe=_true_windows(patrol, shared, sides.probe, used),
+        gallery=_true_windows(patrol, shared, sides.gallery, used),
         mate=mate,
+        search_names=tuple(map(str, used.tolist())),
         fold=fold,
-        searches=tuple(map(str, used.tolist())),
-        learns=learns,
-        calibrates=calibrates,
+        trained_on=trained_on,
+        calibrated_on=calibrated_on,
         too_short=0,
         not_drawn=0,
     )
 
 
-def _windows(patrol: Patrol, shared: SharedTracks, side: _Side, used: Ints) -> Windows:
+def _seen_people(sides: _Sides, used: Ints) -> Bools:
+    """Return who is there or owns a window at each used rotation, (U, N + 1).
+
+    The last is nobody, who is always there: no adversary is trained on windows without
+    an owner.
+    """
+    present = (sides.present_before | sides.present_after)[used]
+    seen = np.ones((used.size, present.shape[1] + 1), dtype=bool)
+    seen[:, :-1] = present
+    for side in (sides.probe, sides.gallery):
+        owned = np.flatnonzero(side.owner != CLUTTER)
+        number = np.searchsorted(used, side.rotation[owned])
+        seen[number, side.owner[owned]] = True
+    return seen
+
+
+def _true_windows(
+    patrol: Patrol, shared: SharedTracks, side: _TrackWindows, used: Ints
+) -> Windows:
     """Return one side with the true places behind its samples."""
-    people, scan, person = (
-        patrol.people,
-        shared.scan[side.rows],
-        shared.person[side.rows],
-    )
+    people = patrol.people
+    scan, person = shared.scan[side.rows], shared.person[side.rows]
     is_clutter = person == CLUTTER  # It has no truth and stays where it is.
     first = people.offsets[np.where(is_clutter, 0, person)]
     row = np.where(is_clutter, 0, first + scan - patrol.scan[first])

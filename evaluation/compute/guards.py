@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from attacks.tasks.sessions import Windows
+from attacks.tasks.windows import Windows
 from evaluation.plan.origins import is_user_plugin
 from isac_track.command_line import check_interrupt, may_be_ctrl_c
 from isac_track.errors import PluginError, error_text, raised_at

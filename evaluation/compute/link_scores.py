@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.random import Generator
 
-from evaluation.compute.link_setup import Pairing, SensedSessions
+from evaluation.compute.link_setup import Pairing, SensedTask
 from isac_track import linkability
 from isac_track.intervals import Estimate, cluster_sums, exact_binomial, ratio_estimates
 from isac_track.linkability.ranks import expected_hit
@@ -48,7 +48,7 @@ class LinkResult:
 def evaluate_links(
     scores: Mapping[int, Floats],
     *,
-    setup: SensedSessions,
+    setup: SensedTask,
     control_rng: Generator | None = None,
     attack_names: tuple[str, ...] = (),
     calibration: Mapping[int, linkability.Calibration] = _NOTHING,
@@ -67,10 +67,10 @@ def evaluate_links(
     `setup.n_candidates` all metrics follow from the ranks, and `losses` holds what the
     attack lost.
     """
-    sessions = setup.sessions
+    task_windows = setup.task_windows
     searches = _make_searches(scores, setup)
-    is_matched = sessions.task.is_open and scores.keys() <= matched.keys()
-    is_assigned = is_matched or not sessions.task.is_open
+    is_matched = task_windows.task.is_open and scores.keys() <= matched.keys()
+    is_assigned = is_matched or not task_windows.task.is_open
     # Scores of candidates alone cannot be summed into an assignment.
     is_assigned &= not setup.n_candidates
     scorecard = _scorecard(
@@ -85,7 +85,7 @@ def evaluate_links(
     scorecard = _with_known_estimates(
         scorecard,
         is_assigned=is_assigned,
-        links_returning_people=sessions.task.links_returning_people,
+        links_returning_people=task_windows.task.links_returning_people,
     )
     is_control = control_rng is not None
     return LinkResult(
@@ -100,7 +100,7 @@ def evaluate_links(
 
 def _scorecard(
     searches: tuple[linkability.Search, ...],
-    setup: SensedSessions,
+    setup: SensedTask,
     *,
     control_rng: Generator | None,
     attack_names: tuple[str, ...],
@@ -133,17 +133,17 @@ def _scorecard(
 
 
 def _make_searches(
-    scores: Mapping[int, Floats], setup: SensedSessions
+    scores: Mapping[int, Floats], setup: SensedTask
 ) -> tuple[linkability.Search, ...]:
     """Return every search with its scores, mates and clusters, by number."""
-    probe, gallery = setup.sessions.probe, setup.sessions.gallery
+    probe, gallery = setup.task_windows.probe, setup.task_windows.gallery
     return tuple(
         linkability.Search(
             scores=scores[number],
             mate=pairing.mate,
             probe_cluster=setup.cluster[probe.person[pairing.probe]],
             gallery_cluster=setup.cluster[gallery.person[pairing.gallery]],
-            scale=int(setup.sessions.fold[number]),
+            scale=int(setup.task_windows.fold[number]),
         )
         for number, pairing in sorted(setup.searches.items())
     )
@@ -201,7 +201,7 @@ class _CohortTrials:
 
 
 def _cohort_hits(
-    searches: Sequence[linkability.Search], setup: SensedSessions
+    searches: Sequence[linkability.Search], setup: SensedTask
 ) -> dict[str, dict[str, float]]:
     """Return rank 1 of each cohort: only its people are probes and candidates."""
     trials = _cohort_trials(setup)
@@ -257,15 +257,18 @@ def _trial_hits(search: linkability.Search, part: _CohortSearch) -> Floats:
 
 # Of the newest four tasks of this process.
 @lru_cache(maxsize=4)
-def _cohort_trials(setup: SensedSessions) -> _CohortTrials:
+def _cohort_trials(setup: SensedTask) -> _CohortTrials:
     """Return the trials of a task's cohorts: without groups, and without frozen."""
-    sessions = setup.sessions
-    is_member = np.stack([sessions.alone, sessions.moving])  # (cohorts, K)
+    task_windows = setup.task_windows
+    is_member = np.stack([task_windows.alone, task_windows.moving])  # (cohorts, K)
     searches, chances, clusters = [], [], []
     for _, pairing in sorted(setup.searches.items()):
         mated = np.flatnonzero(pairing.mate >= 0)
-        mate, person = pairing.mate[mated], sessions.probe.person[pairing.probe[mated]]
-        candidates = is_member[:, sessions.gallery.person[pairing.gallery]].T
+        mate, person = (
+            pairing.mate[mated],
+            task_windows.probe.person[pairing.probe[mated]],
+        )
+        candidates = is_member[:, task_windows.gallery.person[pairing.gallery]].T
         probe, cohort = np.nonzero(is_member[:, person].T & candidates[mate])
         searches.append(
             _CohortSearch(mated, mate, candidates.astype(np.float32), probe, cohort)
@@ -312,7 +315,7 @@ def fit_score_scale(
     scale must separate a mate from the candidates nearby, not from those at the other
     end of the scene. None without mates.
     """
-    if not any((pairing.mate >= 0).any() for _, pairing in scored_searches):
+    if not any(pairing.has_mates for _, pairing in scored_searches):
         return None
     scores, pairings = zip(*scored_searches, strict=True)
     return linkability.fit_scale(scores, [pairing.mate for pairing in pairings])

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from evaluation.compute.link_scores import LinkResult
-from evaluation.compute.link_setup import SensedSessions
+from evaluation.compute.link_setup import SensedTask
 from evaluation.compute.tables import ROWS, Tables, column, names_column, table
 from isac_track import linkability
 from isac_track.linkability.scoring import RANK_METRICS
@@ -51,7 +51,7 @@ _NUMBERS = (
 
 
 def linkage_tables(
-    result: LinkResult, setup: SensedSessions, *, keep_scores: bool
+    result: LinkResult, setup: SensedTask, *, keep_scores: bool
 ) -> Tables:
     """Return the tables of a linkage attack or control at one level.
 
@@ -135,37 +135,42 @@ def _score_columns(searches: Sequence[linkability.Search]) -> dict[str, Any]:
     }
 
 
-def _gallery_sources(setup: SensedSessions) -> list[list[str]]:
+def _gallery_sources(setup: SensedTask) -> list[list[str]]:
     """Return the people of the gallery of every search, by the number of the search."""
-    sessions = setup.sessions
+    task_windows = setup.task_windows
     return [
-        [sessions.source[person] for person in sessions.gallery.person[pairing.gallery]]
+        [
+            task_windows.source[person]
+            for person in task_windows.gallery.person[pairing.gallery]
+        ]
         for _, pairing in sorted(setup.searches.items())
     ]
 
 
 # Of the newest four tasks of this process.
 @lru_cache(maxsize=4)
-def _probe_names(setup: SensedSessions) -> dict[str, pa.Array]:
+def _probe_names(setup: SensedTask) -> dict[str, pa.Array]:
     """Return the columns that name the probes: those of every cell of a task."""
-    sessions = setup.sessions
+    task_windows = setup.task_windows
     probe = np.concatenate(
         [pairing.probe for _, pairing in sorted(setup.searches.items())]
     )
-    person = sessions.probe.person[probe]
+    person = task_windows.probe.person[probe]
     return {
-        "search": names_column(sessions.probe.search[probe], sessions.searches),
-        "source": names_column(person, sessions.source),
-        "group": names_column(person, sessions.group),
+        "search": names_column(
+            task_windows.probe.search[probe], task_windows.search_names
+        ),
+        "source": names_column(person, task_windows.source),
+        "group": names_column(person, task_windows.group),
     }
 
 
 # Of the newest four tasks of this process.
 @lru_cache(maxsize=4)
-def _about_task(setup: SensedSessions) -> str:
+def _about_task(setup: SensedTask) -> str:
     """Return the beginning of the JSON about every cell of a task."""
     about = {
-        "clusters": sorted(set(setup.sessions.group)),
+        "clusters": sorted(set(setup.task_windows.group)),
         "drawn_as": setup.drawn_as.tolist(),
         "n_groups": setup.n_groups,
         "seed": setup.seed,

@@ -13,7 +13,7 @@ from attacks.remembered import record_shared, select_tracks
 from evaluation.compute import sharing
 from evaluation.compute.frames import hide_sigma
 from evaluation.compute.guards import copy_for_user_plugin, guarded
-from evaluation.compute.link_setup import SIDES, Pairing, SensedSessions
+from evaluation.compute.link_setup import SIDES, Pairing, SensedTask
 from evaluation.compute.sharing import call_attack, declared_knowledge
 from evaluation.plan.origins import is_user_plugin
 from isac_track.protocols import AttackContext, LinkageTrainingSet, TrainingSet
@@ -21,7 +21,7 @@ from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release, derived
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Windows
+    from attacks.tasks.windows import Windows
     from evaluation.plan.consumer import Consumer
     from isac_track.plugins import Plugin
 
@@ -62,9 +62,9 @@ class LinkedLevel:
     """All that the consumers of a linkage task share at one mechanism level."""
 
     mechanism: Plugin
-    full_setup: SensedSessions  # With all samples.
+    full_setup: SensedTask  # With all samples.
     # Without the samples that were left out; `full_setup` itself if none were.
-    setup: SensedSessions
+    setup: SensedTask
     # Of the probe and of the gallery side, in the true frame.
     shared: tuple[Release, ...]
     blind: LinkerView  # In the frames of the adversary, without standard deviations.
@@ -98,9 +98,9 @@ class LinkedLevel:
         )
 
 
-def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
-    """Return the releases of both sessions of a task under a mechanism."""
-    family = full_setup.sessions.task.family
+def linked_level(mechanism: Plugin, full_setup: SensedTask) -> LinkedLevel:
+    """Return the releases of both sides of a task under a mechanism."""
+    family = full_setup.task_windows.task.family
     setup, shared, seen = full_setup, [], list[Release]()
     for number, (side, sensed) in enumerate(zip(SIDES, full_setup.sensed, strict=True)):
         release = sharing.share(
@@ -108,8 +108,12 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
         )
         samples = sharing.samples_shared(release, sensed)
         if samples is not None:
-            windows = sharing.take_samples(getattr(full_setup.sessions, side), samples)
-            setup = replace(setup, sessions=replace(setup.sessions, **{side: windows}))
+            windows = sharing.take_samples(
+                getattr(full_setup.task_windows, side), samples
+            )
+            setup = replace(
+                setup, task_windows=replace(setup.task_windows, **{side: windows})
+            )
         shared.append(release)
         if full_setup.frames:
             frame = full_setup.frames[number].per_sample(release.offsets)
@@ -126,9 +130,9 @@ def linked_level(mechanism: Plugin, full_setup: SensedSessions) -> LinkedLevel:
 
 
 def level_of_releases(
-    mechanism: Plugin, setup: SensedSessions, releases: tuple[Release, ...]
+    mechanism: Plugin, setup: SensedTask, releases: tuple[Release, ...]
 ) -> LinkedLevel:
-    """Return a level of releases of both sessions, made already, in their frames."""
+    """Return a level of releases of both sides, made already, in their frames."""
     return LinkedLevel(
         mechanism=mechanism,
         full_setup=setup,
@@ -201,11 +205,13 @@ def _smoothed_view(
     name, setup = f"attack {reconstruction.spec} (behind {consumer.label})", level.setup
     granted = consumer.granted & declared_knowledge(reconstruction)
     view = level.view_for(granted)
-    learns, train = setup.folds[fold].learns, None
-    if learns.probe.size:
-        samples = sharing.track_samples(setup.sessions.probe.offsets, learns.probe)
+    training, train = setup.folds[fold].training, None
+    if training.probe.size:
+        samples = sharing.track_samples(
+            setup.task_windows.probe.offsets, training.probe
+        )
         truth = true_walks(level, 0)[samples.rows]
-        probe, _ = view.pair_windows(learns)
+        probe, _ = view.pair_windows(training)
         train = TrainingSet(copy_for_user_plugin(probe, reconstruction), truth)
     names = ("attacks", reconstruction.spec, "linkage", level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
@@ -223,7 +229,7 @@ def _smoothed_view(
 
 def true_walks(level: LinkedLevel, side: int) -> Floats:
     """Return the true positions of a side, (M, 2) m, in the adversary's frames."""
-    windows: Windows = getattr(level.setup.sessions, SIDES[side])
+    windows: Windows = getattr(level.setup.task_windows, SIDES[side])
     frames = level.setup.frames
     if not frames:
         return windows.xy

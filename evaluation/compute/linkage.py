@@ -1,12 +1,13 @@
 """Linking: how well each adversary links at one level of a task.
 
-An attack that learns does so on people of the other half, and is fitted again for
-every mechanism level.
+A linker that is trained has people of the other fold for it, and is fitted again for
+every mechanism level. `link` computes the cells of attacks and controls.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -42,7 +43,7 @@ from isac_track.rng import stream
 from isac_track.types import Floats, Knowledge, Release
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Sessions
+    from attacks.tasks.windows import TaskWindows
     from evaluation.plan.consumer import Consumer
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
@@ -60,32 +61,43 @@ def sees_times_only(consumer: Consumer, level: LinkedLevel) -> bool:
     return is_control and level.setup is level.full_setup
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _FittedLinker:
+    """A linker that is fitted for a fold, and what it sees."""
+
+    score: Callable[[Release, Release], Floats]
+    view: LinkerView
+
+    def score_pairing(self, pairing: Pairing) -> Floats:
+        """Return the scores of all pairs of a pairing, (p, g)."""
+        return self.score(*self.view.pair_windows(pairing))
+
+
 def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return what a linkage attack or control achieves at one mechanism level."""
     if consumer.kind == "control":
         return _link_control(consumer, level)
-    setup = level.setup
-    if setup.n_candidates:
+    if level.setup.n_candidates:
         return _link_candidates(consumer, level)
+    return _link_all(consumer, level)
+
+
+def _link_all(consumer: Consumer, level: LinkedLevel) -> LinkResult:
+    """Return the result of an attack that scores every pair of each search."""
+    setup = level.setup
     scores: dict[int, Floats] = {}
     calibration: dict[int, Calibration] = {}
     matched: dict[int, Floats] = {}
     for fold, pairings in enumerate(setup.folds):
-        score, view = _fitted_linker(consumer, level, fold)
-        _add_scores(scores, score, view, pairings)
+        linker = _fit_linker(consumer, level, fold)
+        _add_scores(scores, linker, pairings)
         calibrating = [
-            (score(*view.pair_windows(pairing)), pairing)
-            for pairing in pairings.calibrates
+            (linker.score_pairing(pairing), pairing) for pairing in pairings.calibrating
         ]
         if (fold_calibration := fit_calibration(calibrating)) is not None:
             calibration[fold] = fold_calibration
-        is_open = setup.sessions.task.is_open
-        scale = fit_score_scale(calibrating) if is_open else None
-        if scale is not None:
-            for number in pairings.searches:
-                matched[number] = match_pairs(
-                    scores[number], scale=scale, mate_rate=pairings.mate_rate
-                )
+        if setup.task_windows.task.is_open:
+            matched |= _match_searches(scores, pairings, calibrating)
     return evaluate_links(
         scores,
         setup=setup,
@@ -95,6 +107,24 @@ def link(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     )
 
 
+def _match_searches(
+    scores: Mapping[int, Floats],
+    pairings: FoldPairings,
+    calibrating: Sequence[tuple[Floats, Pairing]],
+) -> dict[int, Floats]:
+    """Return the probabilities of all pairs in a fold's open searches, (P, G) each.
+
+    Empty without mates among the people to calibrate on.
+    """
+    scale = fit_score_scale(calibrating)
+    if scale is None:
+        return {}
+    return {
+        number: match_pairs(scores[number], scale=scale, mate_rate=pairings.mate_rate)
+        for number in pairings.searches
+    }
+
+
 def search_scores(consumer: Consumer, level: LinkedLevel) -> dict[int, Floats]:
     """Return the scores of an attack or control in every search, (P, G) each."""
     if consumer.control:
@@ -102,20 +132,16 @@ def search_scores(consumer: Consumer, level: LinkedLevel) -> dict[int, Floats]:
         return _control_scores(CONTROLS[consumer.control], level, rng)
     scores: dict[int, Floats] = {}
     for fold, pairings in enumerate(level.setup.folds):
-        score, view = _fitted_linker(consumer, level, fold)
-        _add_scores(scores, score, view, pairings)
+        _add_scores(scores, _fit_linker(consumer, level, fold), pairings)
     return scores
 
 
 def _add_scores(
-    scores: dict[int, Floats],
-    score: Callable[[Release, Release], Floats],
-    view: LinkerView,
-    pairings: FoldPairings,
+    scores: dict[int, Floats], linker: _FittedLinker, pairings: FoldPairings
 ) -> None:
     """Add a fold's scores to those of its searches, which folds may have split."""
     for number, pairing in pairings.searches.items():
-        fold_scores = score(*view.pair_windows(pairing))
+        fold_scores = linker.score_pairing(pairing)
         earlier = scores.get(number, fold_scores[:0])
         scores[number] = np.concatenate([earlier, fold_scores])
 
@@ -130,7 +156,7 @@ def link_optimum(level: LinkedLevel, motion: Motion | None) -> LinkResult:
     """
     assert motion is not None
     setup, mechanism = level.setup, level.mechanism
-    lags_s, weight = _lag_distribution(setup.sessions)
+    lags_s, weight = _lag_distribution(setup.task_windows)
     variances = []
     for side, release, sensed in zip(SIDES, level.shared, setup.sensed, strict=True):
         rng = stream(setup.seed, "genie", "linkage", mechanism.spec, side)
@@ -159,13 +185,13 @@ def link_optimum(level: LinkedLevel, motion: Motion | None) -> LinkResult:
     return evaluate_links(scores, setup=setup, attack_names=(BOUND,))
 
 
-def _lag_distribution(sessions: Sessions) -> tuple[Floats, Floats]:
+def _lag_distribution(task_windows: TaskWindows) -> tuple[Floats, Floats]:
     """Return lags of the gallery's window after the probe's, (L,) s, and weights."""
-    probe, gallery = sessions.probe, sessions.gallery
+    probe, gallery = task_windows.probe, task_windows.gallery
     probe_start_s = probe.t[probe.offsets[:-1]]
     gallery_start_s = gallery.t[gallery.offsets[:-1]]
-    mated = np.flatnonzero(sessions.mate >= 0)
-    lag_s = gallery_start_s[sessions.mate[mated]] - probe_start_s[mated]
+    mated = np.flatnonzero(task_windows.mate >= 0)
+    lag_s = gallery_start_s[task_windows.mate[mated]] - probe_start_s[mated]
     most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
     lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
     away_s = lags_s[:, None] - np.concatenate([lag_s, -lag_s])
@@ -180,14 +206,14 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     rng = stream(setup.seed, "linkage", "candidates", *name)
     results = {}
     for fold, pairings in enumerate(setup.folds):
-        score, view = _fitted_linker(consumer, level, fold)
+        linker = _fit_linker(consumer, level, fold)
         for number, pairing in pairings.searches.items():
             ranking = _score_untrained(
-                first_stage(setup.sessions.task), level, view, pairing
+                first_stage(setup.task_windows.task), level, linker.view, pairing
             )
             results[number] = among_candidates(
-                score,
-                *view.pair_windows(pairing),
+                linker.score,
+                *linker.view.pair_windows(pairing),
                 mate=pairing.mate,
                 first_scores=ranking,
                 n_candidates=setup.n_candidates,
@@ -206,7 +232,7 @@ def _score_untrained(
     attack: LinkageAttack, level: LinkedLevel, view: LinkerView, pairing: Pairing
 ) -> Floats:
     """Return the scores of a built-in linker that knows what the task grants to all."""
-    granted = attack.requires & level.setup.sessions.task.granted_to_all
+    granted = attack.requires & level.setup.task_windows.task.granted_to_all
     linker = attack.fit(level.context(granted, "linkage", "untaught"))
     return linker(*view.pair_windows(pairing))
 
@@ -230,59 +256,77 @@ def _control_scores(
     control: Control, level: LinkedLevel, rng: Generator
 ) -> dict[int, Floats]:
     """Return a control's scores in every search, (P, G) each."""
-    setup = level.setup
-    task, scores = setup.sessions.task, dict[int, Floats]()
-    score = control.scorer(task)
-    probe_circumstances = setup.sessions.probe.circumstances
-    gallery_circumstances = setup.sessions.gallery.circumstances
-    columns = list(control.circumstance)
-    for number, pairing in setup.searches.items():
-        if (
-            columns
-            and probe_circumstances is not None
-            and gallery_circumstances is not None
-        ):
-            scores[number] = closeness(
-                probe_circumstances[pairing.probe][:, columns],
-                gallery_circumstances[pairing.gallery][:, columns],
-            )
-        elif score is not None:
-            scores[number] = score(*level.seen.pair_windows(pairing), rng)
-        else:
-            attack: LinkageAttack = Shape()
-            if task.shows_scene or setup.n_candidates:
-                attack = first_stage(task)
-            real = _score_untrained(attack, level, level.blind, pairing)
-            scores[number] = real[:, rng.permutation(real.shape[1])].astype(np.float64)
-    return scores
+    return {
+        number: _score_control(control, level, pairing, rng)
+        for number, pairing in level.setup.searches.items()
+    }
 
 
-def _fitted_linker(
-    consumer: Consumer, level: LinkedLevel, fold: int
-) -> tuple[Callable[[Release, Release], Floats], LinkerView]:
-    """Return the scoring function of a linker fitted for a fold, and its view."""
+def _score_control(
+    control: Control, level: LinkedLevel, pairing: Pairing, rng: Generator
+) -> Floats:
+    """Return a control's scores in a search, (P, G)."""
+    task_windows = level.setup.task_windows
+    if control.circumstance:
+        columns = list(control.circumstance)
+        probe = task_windows.probe.circumstances
+        gallery = task_windows.gallery.circumstances
+        assert probe is not None  # the task of returning people measures them
+        assert gallery is not None
+        return closeness(
+            probe[pairing.probe][:, columns], gallery[pairing.gallery][:, columns]
+        )
+    score = control.scorer(task_windows.task)
+    if score is None:
+        return _shuffled_scores(level, pairing, rng)
+    return score(*level.seen.pair_windows(pairing), rng)
+
+
+def _shuffled_scores(level: LinkedLevel, pairing: Pairing, rng: Generator) -> Floats:
+    """Return the scores of a real attack with the gallery in another order, (P, G)."""
+    task = level.setup.task_windows.task
+    attack: LinkageAttack = Shape()
+    if task.shows_scene or level.setup.n_candidates:
+        attack = first_stage(task)
+    scores = _score_untrained(attack, level, level.blind, pairing)
+    return scores[:, rng.permutation(scores.shape[1])].astype(np.float64)
+
+
+def _fit_linker(consumer: Consumer, level: LinkedLevel, fold: int) -> _FittedLinker:
+    """Return a linker that is fitted for a fold."""
     assert consumer.plugin is not None
-    plugin, setup, name = consumer.plugin, level.setup, f"attack {consumer.label}"
+    plugin, name = consumer.plugin, f"attack {consumer.label}"
     view = linker_view(consumer, level, fold)
     granted = consumer.granted & declared_knowledge(plugin)
-    learns = setup.folds[fold].learns
     train = None
     if Knowledge.TRAIN in granted:
-        if not ((learns.mate >= 0).any() and learns.gallery.size):
-            task = setup.sessions.task.name
-            raise DataError(
-                f"{name} needs other people to train on, and task {task} has none; "
-                "use a recording of more people or leave the attack out"
-            )
-        probe, gallery = (
-            copy_for_user_plugin(release, plugin)
-            for release in view.pair_windows(learns)
-        )
-        train = LinkageTrainingSet(probe, gallery, learns.mate.copy())
+        train = _training_set(plugin, name, level, view, fold)
     names = ("attacks", consumer.spec, consumer.adversary, level.mechanism.spec, fold)
     context = level.context(granted, *names, train=train)
     attack = guarded(name, lambda: plugin.instance.fit(context))
-    return partial(score_releases, attack, plugin=plugin, name=name), view
+    return _FittedLinker(
+        partial(score_releases, attack, plugin=plugin, name=name), view
+    )
+
+
+def _training_set(
+    plugin: Plugin, name: str, level: LinkedLevel, view: LinkerView, fold: int
+) -> LinkageTrainingSet:
+    """Return mated windows of people of the other fold, as a linker sees them.
+
+    DataError without any; the message says the linker's `name`.
+    """
+    training = level.setup.folds[fold].training
+    if not training.has_mates:
+        task = level.setup.task_windows.task.name
+        raise DataError(
+            f"{name} needs other people to train on, and task {task} has none; "
+            "use a recording of more people or leave the attack out"
+        )
+    probe, gallery = (
+        copy_for_user_plugin(release, plugin) for release in view.pair_windows(training)
+    )
+    return LinkageTrainingSet(probe, gallery, training.mate.copy())
 
 
 def score_releases(

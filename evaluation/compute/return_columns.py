@@ -7,8 +7,8 @@ from evaluation.plan.address import control_name
 CLEAN: Final = "clean"  # SPEC of the mechanism without any error.
 STRONGEST: Final = control_name("strongest")
 """Row of the control that was chosen for each person on other people."""
-SAME_RUN: Final = control_name("same-run")
-"""Row of the fusion within a run, where the queue identifies people: no result."""
+SAME_SESSION: Final = control_name("same-run")
+"""Row of the fusion within a session, where the queue identifies people: no result."""
 RANK1, CHANCE, GAIN = "rank1", "chance", "rank1_gain"
 NESTED_P: Final = "nested_p"
 CHOSEN: Final = "chosen"  # Number of people for whom a control was chosen.

@@ -1,4 +1,4 @@
-"""People who come back: who is named first in another run, at a mechanism's level.
+"""People who come back: who is named first in another session, at a mechanism's level.
 
 A cell has a row for each linker, their fusion and each control. Only the level without
 error decides (`isac_track.linkability.return_rule`); there the passages are shown as
@@ -15,13 +15,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from attacks.tasks.return_study import (
-    FUSION,
-    LINKERS,
-    sense_passages,
-    study_returns,
-)
-from attacks.tasks.returns import hide
+from attacks.tasks.passage_releases import hide_frames, sense_passages
+from attacks.tasks.return_study import FUSION, LINKERS, study_returns
 from attacks.tasks.task_list import RETURNS
 from evaluation.compute import sharing
 from evaluation.compute.return_columns import (
@@ -33,7 +28,7 @@ from evaluation.compute.return_columns import (
     GAIN,
     NESTED_P,
     RANK1,
-    SAME_RUN,
+    SAME_SESSION,
     STRONGEST,
 )
 from evaluation.compute.tables import ROWS, Tables, table
@@ -42,8 +37,8 @@ from isac_track.intervals import Estimate
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
+    from attacks.tasks.passages import Passages
     from attacks.tasks.return_study import ReturnStudy
-    from attacks.tasks.returns import Passages
     from isac_track.config import StageSettings
     from isac_track.linkability.return_rule import ReturnEvidence
     from isac_track.linkability.returns import ReturnCell
@@ -79,18 +74,17 @@ def shared_passages(mechanism: Plugin, setup: ReturnSetup) -> Release:
 
     Raises PluginError for a mechanism that raises or breaks its contract.
     """
-    walks = setup.passages
-    if mechanism.spec == CLEAN:
-        t, xy, offsets = walks.t, walks.xy, walks.offsets
-    else:
+    shared: Passages | Release = setup.passages
+    if mechanism.spec != CLEAN:
         names = ("linkage", RETURNS.name)
         shared = sharing.share(mechanism, setup.sensed, *names, seed=setup.seed)
-        t, xy, offsets = shared.t, shared.xy, shared.offsets
-    return hide(t=t, xy=xy, offsets=offsets, sigma=None, seed=setup.seed)
+    return hide_frames(
+        t=shared.t, xy=shared.xy, offsets=shared.offsets, seed=setup.seed
+    )
 
 
 def return_tables(mechanism: Plugin, setup: ReturnSetup) -> Tables:
-    """Return the table of a cell, `COLUMNS`: all passages enrolled, another run.
+    """Return the table of a cell, `COLUMNS`: all passages enrolled, another session.
 
     Only the level without error has a nested p-value that decides; the others' is
     to be looked at. Raises PluginError as `shared_passages` does.
@@ -130,9 +124,8 @@ def _study_rows(study: ReturnStudy) -> Iterator[_Row]:
     for name, n_chosen in Counter(primary.chosen).items():
         control = control_name(name.replace(" ", "-"))
         yield _Row(control, CHOSEN, Estimate(float(n_chosen), n=n))
-    if study.same_run is not None:
-        same = study.same_run
-        yield from _control_rows(SAME_RUN, same.rank1, same.chance)
+    if (same_session := study.same_session) is not None:
+        yield from _control_rows(SAME_SESSION, same_session.rank1, same_session.chance)
 
 
 def _linker_rows(name: str, cell: ReturnCell) -> Iterator[_Row]:

@@ -1,6 +1,6 @@
 """Linkers of tracks across a rotation of pseudonyms, as they come from a tracker.
 
-An adversary learns on the tracks of other people, at other rotations. Rows are per seed
+An adversary is trained on the tracks of other people, at other rotations. Rows are per seed
 of sensing and walking group, which intervals draw.
 """
 
@@ -15,7 +15,7 @@ import numpy as np
 from attacks.tasks.task_list import TASKS
 from attacks.tasks.track_handover import track_handover
 from evaluation.compute.current_cell import note_cell
-from evaluation.compute.link_setup import SensedSessions, prepare_fold, whole_searches
+from evaluation.compute.link_setup import SensedTask, prepare_fold, whole_searches
 from evaluation.compute.link_views import level_of_releases
 from evaluation.compute.linkage import search_scores
 from evaluation.compute.tables import ROWS
@@ -23,8 +23,8 @@ from isac_track.linkability.ranks import rank1
 from isac_track.types import Knowledge
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Sessions
     from attacks.tasks.track_handover import TrackHandover
+    from attacks.tasks.windows import TaskWindows
     from evaluation.compute.tables import Rows
     from evaluation.compute.tracking_setup import SeedRelease, TrackingSetup
     from evaluation.plan.consumer import Consumer
@@ -105,11 +105,11 @@ def _linked(
     seed: int,
 ) -> tuple[Floats, Floats]:
     """Return the expected hit of each trial, and that of guessing, (D,) each."""
-    trials, sessions = handover.trials, handover.sessions
+    trials, task_windows = handover.trials, handover.task_windows
     hits, chance = np.zeros((2, trials.person.size))
-    if sessions is None:
+    if task_windows is None:
         return hits, chance
-    sensed = _sensed(sessions, setup, seed=seed)
+    sensed = _sensed(task_windows, setup, seed=seed)
     if not _can_learn(sensed):
         # A tracker may lose so many people that no track of others has a mate.
         if consumer.plugin is not None and Knowledge.TRAIN in consumer.requires:
@@ -117,30 +117,33 @@ def _linked(
         consumer = replace(consumer, granted=consumer.granted - {Knowledge.TRAIN})
     level = level_of_releases(mechanism, sensed, handover.releases)
     scores = search_scores(consumer, level)
-    hit = np.zeros(len(sessions.probe))
+    hit = np.zeros(len(task_windows.probe))
     for number, pairing in sensed.searches.items():
         expected = rank1(scores=scores[number], mate=pairing.mate)
         hit[pairing.probe] = np.nan_to_num(expected)
-    n_candidates = np.bincount(sessions.gallery.search)
+    n_candidates = np.bincount(task_windows.gallery.search)
     linkable = np.flatnonzero(trials.is_linkable)
     probe = trials.probe[linkable]
     hits[linkable] = hit[probe]
-    chance[linkable] = 1.0 / n_candidates[sessions.probe.search[probe]]
+    chance[linkable] = 1.0 / n_candidates[task_windows.probe.search[probe]]
     return hits, chance
 
 
-def _can_learn(setup: SensedSessions) -> bool:
-    """Whether the adversary of each half has other people's tracks with mates."""
-    learns = (fold.learns for fold in setup.folds)
-    return all((part.mate >= 0).any() and part.gallery.size for part in learns)
+def _can_learn(setup: SensedTask) -> bool:
+    """Whether the adversary of each fold has other people's tracks with mates."""
+    return all(fold.training.has_mates for fold in setup.folds)
 
 
-def _sensed(sessions: Sessions, setup: TrackingSetup, *, seed: int) -> SensedSessions:
-    """Return sessions that are sensed and shared already, ready to be linked."""
-    folds = tuple(prepare_fold(sessions, fold) for fold in np.unique(sessions.fold))
-    _, cluster = np.unique(sessions.group, return_inverse=True)
-    return SensedSessions(
-        sessions=sessions,
+def _sensed(
+    task_windows: TaskWindows, setup: TrackingSetup, *, seed: int
+) -> SensedTask:
+    """Return windows that are sensed and shared already, ready to be linked."""
+    folds = tuple(
+        prepare_fold(task_windows, fold) for fold in np.unique(task_windows.fold)
+    )
+    _, cluster = np.unique(task_windows.group, return_inverse=True)
+    return SensedTask(
+        task_windows=task_windows,
         sensed=(),
         frames=(),
         folds=folds,

@@ -31,7 +31,7 @@ from isac_track import privacy
 from isac_track.types import Floats, derived, lengths
 
 if TYPE_CHECKING:
-    from attacks.tasks.sessions import Windows
+    from attacks.tasks.windows import Windows
     from evaluation.plan.consumer import Consumer
 
 
@@ -68,25 +68,25 @@ def window_tables(consumer: Consumer, level: LinkedLevel) -> Tables:
 
 def _side_table(level: LinkedLevel, smoothed: LinkerView, side: int) -> pa.Table:
     """Return the rows of `window_tables` of one side, 0 or 1."""
-    setup, sessions = level.setup, level.full_setup.sessions
+    setup, task_windows = level.setup, level.full_setup.task_windows
     release, offsets = level.shared[side], level.shared[side].offsets
     assert release.sigma is not None  # `share` refuses a release without
-    windows: Windows = getattr(sessions, SIDES[side])
+    windows: Windows = getattr(task_windows, SIDES[side])
     # The full windows: these do not depend on which samples were shared.
     duration_s, speed_mps = _durations_and_speeds(windows)
     attacked_xy, claimed_std = smoothed.releases[side].xy, smoothed.claimed_std[side]
     if claimed_std is None:
         claimed_std = np.full(release.t.size, np.nan)
-    true_xy = getattr(setup.sessions, SIDES[side]).xy
+    true_xy = getattr(setup.task_windows, SIDES[side]).xy
     walked_xy = true_walks(level, side)
     as_shared = descriptors(release, truth=true_xy, settings=setup.privacy)
     rebuilt = derived(release, xy=attacked_xy)
     attacked = descriptors(rebuilt, truth=walked_xy, settings=setup.privacy)
     columns = (
         [SIDES[side]] * len(windows),
-        names_column(windows.search, sessions.searches),
-        names_column(windows.person, sessions.source),
-        names_column(windows.person, sessions.group),
+        names_column(windows.search, task_windows.search_names),
+        names_column(windows.person, task_windows.source),
+        names_column(windows.person, task_windows.group),
         np.diff(offsets),
         duration_s,
         speed_mps,

@@ -27,7 +27,7 @@ from evaluation.compute import (
 )
 from evaluation.compute.current_cell import Failure, current_cell, note_cell
 from evaluation.compute.forecasts import sharing_rows
-from evaluation.compute.link_setup import SensedSessions, sensed_sessions
+from evaluation.compute.link_setup import SensedTask, sense_task
 from evaluation.compute.link_tables import linkage_tables
 from evaluation.compute.tables import ROWS, Rows, Tables, rows_table, table
 from evaluation.compute.window_tables import window_tables
@@ -38,8 +38,8 @@ from isac_track.scenes import Cut, make_scenes
 from isac_track.types import Ints, Knowledge, Scenes, Sensed, Tracks
 
 if TYPE_CHECKING:
-    from attacks.tasks.returns import Passages
-    from attacks.tasks.sessions import Sessions
+    from attacks.tasks.passages import Passages
+    from attacks.tasks.windows import TaskWindows
     from evaluation.plan.consumer import Consumer
     from isac_track.config import StageSettings
     from isac_track.model_world import Motion
@@ -73,7 +73,7 @@ class SceneWork:
 class LinkWork:
     """Work of one linkage task."""
 
-    sessions: Sessions
+    task_windows: TaskWindows
     groups: tuple[str, ...]  # Clusters of the run's scenes.
     levels: Levels
     keep_scores: bool = False
@@ -263,8 +263,8 @@ def _linkage_cells(
     work: LinkWork, *, tracks: Cut, stages: StageSettings, seed: int
 ) -> Iterator[FinishedCell]:
     motion = model_walks.recording_motion(tracks) if work.world.is_model else None
-    setup = sensed_sessions(
-        work.sessions, groups=work.groups, motion=motion, stages=stages, seed=seed
+    setup = sense_task(
+        work.task_windows, groups=work.groups, motion=motion, stages=stages, seed=seed
     )
     # Tables of controls that are the same at every level, by the control's label.
     shared_tables: dict[str, Tables] = {}
@@ -294,7 +294,7 @@ def _linkage_cells(
 def _linkage_tables(
     consumer: Consumer,
     level: link_views.LinkedLevel,
-    setup: SensedSessions,
+    setup: SensedTask,
     *,
     motion: Motion | None,
     keep_scores: bool,

@@ -112,7 +112,7 @@ def _suited_tasks(link: Consumer, possible: Iterable[Task]) -> list[Task]:
         if task.shows_scene == (Knowledge.SCENE in linker.requires)
     ]
     if links_same_stretch(linker):
-        suited = [task for task in suited if task.is_same_stretch]
+        suited = [task for task in suited if task.shows_same_steps]
     if getattr(linker, "across_gap", False):
         suited = [task for task in suited if task.is_open]
     return suited

@@ -9,11 +9,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from attacks.tasks.build import make_sessions
-from attacks.tasks.returns import MOST_SCORES, Passages
-from attacks.tasks.returns import passages as find_passages
-from attacks.tasks.sessions import Sessions
+from attacks.tasks.build import make_task_windows
+from attacks.tasks.passages import MOST_SCORES, Passages, find_passages
 from attacks.tasks.task_list import FUSED, RETURNS, Task
+from attacks.tasks.windows import TaskWindows
 from evaluation.plan import fingerprint
 from evaluation.plan.axes import Axes, expand_axes
 from evaluation.plan.constants import BLOCK_SCENES
@@ -82,8 +81,8 @@ class Plan:
     out: Path
     units: tuple[Unit, ...]
     code_digests: Mapping[str, str]  # Digest by module, of the code of every plug-in.
-    sessions: tuple[Sessions, ...]  # Of each linkage task.
-    model_sessions: tuple[Sessions, ...] = ()  # The same for walks of a model.
+    task_windows: tuple[TaskWindows, ...]  # Of each linkage task.
+    model_task_windows: tuple[TaskWindows, ...] = ()  # The same for walks of a model.
     passages: Passages | None = None  # Of people who come back, if any are linked.
 
     @property
@@ -133,9 +132,9 @@ def make_plan(settings: Settings, *, dataset: Dataset | None = None) -> Plan:
         out=out if settings.out is None else Path(settings.out),
         units=units,
         code_digests=code_digests,
-        sessions=fitted.sessions,
-        model_sessions=_model_sessions(
-            run_axes, settings, fitted.sessions, fitted.recorded
+        task_windows=fitted.task_windows,
+        model_task_windows=_model_task_windows(
+            run_axes, settings, fitted.task_windows, fitted.recorded
         ),
         passages=fitted.passages,
     )
@@ -148,7 +147,7 @@ class _FittedData:
     axes: Axes
     recorded: Tracks
     scene_tracks: Cut
-    sessions: tuple[Sessions, ...]
+    task_windows: tuple[TaskWindows, ...]
     passages: Passages | None
 
 
@@ -164,14 +163,14 @@ def _fit_to_data(run_axes: Axes, settings: Settings, dataset: Dataset) -> _Fitte
         # Horizons for which the recording has too few long tracks are left out.
         tracks = with_horizons(tracks, recorded, settings=settings.stages)
         run_axes = replace(run_axes, horizons_s=tuple(tracks.further))
-    sessions, skipped = _task_sessions(run_axes, settings, dataset, recorded)
-    tasks = {task_sessions.task for task_sessions in sessions}
+    task_windows, skipped = _make_windows(run_axes, settings, dataset, recorded)
+    tasks = {windows.task for windows in task_windows}
     run_axes = replace(
         run_axes,
         links=tuple((task, link) for task, link in run_axes.links if task in tasks),
         skipped={**run_axes.skipped, **skipped},
     )
-    return _FittedData(run_axes, recorded, tracks, sessions, passages)
+    return _FittedData(run_axes, recorded, tracks, task_windows, passages)
 
 
 def _axes_with_passages(
@@ -273,18 +272,18 @@ def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
     return f"{n_long:,} of {n_recorded:,} tracks last {least_s:g} s"
 
 
-def _task_sessions(
+def _make_windows(
     run_axes: Axes, settings: Settings, dataset: Dataset, recorded: Tracks
-) -> tuple[tuple[Sessions, ...], dict[str, str]]:
+) -> tuple[tuple[TaskWindows, ...], dict[str, str]]:
     """Return the sessions of each task, and the tasks of too few people with reasons.
 
     Raises DataError if a user has named such a task.
     """
-    sessions, skipped = [], dict[str, str]()
+    task_windows, skipped = [], dict[str, str]()
     for task in run_axes.tasks:
         try:
-            sessions.append(
-                make_sessions(
+            task_windows.append(
+                make_task_windows(
                     task, tracks=recorded, stages=settings.stages, seed=settings.seed
                 )
             )
@@ -294,15 +293,15 @@ def _task_sessions(
             if task.links_returning_people and dataset.tracks.session is None:
                 continue  # a recording of a single session: no notice
             skipped[task.name] = str(error)
-    return tuple(sessions), skipped
+    return tuple(task_windows), skipped
 
 
-def _model_sessions(
+def _model_task_windows(
     run_axes: Axes,
     settings: Settings,
-    sessions: Iterable[Sessions],
+    task_windows: Iterable[TaskWindows],
     recorded: Tracks,
-) -> tuple[Sessions, ...]:
+) -> tuple[TaskWindows, ...]:
     """Return the sessions of tasks that are linked in model worlds: fewer people."""
     if not any(run_axes.linked_mechanisms_by_world.values()):
         return ()
@@ -311,17 +310,17 @@ def _model_sessions(
     )
     stages = settings.stages.changed({"linkage.most_people": most})
     return tuple(
-        make_sessions(
-            task_sessions.task, tracks=recorded, stages=stages, seed=settings.seed
+        make_task_windows(
+            windows.task, tracks=recorded, stages=stages, seed=settings.seed
         )
-        for task_sessions in sessions
-        if _is_linked_in_models(task_sessions.task)
+        for windows in task_windows
+        if _is_linked_in_models(windows.task)
     )
 
 
 def _is_linked_in_models(task: Task) -> bool:
-    """Whether a model's walks suit a task: in one stretch, without the scene."""
-    return task.is_same_stretch and not task.shows_scene
+    """Whether a model's walks suit a task: the same steps, without the scene."""
+    return task.shows_same_steps and not task.shows_scene
 
 
 def _identity(settings: Settings, dataset: Dataset) -> dict[str, Any]:
@@ -381,7 +380,7 @@ def plan_stronger(plan: Plan, *, specs: Iterable[str]) -> Plan:
     )
     units, code_digests = _units(run_axes, settings, identity=plan.identity)
     return replace(
-        plan, axes=run_axes, units=units, code_digests=code_digests, sessions=()
+        plan, axes=run_axes, units=units, code_digests=code_digests, task_windows=()
     )
 
 

@@ -255,14 +255,16 @@ def _too_small(
 ) -> dict[str, str]:
     """Return the tasks for which a data set has too few people, with the reasons."""
     from attacks.tasks.build import (  # noqa: PLC0415 - a list of variants needs none
-        make_sessions,
+        make_task_windows,
     )
     from attacks.tasks.task_list import TASKS  # noqa: PLC0415 - for --help
 
     reasons = {}
     for task in sorted(tasks):
         try:
-            make_sessions(TASKS[task], tracks=dataset.tracks, stages=stages, seed=seed)
+            make_task_windows(
+                TASKS[task], tracks=dataset.tracks, stages=stages, seed=seed
+            )
         except DataError as error:
             reasons[task] = str(error)
     return reasons

@@ -89,7 +89,7 @@ def _millions_of_samples(work: Work, plan: Plan) -> float:
         return work_size(work, plan)
     if isinstance(work, ReturnWork):
         return float(work.passages.offsets[-1]) / 1e6
-    sides = work.sessions.probe, work.sessions.gallery
+    sides = work.task_windows.probe, work.task_windows.gallery
     return sum(float(side.offsets[-1]) for side in sides) / 1e6
 
 

@@ -117,7 +117,7 @@ def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
 
 def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
     """Return the missing levels of every block of scenes, in every world."""
-    tasks = {sessions.task.name for sessions in plan.sessions}
+    tasks = {windows.task.name for windows in plan.task_windows}
     # Split where few blocks are attacked by the workers. Each piece senses the block
     # again, so that there are no more pieces than an even load takes.
     n_attacked = -(-plan.settings.n_attacked_scenes // BLOCK_SCENES)
@@ -168,24 +168,24 @@ def _scene_orders(plan: Plan) -> dict[World, Ints]:
 def _cut_linkage(missing: Sequence[Unit], plan: Plan) -> list[LinkWork]:
     """Return the missing levels of every linkage task, in every world."""
     groups = tuple(sorted(set(plan.scene_tracks.group)))
-    walked = [(sessions, OWN_WORLD) for sessions in plan.sessions]
+    walked = [(windows, OWN_WORLD) for windows in plan.task_windows]
     walked += [
-        (sessions, world)
+        (windows, world)
         for world in plan.axes.linked_mechanisms_by_world
-        for sessions in plan.model_sessions
+        for windows in plan.model_task_windows
     ]
     links = []
-    for sessions, world in walked:
+    for windows, world in walked:
         levels = _merge_levels(
             unit
             for unit in missing
-            if unit.section == sessions.task.name and unit.world == world
+            if unit.section == windows.task.name and unit.world == world
         )
-        # Each piece senses the sessions again, which takes less than one level.
+        # Each piece senses the windows again, which takes less than one level.
         for first in range(0, len(levels), _LEVELS_PER_PIECE):
             piece = levels[first : first + _LEVELS_PER_PIECE]
             keep_scores = plan.settings.keep_scores
-            links.append(LinkWork(sessions, groups, piece, keep_scores, world))
+            links.append(LinkWork(windows, groups, piece, keep_scores, world))
     return links
 
 
@@ -241,9 +241,10 @@ def n_pairs(work: LinkWork) -> int:
 
     Its time is proportional to it.
     """
-    sides = (work.sessions.probe.search, work.sessions.gallery.search)
+    sides = (work.task_windows.probe.search, work.task_windows.gallery.search)
     probes, gallery = (
-        np.bincount(side, minlength=len(work.sessions.searches)) for side in sides
+        np.bincount(side, minlength=len(work.task_windows.search_names))
+        for side in sides
     )
     return int(probes @ gallery)
 

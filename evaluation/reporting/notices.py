@@ -158,10 +158,10 @@ def plan_notices(plan: Plan, *, slow: Sequence[SlowAttack]) -> list[str]:
 def _gallery_notices(plan: Plan) -> list[str]:
     """Return which tasks have so many people that all pairs take long."""
     sizes = {
-        session.task.name: max(
-            Counter(session.gallery.search.tolist()).values(), default=0
+        windows.task.name: max(
+            Counter(windows.gallery.search.tolist()).values(), default=0
         )
-        for session in plan.sessions
+        for windows in plan.task_windows
     }
     large = [name for name, size in sizes.items() if size > _LARGE_GALLERY]
     if not large or plan.settings.stages.linkage.candidates:

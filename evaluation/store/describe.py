@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final, cast
 import numpy as np
 
 import isac_track
-from attacks.tasks.returns import LEAST_S, LONGEST_S
+from attacks.tasks.passages import LEAST_S, LONGEST_S
 from attacks.tasks.task_list import RETURNS
 from evaluation.plan.choices import PLUS
 from evaluation.plan.fingerprint import list_user_plugins
@@ -24,8 +24,8 @@ from evaluation.store.people import id_labels
 from evaluation.store.public_text import public_path, public_words, without_folders
 
 if TYPE_CHECKING:
-    from attacks.tasks.returns import Passages
-    from attacks.tasks.sessions import Sessions
+    from attacks.tasks.passages import Passages
+    from attacks.tasks.windows import TaskWindows
     from evaluation.plan.plan import Plan
     from evaluation.plan.settings import Settings
     from isac_track.plugins import Kind
@@ -54,7 +54,9 @@ def describe_run(plan: Plan) -> dict[str, Any]:
             "tracks_used": n_used,
             "no_future": len(tracks) - n_used,
         }
-    tasks = {sessions.task.name: _describe_task(sessions) for sessions in plan.sessions}
+    tasks = {
+        windows.task.name: _describe_task(windows) for windows in plan.task_windows
+    }
     return {
         "environment": {
             "isac_track": isac_track.__version__,
@@ -251,20 +253,20 @@ def _describe_history(tracks: Tracks) -> dict[str, float]:
     }
 
 
-def _describe_task(sessions: Sessions) -> dict[str, Any]:
+def _describe_task(windows: TaskWindows) -> dict[str, Any]:
     """Return the size of a linkage task: its people, probes and candidates."""
-    galleries = np.bincount(sessions.gallery.search, minlength=len(sessions.searches))
+    galleries = np.bincount(windows.gallery.search, minlength=len(windows.search_names))
     return {
-        "about": sessions.task.about,
-        "people": len(sessions.source),
-        "too_short": sessions.too_short,
-        "not_drawn": sessions.not_drawn,
-        "clusters": len(set(sessions.group)),
-        "in_groups": int((~sessions.alone).sum()),
-        "frozen": int((~sessions.moving).sum()),
-        "probes": len(sessions.probe),
-        "mated": int((sessions.mate >= 0).sum()),
-        "candidates": dict(zip(sessions.searches, galleries.tolist(), strict=True)),
-        "learnt_from": sessions.learns.sum(axis=1).tolist(),
-        "calibrated_on": sessions.calibrates.sum(axis=1).tolist(),
+        "about": windows.task.about,
+        "people": len(windows.source),
+        "too_short": windows.too_short,
+        "not_drawn": windows.not_drawn,
+        "clusters": len(set(windows.group)),
+        "in_groups": int((~windows.alone).sum()),
+        "frozen": int((~windows.moving).sum()),
+        "probes": len(windows.probe),
+        "mated": int((windows.mate >= 0).sum()),
+        "candidates": dict(zip(windows.search_names, galleries.tolist(), strict=True)),
+        "learnt_from": windows.trained_on.sum(axis=1).tolist(),
+        "calibrated_on": windows.calibrated_on.sum(axis=1).tolist(),
     }

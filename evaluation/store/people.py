@@ -60,8 +60,8 @@ def id_labels(plan: Plan) -> dict[str, str]:
     )
     place_by_name = {name: place for place, name in enumerate(own, start=1)}
     task_names: set[str] = set()
-    for sessions in (*plan.sessions, *plan.model_sessions):
-        task_names.update(sessions.source, sessions.group)
+    for windows in (*plan.task_windows, *plan.model_task_windows):
+        task_names.update(windows.source, windows.group)
     labels = {}
     for name in own:
         labels[name] = f"#{place_by_name[name]:0{_LABEL_DIGITS}d}{_half(name)}"

@@ -127,7 +127,7 @@ def chosen_robots(
 def leading_handover(names: Collection[str]) -> str:
     """Return the task by which linkage is judged; empty if there is no handover."""
     handovers = [
-        name for name, task in TASKS.items() if task.gap_s > 0.0 and name in names
+        name for name, task in TASKS.items() if task.silence_s > 0.0 and name in names
     ]
     return LEADING if LEADING in handovers else next(iter(handovers), "")
 

@@ -13,14 +13,14 @@ from scipy.special import ndtri, stdtr, stdtrit
 from isac_track.intervals import CONFIDENCE, FEWEST_EFFECTIVE, Estimate
 
 Decision: TypeAlias = Literal["yes", "no", "not decided"]
-"""Answer to: does the walk re-identify a person in another run?"""
+"""Answer to: does the walk re-identify a person in another session?"""
 
 PRIMARY: Final = "fusion, all passages enrolled, closed set, another run"
 """The only cell that decides: linker, gallery, set and probe."""
 LARGEST_P: Final = 0.01
 """A *yes* needs a nested permutation p-value below this number."""
 LARGEST_P_CONFIRMING: Final = 0.05
-"""The same for the run that confirms: a single test, on new people and new walks."""
+"""The same for the session that confirms: a single test, on new people and new walks."""
 LEAST_GAIN: Final = 0.05
 """Gain in rank 1 over the control that matters: the interval is compared with it."""
 TRUE_GAIN: Final = 0.15
@@ -62,7 +62,7 @@ class ReturnDecision:
         The numbers that decide, in words.
     power : float
         Probability that so many people give a *yes* if the true gain is `TRUE_GAIN`
-        and a run confirms it; NaN without an interval.
+        and a session confirms it; NaN without an interval.
     n : int
         People in the primary cell.
     n_needed : int or None
@@ -79,10 +79,10 @@ class ReturnDecision:
 def decide_return(
     evidence: ReturnEvidence, *, confirming: ReturnEvidence | None = None
 ) -> ReturnDecision:
-    """Apply the rule to the primary cell; `confirming` is that of a run left aside.
+    """Apply the rule to the primary cell; `confirming` is that of a session left aside.
 
     - *yes*: the p-value is below `LARGEST_P`, the lower end of the gain's interval is
-      at least `LEAST_GAIN`, and the confirming run has a positive gain with a p-value
+      at least `LEAST_GAIN`, and the confirming session has a positive gain with a p-value
       below `LARGEST_P_CONFIRMING`;
     - *no*: the upper end of the interval is below `LEAST_GAIN`;
     - *not decided* otherwise, without an interval, and below `FEWEST_EFFECTIVE` people.
@@ -129,7 +129,7 @@ def _apply(
 
 
 def awaits_confirmation(evidence: ReturnEvidence) -> bool:
-    """Whether a further run could turn the answer into a *yes*."""
+    """Whether a further session could turn the answer into a *yes*."""
     interval = (evidence.gain.ci_low, evidence.gain.ci_high)
     return (
         evidence.gain.n >= FEWEST_EFFECTIVE

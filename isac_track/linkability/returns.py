@@ -24,8 +24,8 @@ from isac_track.linkability.scores import auc, eer
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints, read_only
 
-Probe: TypeAlias = Literal["another run", "same run"]
-"""Where the enrolled passages of a probe come from; *same run* is a control only."""
+Probe: TypeAlias = Literal["another session", "same session"]
+"""Where the enrolled passages of a probe come from; *same session* is a control only."""
 FPIR: Final = 0.1
 """Share of people who are not enrolled for whom the open set names a candidate."""
 
@@ -80,7 +80,7 @@ def enrolment(
     returning: Returning,
     *,
     most: int | None = None,
-    probe: Probe = "another run",
+    probe: Probe = "another session",
     session: int | None = None,
     seed: int = 0,
 ) -> Floats:
@@ -90,14 +90,14 @@ def enrolment(
     the person is not enrolled: the mean of scores, unlike their sum, favours nobody for
     the number of passages. At most `most` passages of a person are drawn. The gallery
     of a probe has the passages of all other sessions, or only those of `session`; as a
-    control (``same run``) those of its own session.
+    control (``same session``) those of its own session.
     """
     n, sessions = returning.person.size, np.unique(returning.session)
     weights = np.zeros((sessions.size, n, returning.n_people))
     order = stream(seed, "returns", "enrolment").permutation(n)
     for place, name in enumerate(sessions.tolist()):
         here = returning.session == name
-        usable = here if probe == "same run" else ~here
+        usable = here if probe == "same session" else ~here
         if session is not None:
             usable = usable & (returning.session == session)
         for person in np.unique(returning.person[usable]).tolist():

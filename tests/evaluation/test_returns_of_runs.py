@@ -10,8 +10,9 @@ import pytest
 from helpers.returners import write_sessions
 
 import evaluation
+from attacks.tasks.passage_releases import hide_frames
+from attacks.tasks.passages import find_passages
 from attacks.tasks.return_study import FUSION, LINKERS, study_returns
-from attacks.tasks.returns import hide, passages
 from attacks.tasks.task_list import FUSED
 from evaluation import matrix
 from evaluation.estimates.differences import compare
@@ -51,8 +52,8 @@ def made(sessions, tmp_path_factory):
 def study(sessions):
     """The same passages without error, from the library alone."""
     tracks = datasets.load(None, sessions=sessions).tracks
-    walks = passages(placed(tracks, settings=Settings().stages))
-    release = hide(t=walks.t, xy=walks.xy, offsets=walks.offsets, sigma=None, seed=0)
+    walks = find_passages(placed(tracks, settings=Settings().stages))
+    release = hide_frames(t=walks.t, xy=walks.xy, offsets=walks.offsets, seed=0)
     return study_returns(walks, release, enrolled=(None,))
 
 
@@ -79,8 +80,8 @@ def test_rows_are_those_of_the_library(made, study):
         np.testing.assert_equal(number(made, consumer, "rank1"), ends(cell.rank1))
     strongest = number(made, "returns/control-strongest", "rank1")
     np.testing.assert_equal(strongest, ends(study.primary.control))
-    same_run = number(made, "returns/control-same-run", "rank1")
-    np.testing.assert_equal(same_run, ends(study.same_run.rank1))
+    same_session = number(made, "returns/control-same-run", "rank1")
+    np.testing.assert_equal(same_session, ends(study.same_session.rank1))
     nested_p = number(made, f"returns/{FUSION}", "nested_p")
     assert nested_p[0] == study.regression.p_value
 

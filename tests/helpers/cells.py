@@ -10,7 +10,7 @@ from helpers.walkers import walkers
 
 from attacks.tasks import build
 from attacks.tasks.task_list import TASKS
-from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_setup import sense_task
 from evaluation.compute.link_views import linked_level
 from evaluation.compute.linkage import link
 from evaluation.compute.reconstruction import attacked_block, draw_halves
@@ -139,16 +139,16 @@ class World:
 
 
 @lru_cache(maxsize=8)
-def make_sessions(task, *, tracks=None, seed=0):
+def make_task_windows(task, *, tracks=None, seed=0):
     """The sessions of a task of walkers."""
     crowd = tracks or walkers()
-    return build.make_sessions(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
+    return build.make_task_windows(TASKS[task], tracks=crowd, stages=STAGES, seed=seed)
 
 
 @lru_cache(maxsize=8)
-def _sensed(sessions, seed, stages):
-    groups = sorted(set(sessions.group))
-    return sensed_sessions(sessions, groups=groups, stages=stages, seed=seed)
+def _sensed(task_windows, seed, stages):
+    groups = sorted(set(task_windows.group))
+    return sense_task(task_windows, groups=groups, stages=stages, seed=seed)
 
 
 def result_numbers(cell):
@@ -162,13 +162,13 @@ def result_numbers(cell):
     return np.concatenate([*scores, *numbers, [cell.scorecard.p_value]])
 
 
-def linked(sessions, by, *links, controls=False, seed=0, stages=STAGES):
+def linked(task_windows, by, *links, controls=False, seed=0, stages=STAGES):
     """Results of all linkers of a task by consumer and adversary, and the level.
 
     Each of `links` is a consumer, or an argument of `parsed`.
     """
-    task = sessions.task
-    level = linked_level(parsed("mechanisms", by), _sensed(sessions, seed, stages))
+    task = task_windows.task
+    level = linked_level(parsed("mechanisms", by), _sensed(task_windows, seed, stages))
     linkers = [
         (
             linker

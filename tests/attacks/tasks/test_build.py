@@ -1,4 +1,4 @@
-"""The sessions of tasks: windows, mates, and the people to learn from."""
+"""The windows of tasks, their mates, and the people to train on."""
 
 import re
 from dataclasses import replace
@@ -13,7 +13,8 @@ from helpers.walks import walk_release
 from hypothesis import given
 from hypothesis import strategies as st
 
-from attacks.tasks.build import joined, make_sessions, samples_at_shares
+from attacks.tasks.build import make_task_windows
+from attacks.tasks.paired_windows import join_groups, samples_at_shares
 from attacks.tasks.task_list import TASKS, task_named
 from isac_track.config import StageSettings
 from isac_track.errors import DataError, SettingsError
@@ -51,11 +52,15 @@ def make_tracks(walks, *, source, group):
 
 
 @cache
-def sessions(name, *, tracks=None, stages=STAGES, seed=0):
+def windows(name, *, tracks=None, stages=STAGES, seed=0):
     tracks = tracks if tracks is not None else crowd()
-    later = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
-    return make_sessions(
-        TASKS[name], tracks=tracks, stages=stages, seed=seed, later=later
+    second_tracks = crowd(session=1, groups=(2, 2)) if TASKS[name].simulated else None
+    return make_task_windows(
+        TASKS[name],
+        tracks=tracks,
+        stages=stages,
+        seed=seed,
+        second_tracks=second_tracks,
     )
 
 
@@ -84,7 +89,7 @@ def without(tracks, source):
 
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 def test_a_mate_is_the_same_person_in_the_same_search(name):
-    linked = sessions(name)
+    linked = windows(name)
     place = {window[:2]: row for row, window in enumerate(list_windows(linked.gallery))}
     assert linked.mate.tolist() == [
         place.get(window[:2], -1) for window in list_windows(linked.probe)
@@ -96,7 +101,7 @@ def test_a_mate_is_the_same_person_in_the_same_search(name):
 @pytest.mark.parametrize("name", [*CLOSED, *HANDOVERS])
 def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
     tracks = crowd()
-    linked = sessions(name, tracks=tracks)
+    linked = windows(name, tracks=tracks)
     track_by_source = dict(zip(tracks.source, tracks, strict=True))
     for person, _, t, xy in list_windows(linked.probe):
         track = track_by_source[linked.source[person]]
@@ -112,7 +117,7 @@ def test_windows_are_stretches_of_the_walk_at_instants_of_their_own(name):
 
 def test_a_rerelease_is_two_windows_of_one_length_that_mostly_overlap_of_everybody():
     tracks = crowd()
-    linked = sessions("rerelease", tracks=tracks)
+    linked = windows("rerelease", tracks=tracks)
     long = np.subtract(*spans(tracks)[::-1]) >= WINDOW_S - 1e-9
     assert (len(linked.source), linked.too_short) == (long.sum(), (~long).sum())
     for starts, ends in map(spans, both_sides(linked)):
@@ -127,7 +132,7 @@ def test_a_rerelease_is_two_windows_of_one_length_that_mostly_overlap_of_everybo
 
 
 def test_the_halves_of_a_split_are_of_one_length_and_do_not_touch():
-    linked = sessions("split")
+    linked = windows("split")
     (_, first_end), (second_start, _) = map(spans, both_sides(linked))
     gap = second_start[linked.mate] - first_end
     assert (gap >= STAGES.linkage.split_gap_s - 1e-9).all()
@@ -142,11 +147,11 @@ def test_in_a_handover_all_people_present_are_in_a_side_before_or_after_a_silent
     name,
 ):
     tracks = crowd()
-    linked = sessions(name, tracks=tracks)
-    gap_s, least_s = TASKS[name].gap_s, STAGES.linkage.handover_least_s
+    linked = windows(name, tracks=tracks)
+    gap_s, least_s = TASKS[name].silence_s, STAGES.linkage.handover_least_s
     start, end = spans(tracks)
     (_, ends), (starts, _) = map(spans, both_sides(linked))
-    for number, label in enumerate(linked.searches):
+    for number, label in enumerate(linked.search_names):
         at_s = tracks.t.min() + float(label.removesuffix(" s"))
         before = (start <= at_s - least_s) & (end >= at_s - 1e-9)
         after = (start <= at_s + gap_s) & (end >= at_s + gap_s + least_s - 1e-9)
@@ -167,9 +172,11 @@ def test_in_a_handover_all_people_present_are_in_a_side_before_or_after_a_silent
 def test_no_adversary_learns_from_victims_or_their_company(
     name,
 ):
-    linked = sessions(name)
+    linked = windows(name)
     group = np.array(linked.group)
-    for fold, *teachers in zip((0, 1), linked.learns, linked.calibrates, strict=True):
+    for fold, *teachers in zip(
+        (0, 1), linked.trained_on, linked.calibrated_on, strict=True
+    ):
         sides = [
             side.person[linked.fold[side.search] == fold] for side in both_sides(linked)
         ]
@@ -177,7 +184,7 @@ def test_no_adversary_learns_from_victims_or_their_company(
         assert all(apart)
         assert sum(map(len, apart)) == len(set.union(*apart))
     with pytest.raises(AssertionError, match="among the training people"):
-        replace(linked, learns=np.ones_like(linked.learns))
+        replace(linked, trained_on=np.ones_like(linked.trained_on))
 
 
 def by_person(linked):
@@ -185,7 +192,10 @@ def by_person(linked):
     closed = linked.task.name in CLOSED
     return [
         {
-            (linked.source[person], "" if closed else linked.searches[number]): tuple(t)
+            (
+                linked.source[person],
+                "" if closed else linked.search_names[number],
+            ): tuple(t)
             for person, number, t, _ in list_windows(side)
         }
         for side in both_sides(linked)
@@ -195,7 +205,7 @@ def by_person(linked):
 @pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
 def test_leaving_one_person_out_changes_no_other_window(name):
     tracks = crowd()
-    whole = sessions(name, tracks=tracks)
+    whole = windows(name, tracks=tracks)
     # Somebody in the middle of the recording, so that the instants of handovers stay.
     lost = next(
         track.source[0]
@@ -204,7 +214,7 @@ def test_leaving_one_person_out_changes_no_other_window(name):
         and track.group[0][:5] == "alone"
         and 20 < track.t[0] < 60
     )
-    part = sessions(name, tracks=without(tracks, lost))
+    part = windows(name, tracks=without(tracks, lost))
     for before, after in zip(by_person(whole), by_person(part), strict=True):
         rest = {key: value for key, value in before.items() if key[0] != lost}
         assert len(rest) < len(before)
@@ -235,7 +245,7 @@ def test_leaving_one_person_out_changes_no_other_window(name):
 def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
     tracks, stages = crowd(n=100), STAGES.changed({setting: value})
     first = [
-        sessions(name, tracks=tracks, **given).probe.t
+        windows(name, tracks=tracks, **given).probe.t
         for given in ({}, {"seed": 1}, {"stages": stages})
     ]
     assert not any(
@@ -243,7 +253,7 @@ def test_every_setting_and_the_seed_change_what_is_linked(setting, value, name):
         for first_t, second_t in combinations(first, 2)
     )
     if setting == "linkage.most_people":
-        assert len(sessions(name, tracks=tracks, stages=stages).source) == value
+        assert len(windows(name, tracks=tracks, stages=stages).source) == value
 
 
 def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_these():
@@ -253,7 +263,7 @@ def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_the
     every = STAGES.changed({"linkage.handover_period_s": 5.0})
     for name in HANDOVERS:
         part, whole = (
-            sessions(name, tracks=crowd(n=200), stages=settings)
+            windows(name, tracks=crowd(n=200), stages=settings)
             for settings in (stages, every)
         )
         assert (
@@ -262,23 +272,23 @@ def test_of_too_many_people_a_handover_draws_instants_and_takes_everybody_at_the
             < len(whole.source)
             == len(part.source) + part.not_drawn
         )
-        assert 2 <= len(part.searches) < len(whole.searches)
-        assert set(part.searches) <= set(whole.searches)
+        assert 2 <= len(part.search_names) < len(whole.search_names)
+        assert set(part.search_names) <= set(whole.search_names)
         for few, all_windows in zip(by_person(part), by_person(whole), strict=True):
             assert few == {
                 key: settings
                 for key, settings in all_windows.items()
-                if key[1] in part.searches
+                if key[1] in part.search_names
             }
     assert (
-        part.searches
-        == sessions("handover-1s", tracks=crowd(n=200), stages=stages).searches
+        part.search_names
+        == windows("handover-1s", tracks=crowd(n=200), stages=stages).search_names
     )
 
 
 def test_where_a_window_is_sensed_says_nothing_of_where_its_mate_was():
     tracks = crowd(n=400)
-    linked = sessions("rerelease", tracks=tracks)
+    linked = windows("rerelease", tracks=tracks)
     first, second = (
         np.add.reduceat(side.xy, side.offsets[:-1]) / np.diff(side.offsets)[:, None]
         for side in both_sides(linked)
@@ -297,7 +307,7 @@ def test_frozen_people_and_company_are_marked():
     row = int(np.flatnonzero(np.subtract(*spans(tracks)[::-1]) > WINDOW_S)[-1])
     xy = tracks.xy.copy()
     xy[tracks.offsets[row] : tracks.offsets[row + 1]] = (1.0, 1.0)
-    linked = sessions("rerelease", tracks=replace(tracks, xy=xy))
+    linked = windows("rerelease", tracks=replace(tracks, xy=xy))
     frozen = [linked.source[person] for person in np.flatnonzero(~linked.moving)]
     assert frozen == [tracks.source[row]]
     together = {linked.source[person] for person in np.flatnonzero(~linked.alone)}
@@ -305,10 +315,10 @@ def test_frozen_people_and_company_are_marked():
 
 
 def test_returning_people_are_searched_for_among_all():
-    linked = sessions("cross_session", tracks=runs())
+    linked = windows("cross_session", tracks=runs())
     assert linked.source == tuple(f"p{number:02d}" for number in range(10))
-    assert (linked.learns == ~np.eye(10, dtype=bool)).all()
-    assert not linked.calibrates.any()
+    assert (linked.trained_on == ~np.eye(10, dtype=bool)).all()
+    assert not linked.calibrated_on.any()
     assert (linked.probe.person == linked.gallery.person[linked.mate]).all()
     assert (linked.probe.search == 0).all()
     assert (spans(linked.probe)[1] < 500).all()
@@ -326,19 +336,19 @@ def test_returning_people_are_searched_for_among_all():
         np.testing.assert_allclose(side.circumstances[:, 5], 39.6)
         np.testing.assert_allclose(np.hypot(*side.circumstances[:, :2].T), 1.0)
     with pytest.raises(AssertionError, match="among the training people"):
-        replace(linked, learns=np.ones_like(linked.learns))
+        replace(linked, trained_on=np.ones_like(linked.trained_on))
 
 
 def test_fewer_than_eight_returning_people_are_refused():
-    assert len(sessions("cross_session", tracks=runs(n=8)).source) == 8
+    assert len(windows("cross_session", tracks=runs(n=8)).source) == 8
     with pytest.raises(
         DataError, match="7 people walk for 12 s in two sessions, but it takes 8"
     ):
-        sessions("cross_session", tracks=runs(n=7))
+        windows("cross_session", tracks=runs(n=7))
     single = {"session": ("alone",) * len(runs())}
     for unknown in ({"person": None}, {"session": None}, single):
         with pytest.raises(DataError, match="no person is known to be in two sessions"):
-            sessions("cross_session", tracks=replace(runs(), **unknown))
+            windows("cross_session", tracks=replace(runs(), **unknown))
 
 
 NAMES, T = [f"p{row}" for row in range(40)], np.arange(0.0, 100.0, 0.4)
@@ -365,7 +375,7 @@ DRAWN = {"stages": STAGES.changed({"linkage.most_people": 3})}
 )
 def test_what_cannot_be_linked_is_refused_with_the_way_out(name, given, message):
     with pytest.raises((DataError, SettingsError), match=message):
-        sessions(name, **given)
+        windows(name, **given)
 
 
 @pytest.mark.parametrize(
@@ -382,7 +392,7 @@ def test_an_unknown_task_is_refused_with_what_may_be_meant(name, hint):
     ):
         task_named(name)
     with pytest.raises(SettingsError, match="unknown task"):
-        make_sessions(
+        make_task_windows(
             replace(TASKS["split"], name=name), tracks=crowd(), stages=STAGES, seed=0
         )
 
@@ -412,7 +422,9 @@ def reached(people, person):
 @given(PEOPLE)
 def test_a_cluster_is_whoever_can_be_reached_over_shared_groups(people):
     """It has the first name of its groups in the first session."""
-    cluster = joined([first for first, _ in people], [second for _, second in people])
+    cluster = join_groups(
+        [first for first, _ in people], [second for _, second in people]
+    )
     for person, name in enumerate(cluster):
         within = reached(people, person)
         assert {k for k in range(len(people)) if cluster[k] == name} == within

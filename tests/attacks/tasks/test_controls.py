@@ -6,8 +6,8 @@ from helpers.walks import walk_release
 from scipy.spatial.distance import cdist
 
 from attacks.tasks.controls import CONTROLS, closeness
-from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
+from attacks.tasks.window_circumstances import CIRCUMSTANCE_COLUMNS
 from isac_track.linkability import Search, permutation_p
 from isac_track.rng import stream
 
@@ -151,8 +151,8 @@ def test_equal_noise_shows_nothing_not_even_through_rounding():
 def test_frame_and_clock_are_no_shortcuts_where_the_scene_shows():
     for name, control in CONTROLS.items():
         assert control.applies(TASKS["cross_session"])
-        assert control.applies(TASKS["rerelease"]) == (name not in COLUMNS)
-        if name in COLUMNS:
+        assert control.applies(TASKS["rerelease"]) == (name not in CIRCUMSTANCE_COLUMNS)
+        if name in CIRCUMSTANCE_COLUMNS:
             continue
         assert control.applies(TASKS["handover-1s"]) == (name not in {"frame", "clock"})
 

@@ -7,15 +7,14 @@ import pytest
 from returning_crowds import returning_crowd
 
 from attacks.linkage.gait import Gait
-from attacks.tasks.return_study import crossing, share_passages, study_returns
-from attacks.tasks.returns import (
-    CIRCUMSTANCES,
-    mated_passages,
-    passages,
-    score_passages,
-)
+from attacks.tasks.passage_circumstances import CIRCUMSTANCES
+from attacks.tasks.passage_releases import share_passages
+from attacks.tasks.passage_scores import mated_passages, score_passages
+from attacks.tasks.passages import find_passages
+from attacks.tasks.return_study import crossing, study_returns
 from isac_track.errors import DataError, SettingsError
 from isac_track.intervals import Estimate
+from isac_track.linkability.returns import Returning
 from isac_track.types import Knowledge
 
 SMALL = ((8, 2, 3.6), (10, 2, 4.5), (9, 1, 6.0))
@@ -28,13 +27,13 @@ def crowd(seed=0, **options):
 
 @pytest.fixture(scope="module")
 def walks():
-    return passages(crowd())
+    return find_passages(crowd())
 
 
 def test_short_passages_are_left_out_and_long_ones_cut():
     tracks = crowd()
     lasts_s = np.array([walk.t[-1] - walk.t[0] for walk in tracks])
-    cut = passages(tracks, least_s=4.0, longest_s=5.0)
+    cut = find_passages(tracks, least_s=4.0, longest_s=5.0)
     assert len(cut) == (lasts_s >= 4.0).sum()
     spans_s = cut.t[cut.offsets[1:] - 1] - cut.t[cut.offsets[:-1]]
     assert spans_s.max() <= 5.0
@@ -43,11 +42,11 @@ def test_short_passages_are_left_out_and_long_ones_cut():
 
 def test_people_without_sessions_or_returns_are_refused():
     with pytest.raises(DataError, match="a person and a session"):
-        passages(replace(crowd(), person=None))
+        find_passages(replace(crowd(), person=None))
     with pytest.raises(DataError, match="nobody walks in two"):
-        passages(crowd(sessions=SMALL[:1]))
+        find_passages(crowd(sessions=SMALL[:1]))
     with pytest.raises(DataError, match="of a single person"):
-        passages(crowd(sessions=((1, 1, 3.6), (1, 1, 4.5)), n_people=1))
+        find_passages(crowd(sessions=((1, 1, 3.6), (1, 1, 4.5)), n_people=1))
 
 
 def test_circumstances_tell_the_queue(walks):
@@ -58,9 +57,9 @@ def test_circumstances_tell_the_queue(walks):
     assert not place[same & here].any()
     assert (place[~same & here] < 0).all()
     neighbours = walks.closeness["neighbours"]
-    # The next lap of a run has the same neighbours, but for the ends of the queue.
-    laps = same & here & ~np.eye(len(walks), dtype=bool)
-    assert neighbours[laps].mean() > 1.5
+    # The next passage of a session has the same neighbours, except at the ends.
+    again = same & here & ~np.eye(len(walks), dtype=bool)
+    assert neighbours[again].mean() > 1.5
     assert neighbours[~same & here].mean() < 0.5
 
 
@@ -123,23 +122,22 @@ def test_nobody_is_linked_by_what_was_learnt_on_them():
         xy=np.concatenate([p.xy[c] for p, c in zip(parts, cut, strict=True)]),
         offsets=np.append(0, np.cumsum(sizes)),
     )
-    walks = passages(short, least_s=1.0)
+    walks = find_passages(short, least_s=1.0)
     scored = score_passages(
         Spy(),
         share_passages(walks, error="0"),
-        person=walks.person,
-        session=walks.session,
-        returning=walks.returning,
+        Returning(walks.person, walks.session, walks.returning),
         seed=0,
-    ).values
+    )
     assert scored.shape == (walks.returning.size + 1, len(walks), len(walks))
     assert not scored.any()
 
 
-def test_training_pairs_are_of_a_person_in_two_runs(walks):
+def test_training_pairs_are_of_a_person_in_two_sessions(walks):
     release = share_passages(walks, error="0")
-    teaches = walks.person != walks.returning[0]
-    train = mated_passages(release, walks.person, walks.session, teaches)
+    may_train_on = walks.person != walks.returning[0]
+    returning = Returning(walks.person, walks.session, walks.returning)
+    train = mated_passages(release, returning, may_train_on)
     names = {name: row for row, name in enumerate(release.pseudonym)}
     first = [names[name] for name in train.probe.pseudonym]
     second = [names[name] for name in train.gallery.pseudonym]
@@ -160,14 +158,14 @@ def test_a_study_is_repeatable_and_no_name_of_a_person_matters(walks):
     assert first.decision == again.decision
     assert first.decision.decision == "not decided"
     assert "too few" in first.decision.why
-    assert first.same_run.control.value > 0.9
+    assert first.same_session.control.value > 0.9
     with pytest.raises(ValueError, match="no session"):
         study_returns(walks, release, confirming="run 9", **options)
 
 
 def test_people_are_drawn_whole_where_scores_would_be_too_many(walks):
     most = (walks.returning.size + 1) * len(walks) ** 2 // 3
-    drawn = passages(crowd(), most_scores=most)
+    drawn = find_passages(crowd(), most_scores=most)
     assert drawn.not_drawn > 0
     assert len(set(drawn.person)) + drawn.not_drawn == len(set(walks.person))
     assert (drawn.returning.size + 1) * len(drawn) ** 2 <= most
@@ -179,8 +177,10 @@ def test_people_are_drawn_whole_where_scores_would_be_too_many(walks):
         assert np.array_equal(drawn.closeness[name], part)
     last = slice(walks.offsets[rows[-1]], walks.offsets[rows[-1] + 1])
     assert np.array_equal(drawn.xy[drawn.offsets[-2] :], walks.xy[last])
-    assert set(passages(crowd(), most_scores=most, seed=1).source) != set(drawn.source)
-    everybody = passages(crowd(), most_scores=10**9)
+    assert set(find_passages(crowd(), most_scores=most, seed=1).source) != set(
+        drawn.source
+    )
+    everybody = find_passages(crowd(), most_scores=10**9)
     assert everybody.source == walks.source
     assert everybody.not_drawn == 0
 

@@ -85,20 +85,20 @@ def test_perfect_tracks_are_linkable_where_people_are_on_both_sides(patrol):
         if not (person == 4 and at_s < 16) and not (person == 5 and at_s > 18)
     }
     assert linkable(result) == dict.fromkeys(sorted(expected), True)
-    sessions = result.sessions
+    task_windows = result.task_windows
     probe, gallery = result.releases
-    for row in range(len(sessions.probe)):
+    for row in range(len(task_windows.probe)):
         t = probe.t[probe.offsets[row] : probe.offsets[row + 1]]
-        at_s = AT_S[int(sessions.searches[sessions.probe.search[row]])]
+        at_s = AT_S[int(task_windows.search_names[task_windows.probe.search[row]])]
         assert at_s - 3.0 - 1e-6 <= t.min()
         assert t.max() <= at_s + 1e-6
-        mate = sessions.mate[row]
+        mate = task_windows.mate[row]
         t = gallery.t[gallery.offsets[mate] : gallery.offsets[mate + 1]]
         assert at_s + 1.0 - 1e-6 <= t.min()
         assert t.max() <= at_s + 4.0 + 1e-6
-        assert sessions.gallery.person[mate] == sessions.probe.person[row]
-        assert sessions.gallery.search[mate] == sessions.probe.search[row]
-    np.testing.assert_array_equal(sessions.probe.xy, probe.xy)
+        assert task_windows.gallery.person[mate] == task_windows.probe.person[row]
+        assert task_windows.gallery.search[mate] == task_windows.probe.search[row]
+    np.testing.assert_array_equal(task_windows.probe.xy, probe.xy)
 
 
 def test_two_people_who_swap_in_the_silence_are_linked_to_the_other_track(patrol):
@@ -109,9 +109,12 @@ def test_two_people_who_swap_in_the_silence_are_linked_to_the_other_track(patrol
     result = handover(patrol, shared(patrol, [*swapped, *whole(patrol)[2:]]))
     assert all(linkable(result).values())
     # The track goes on with somebody else; the mate is where the person is.
-    sessions = result.sessions
-    for row in np.flatnonzero(sessions.probe.person < 2):
-        assert sessions.gallery.person[sessions.mate[row]] == sessions.probe.person[row]
+    task_windows = result.task_windows
+    for row in np.flatnonzero(task_windows.probe.person < 2):
+        assert (
+            task_windows.gallery.person[task_windows.mate[row]]
+            == task_windows.probe.person[row]
+        )
 
 
 def test_a_window_that_two_people_share_evenly_has_no_owner(patrol):
@@ -150,10 +153,10 @@ def test_of_several_windows_of_a_person_the_one_with_most_samples_is_linked(patr
     result = handover(patrol, shared(patrol, tracks))
     assert all(linkable(result).values())
     sizes = np.diff(result.releases[0].offsets)
-    person = result.sessions.probe.person
-    for number in np.unique(result.sessions.probe.search):
-        here = (result.sessions.probe.search == number) & (person == 2)
-        mated = here & (result.sessions.mate != MISSING)
+    person = result.task_windows.probe.person
+    for number in np.unique(result.task_windows.probe.search):
+        here = (result.task_windows.probe.search == number) & (person == 2)
+        mated = here & (result.task_windows.mate != MISSING)
         assert here.sum() == 2
         assert sizes[mated].item() == sizes[here].max()
 
@@ -164,16 +167,16 @@ def test_tracks_of_nobody_are_candidates_without_a_mate(patrol):
 
     result = handover(patrol, shared(patrol, whole(patrol), person=nobody))
     assert not any(ok for (_, person), ok in linkable(result).items() if person == 3)
-    sessions = result.sessions
+    task_windows = result.task_windows
     nobody_row = len(patrol.people)
-    assert (sessions.gallery.person == nobody_row).sum() == len(AT_S)
-    assert (sessions.mate[sessions.probe.person == nobody_row] == MISSING).all()
-    assert not sessions.learns[:, nobody_row].any()
+    assert (task_windows.gallery.person == nobody_row).sum() == len(AT_S)
+    assert (task_windows.mate[task_windows.probe.person == nobody_row] == MISSING).all()
+    assert not task_windows.trained_on[:, nobody_row].any()
 
 
 def test_without_tracks_all_trials_are_lost(patrol):
     tracks = shared(patrol, [rows_of(patrol, 0, 0.0, 3.0)])
     result = handover(patrol, tracks)
-    assert result.sessions is None
+    assert result.task_windows is None
     assert result.trials.person.size > 20
     assert not result.trials.is_linkable.any()

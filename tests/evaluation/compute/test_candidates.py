@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from helpers.cells import STAGES, linked, make_sessions, parsed, result_numbers
+from helpers.cells import STAGES, linked, make_task_windows, parsed, result_numbers
 from helpers.small_runs import smoke
 from helpers.walkers import walkers, write_walkers
 
@@ -50,11 +50,13 @@ class Length:
 class TestScores:
     @pytest.mark.parametrize("task", ["rerelease", "handover-2s"])
     def test_with_as_many_as_the_gallery_all_is_as_without(self, task):
-        sessions, linker = make_sessions(task), parsed("attacks", "shape")
-        largest = int(np.bincount(sessions.gallery.search).max())
-        exact, _ = linked(sessions, "raw", linker, controls=True)
+        task_windows, linker = make_task_windows(task), parsed("attacks", "shape")
+        largest = int(np.bincount(task_windows.gallery.search).max())
+        exact, _ = linked(task_windows, "raw", linker, controls=True)
         for n in (0, largest, 10_000):
-            results, _ = linked(sessions, "raw", linker, controls=True, stages=few(n))
+            results, _ = linked(
+                task_windows, "raw", linker, controls=True, stages=few(n)
+            )
             assert results.keys() == exact.keys()
             for key, expected in exact.items():
                 np.testing.assert_array_equal(
@@ -65,9 +67,9 @@ class TestScores:
     def test_the_first_few_of_the_first_stage_are_scored_and_others_follow_in_order(
         self, task
     ):
-        n, sessions, spy = 4, make_sessions(task), Length()
-        exact, level = linked(sessions, "raw", Length())
-        results, _ = linked(sessions, "raw", spy, stages=few(n))
+        n, task_windows, spy = 4, make_task_windows(task), Length()
+        exact, level = linked(task_windows, "raw", Length())
+        results, _ = linked(task_windows, "raw", spy, stages=few(n))
         ((key, cell),) = results.items()
         pairings = {
             number: pairing
@@ -82,7 +84,7 @@ class TestScores:
                 side.tracks(side_rows)
                 for side, side_rows in zip(level.blind.releases, rows, strict=True)
             ]
-            stage = candidates.first_stage(sessions.task)
+            stage = candidates.first_stage(task_windows.task)
             context = type("Context", (), {"granted": stage.requires})()
             first = stage.fit(context)(*sides)
             result = [np.argsort(-score) for score in search.scores]
@@ -100,11 +102,11 @@ class TestScores:
         # A stranger is asked about one probe at a time; some are searched in full as
         # well.
         asked = [size for probes, size in spy.seen if probes == 1 and size <= n]
-        assert len(asked) >= len(sessions.probe)
+        assert len(asked) >= len(task_windows.probe)
 
     @pytest.mark.parametrize("worst", [-3e38, -1e-30, 0.0, 5.0, 3e38])
     def test_others_are_below_whatever_was_scored(self, worst):
-        _, level = linked(make_sessions("rerelease"), "raw", Length())
+        _, level = linked(make_task_windows("rerelease"), "raw", Length())
         release, worst = level.seen.releases[0], float(np.float32(worst))
         n, first = len(release), stream(0, "test", "first").random((len(release),) * 2)
         result = among_candidates(
@@ -129,9 +131,11 @@ class TestWhatIsTold:
     @pytest.mark.parametrize("n", [1, 3, 8])
     def test_the_loss_is_that_of_a_search_in_full(self, n, monkeypatch):
         monkeypatch.setattr("evaluation.compute.linkage.CHECKED", 10_000)
-        sessions = make_sessions("rerelease")
-        exact, _ = linked(sessions, "raw", parsed("attacks", "shape"))
-        results, _ = linked(sessions, "raw", parsed("attacks", "shape"), stages=few(n))
+        task_windows = make_task_windows("rerelease")
+        exact, _ = linked(task_windows, "raw", parsed("attacks", "shape"))
+        results, _ = linked(
+            task_windows, "raw", parsed("attacks", "shape"), stages=few(n)
+        )
         for key, cell in results.items():
             hits = [
                 np.concatenate(
@@ -147,9 +151,9 @@ class TestWhatIsTold:
 
     def test_what_needs_all_pairs_is_refused_and_ranks_are_not(self):
         for task in ("rerelease", "handover-2s"):
-            sessions = make_sessions(task, tracks=walkers(80))
+            task_windows = make_task_windows(task, tracks=walkers(80))
             results, *_ = linked(
-                sessions, "clean", Length(), controls=True, stages=few(2)
+                task_windows, "clean", Length(), controls=True, stages=few(2)
             )
             for cell in results.values():
                 for name, estimate in cell.scorecard.estimates.items():

@@ -11,7 +11,7 @@ from helpers.cells import (
     Spy,
     World,
     linked,
-    make_sessions,
+    make_task_windows,
     parsed,
     plugin,
 )
@@ -19,8 +19,8 @@ from helpers.oracles import aligned
 
 from attacks.reconstruction.averaging import Identity
 from attacks.reconstruction.kalman_rts import RadialRTS
-from attacks.tasks.sessions import Windows
-from evaluation.compute.link_setup import sensed_sessions
+from attacks.tasks.windows import Windows
+from evaluation.compute.link_setup import sense_task
 from evaluation.compute.linkage import sees_times_only
 from evaluation.compute.sharing import samples_shared, share, take_samples
 from evaluation.compute.window_tables import WINDOW_COLUMNS
@@ -251,8 +251,8 @@ class TestScenes:
 
 
 @pytest.fixture(scope="module")
-def sessions():
-    return {task: make_sessions(task) for task in ("rerelease", "handover-1s")}
+def task_windows():
+    return {task: make_task_windows(task) for task in ("rerelease", "handover-1s")}
 
 
 LINKER = {"rerelease": "shape", "handover-1s": "kinematic"}
@@ -268,18 +268,20 @@ def linked_consumers(task, behind):
 
 class TestLinkage:
     @pytest.mark.parametrize("task", LINKER)
-    def test_who_smooths_first_learns_on_what_was_shared(self, sessions, task):
+    def test_who_smooths_first_learns_on_what_was_shared(self, task_windows, task):
         watching = Spy(requires=frozenset({Knowledge.TRAIN}))
-        linked(sessions[task], Sieve(Clean()), linked_consumers(task, watching)[1])
+        linked(task_windows[task], Sieve(Clean()), linked_consumers(task, watching)[1])
         assert watching.seen
         for context, *_ in watching.seen:
             train = context.train
-            assert train.release.t.size < sessions[task].probe.t.size
+            assert train.release.t.size < task_windows[task].probe.t.size
             np.testing.assert_allclose(train.release.xy, train.truth, rtol=0, atol=1e-6)
 
-    def test_what_only_times_tell_is_asked_anew(self, sessions):
-        whole, at_all = linked(sessions["rerelease"], "raw", "shape", controls=True)
-        few, at_none = linked(sessions["rerelease"], "thin:4", "shape", controls=True)
+    def test_what_only_times_tell_is_asked_anew(self, task_windows):
+        whole, at_all = linked(task_windows["rerelease"], "raw", "shape", controls=True)
+        few, at_none = linked(
+            task_windows["rerelease"], "thin:4", "shape", controls=True
+        )
         key = "rerelease/control-sample_count", ""
         control = Consumer("control", task="rerelease", control="sample_count")
         assert sees_times_only(control, at_all)
@@ -290,26 +292,26 @@ class TestLinkage:
 
 
 class TestWindows:
-    def frame(self, sessions, by, stages=STAGES):
-        consumer = windows_consumer(sessions.task.name)
+    def frame(self, task_windows, by, stages=STAGES):
+        consumer = windows_consumer(task_windows.task.name)
         work = LinkWork(
-            sessions, groups=(), levels=((parsed("mechanisms", by), (consumer,)),)
+            task_windows, groups=(), levels=((parsed("mechanisms", by), (consumer,)),)
         )
         ((_, _, reader, tables),) = compute_cells(
             work, tracks=None, stages=stages, seed=0
         )
-        assert reader.spec == f"{sessions.task.name}/windows"
+        assert reader.spec == f"{task_windows.task.name}/windows"
         return tables["rows"].to_pandas()
 
     @pytest.mark.parametrize(
         "by", ["fixed:0.3,adding=independent", "thin:3,d_sigma=0.3"]
     )
     @pytest.mark.parametrize(("side", "row"), [("probe", 0), ("gallery", 17)])
-    def test_a_window_by_hand(self, sessions, by, side, row):
-        task = sessions["rerelease"]
+    def test_a_window_by_hand(self, task_windows, by, side, row):
+        task = task_windows["rerelease"]
         stages = StageSettings().changed({"privacy.epsilon_m": 0.6})
         result = self.frame(task, by, stages)
-        known = sensed_sessions(task, groups=(), stages=stages, seed=0)
+        known = sense_task(task, groups=(), stages=stages, seed=0)
         sensed = known.sensed[("probe", "gallery").index(side)]
         windows = getattr(task, side)
         shared = share(
@@ -338,7 +340,7 @@ class TestWindows:
         left = privacy.exposure(leaked=leaked, t=release.t, offsets=release.offsets)
         assert result[result["side"] == side].iloc[row].to_dict() == {
             "side": side,
-            "search": task.searches[windows.search[row]],
+            "search": task.search_names[windows.search[row]],
             "source": task.source[person],
             "group": task.group[person],
             "n_samples": held.sum(),
@@ -355,12 +357,13 @@ class TestWindows:
 
     @pytest.mark.parametrize("task", LINKER)
     def test_each_window_of_either_side_has_a_row_and_one_walk_at_every_level(
-        self, sessions, task
+        self, task_windows, task
     ):
         levels = ("raw", "thin:4", "clean")
-        raw, thin, clean = (self.frame(sessions[task], by) for by in levels)
+        raw, thin, clean = (self.frame(task_windows[task], by) for by in levels)
         sides = {
-            side: len(getattr(sessions[task], side)) for side in ("probe", "gallery")
+            side: len(getattr(task_windows[task], side))
+            for side in ("probe", "gallery")
         }
         for item in (raw, thin, clean):
             assert tuple(item.columns) == WINDOW_COLUMNS
@@ -373,8 +376,8 @@ class TestWindows:
         assert (clean["sigma_m"] == 0).all()
         assert (thin["n_samples"] < raw["n_samples"]).all()
 
-    def test_a_walk_of_one_sample_has_no_speed(self, sessions):
-        task = sessions["rerelease"]
+    def test_a_walk_of_one_sample_has_no_speed(self, task_windows):
+        task = task_windows["rerelease"]
         short = {}
         for side in ("probe", "gallery"):
             windows = getattr(task, side)

@@ -7,10 +7,10 @@ import pytest
 from helpers.cells import STAGES
 from helpers.walkers import walkers
 
-from attacks.tasks.build import make_sessions
+from attacks.tasks.build import make_task_windows
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
-from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_setup import sense_task
 from isac_track.resample import walk
 
 HANDOVERS = ("handover-1s", "handover-2s", "handover-5s")
@@ -24,26 +24,32 @@ CLEAR = {  # Of the error nothing but distance and large-scale gain is left.
 
 def sensed(name, **changes):
     stages = STAGES.changed(changes)
-    sessions = make_sessions(TASKS[name], tracks=walkers(), stages=stages, seed=0)
-    return sessions, sensed_sessions(sessions, groups=(), stages=stages, seed=0).sensed
+    task_windows = make_task_windows(
+        TASKS[name], tracks=walkers(), stages=stages, seed=0
+    )
+    return task_windows, sense_task(
+        task_windows, groups=(), stages=stages, seed=0
+    ).sensed
 
 
 def levels(name):
     """By side: the log of each window's noise without the distance, and its person."""
-    sessions, sides = sensed(name, **CLEAR)
+    task_windows, sides = sensed(name, **CLEAR)
     station_m = np.array([STAGES.sensing.bs_x_m, STAGES.sensing.bs_y_m])
-    windows_by_side = zip(sides, (sessions.probe, sessions.gallery), strict=True)
+    windows_by_side = zip(
+        sides, (task_windows.probe, task_windows.gallery), strict=True
+    )
     whose = []
     for side, windows in windows_by_side:
         far_m = np.hypot(*(windows.xy - station_m).T)
         level = np.log(side.sigma_raw) - STAGES.sensing.path_loss_exponent * np.log(
             far_m
         )
-        own = {sessions.source[item]: set() for item in windows.person.tolist()}
+        own = {task_windows.source[item]: set() for item in windows.person.tolist()}
         for row, (lo, hi) in zip(
             windows.person.tolist(), pairwise(windows.offsets), strict=True
         ):
-            own[sessions.source[row]] |= set(np.round(level[lo:hi], 9).tolist())
+            own[task_windows.source[row]] |= set(np.round(level[lo:hi], 9).tolist())
         whose.append(own)
     return whose
 
@@ -76,12 +82,17 @@ def test_no_draw_depends_on_the_gap():
     """Before the gap all is the same; after it, each instant of a walk has one value."""
     windows = []
     for name in HANDOVERS:
-        sessions, sides = sensed(name)
+        task_windows, sides = sensed(name)
         keys = zip(
-            sessions.probe.person.tolist(), sessions.probe.search.tolist(), strict=True
+            task_windows.probe.person.tolist(),
+            task_windows.probe.search.tolist(),
+            strict=True,
         )
         each = {
-            (sessions.source[row], sessions.searches[number]): side.xy.tobytes()
+            (
+                task_windows.source[row],
+                task_windows.search_names[number],
+            ): side.xy.tobytes()
             for (row, number), side in zip(keys, sides[0], strict=True)
         }
         windows.append(each)
@@ -94,11 +105,11 @@ def test_no_draw_depends_on_the_gap():
 @pytest.mark.parametrize("name", ["rerelease", "split", "handover-2s"])
 def test_how_far_somebody_walked_does_not_depend_on_where_a_window_is_cut(name):
     tracks = walkers()
-    sessions, _ = sensed(name)
+    task_windows, _ = sensed(name)
     row = {source: place for place, source in enumerate(tracks.source)}
-    for windows in (sessions.probe, sessions.gallery):
+    for windows in (task_windows.probe, task_windows.gallery):
         for number, place in enumerate(windows.person[:6].tolist()):
-            whole = tracks[row[sessions.source[place]]]
+            whole = tracks[row[task_windows.source[place]]]
             part = slice(*windows.offsets[number : number + 2])
             # The length of the way on a clock a hundred times as fine.
             t = np.linspace(whole.t[0], whole.t[-1], 30_000)

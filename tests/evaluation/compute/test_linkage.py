@@ -17,7 +17,7 @@ from helpers.cells import (
     STAGES,
     Spy,
     linked,
-    make_sessions,
+    make_task_windows,
     parsed,
     plugin,
     result_numbers,
@@ -28,10 +28,10 @@ from scipy.stats import binomtest
 
 import evaluation
 from attacks.tasks.controls import CONTROLS
-from attacks.tasks.sessions import COLUMNS
 from attacks.tasks.task_list import TASKS
+from attacks.tasks.window_circumstances import CIRCUMSTANCE_COLUMNS
 from evaluation import matrix
-from evaluation.compute.link_setup import sensed_sessions
+from evaluation.compute.link_setup import sense_task
 from evaluation.compute.link_tables import DERIVED, linkage_tables
 from evaluation.estimates import linkability, recordings
 from evaluation.plan.axes import expand_axes
@@ -85,7 +85,7 @@ def behind(linker, reconstruction):
 
 def task_links(task, *links, by="raw", **options):
     """What is linked in a task, by consumer and adversary."""
-    return linked(make_sessions(task), by, *links, **options)[0]
+    return linked(make_task_windows(task), by, *links, **options)[0]
 
 
 def equal(first, second):
@@ -105,26 +105,29 @@ def watched(request):
 
     Sessions, level, adversaries, and context, probe and gallery of each search.
     """
-    spy, sessions = Linker(uses=frozenset(Knowledge)), make_sessions(request.param)
-    results, level = linked(sessions, "clean", spy)
-    return sessions, level, {knowledge for _, knowledge in results}, spy.seen
+    spy, task_windows = (
+        Linker(uses=frozenset(Knowledge)),
+        make_task_windows(request.param),
+    )
+    results, level = linked(task_windows, "clean", spy)
+    return task_windows, level, {knowledge for _, knowledge in results}, spy.seen
 
 
 class TestWhatAnAdversarySees:
     def test_every_walk_has_a_frame_and_a_clock_of_its_own_unless_the_scene_shows(
         self, watched
     ):
-        sessions, level, _, ((_, probe, _), *_) = watched
+        task_windows, level, _, ((_, probe, _), *_) = watched
         rows = next(iter(level.setup.folds[0].searches.values())).probe
-        if sessions.task.shows_scene:  # the true frame and clock, to everyone
-            own = samples(sessions.probe, rows)
-            assert np.allclose(probe.xy, sessions.probe.xy[own], atol=1e-9)
-            assert np.array_equal(probe.t, sessions.probe.t[own])
+        if task_windows.task.shows_scene:  # the true frame and clock, to everyone
+            own = samples(task_windows.probe, rows)
+            assert np.allclose(probe.xy, task_windows.probe.xy[own], atol=1e-9)
+            assert np.array_equal(probe.t, task_windows.probe.t[own])
             return
         angles, starts = [], []
         for track, row in zip(probe, rows, strict=True):
-            own = samples(sessions.probe, [row])
-            truth, t = sessions.probe.xy[own], sessions.probe.t[own]
+            own = samples(task_windows.probe, [row])
+            truth, t = task_windows.probe.xy[own], task_windows.probe.t[own]
             # The same walk, by its distances, but neither where nor when it was.
             near = np.linalg.norm(track.xy - track.xy[0], axis=1)
             assert np.allclose(
@@ -140,9 +143,9 @@ class TestWhatAnAdversarySees:
     def test_sigma_shows_where_it_is_granted_frame_and_repeats_where_the_task_does(
         self, watched
     ):
-        sessions, _, adversaries, seen = watched
+        task_windows, _, adversaries, seen = watched
         for context, *sides in seen:
-            assert (Knowledge.SCENE in context.granted) == sessions.task.shows_scene
+            assert (Knowledge.SCENE in context.granted) == task_windows.task.shows_scene
             assert Knowledge.REPEATS not in context.granted
             for side in sides:
                 assert (side.sigma is not None) == (Knowledge.SIGMA in context.granted)
@@ -151,7 +154,7 @@ class TestWhatAnAdversarySees:
         assert adversaries == {"blind", "informed", "oracle"}
 
     def test_who_trains_is_somebody_else(self, watched):
-        sessions, level, _, seen = watched
+        task_windows, level, _, seen = watched
         context, probe, _ = next(
             item for item in seen if Knowledge.TRAIN in item[0].granted
         )
@@ -163,18 +166,23 @@ class TestWhatAnAdversarySees:
             for release in (train.probe, probe)
         ]
         assert shapes[0].isdisjoint(shapes[1])
-        learns = level.setup.folds[0].learns
-        taught = sessions.probe.person[learns.probe]
-        assert set(taught) <= set(np.flatnonzero(sessions.learns[0]))
-        assert sessions.task.shows_scene or len(set(taught)) == sessions.learns[0].sum()
+        learns = level.setup.folds[0].training
+        taught = task_windows.probe.person[learns.probe]
+        assert set(taught) <= set(np.flatnonzero(task_windows.trained_on[0]))
+        assert (
+            task_windows.task.shows_scene
+            or len(set(taught)) == task_windows.trained_on[0].sum()
+        )
         # The mates of the training set are mates.
-        assert (sessions.gallery.person[learns.gallery][learns.mate] == taught).all()
+        assert (
+            task_windows.gallery.person[learns.gallery][learns.mate] == taught
+        ).all()
 
     def test_the_clock_hides_the_day_as_well(self):
         tracks = walkers()
         days = np.repeat(86_400.0 * np.arange(len(tracks)), np.diff(tracks.offsets))
         spy, crowd = Linker(), replace(tracks, t=tracks.t + days)
-        linked(make_sessions("rerelease", tracks=crowd), "raw", spy)
+        linked(make_task_windows("rerelease", tracks=crowd), "raw", spy)
         _, probe, _ = spy.seen[0]
         assert probe.t[probe.offsets[:-1]].max() <= 86_400.0
 
@@ -211,17 +219,17 @@ class TestWhatAnAdversarySees:
         )
 
     def test_a_reconstruction_in_front_learns_where_its_people_truly_were(self):
-        rounds, sessions = (
+        rounds, task_windows = (
             Spy(uses=frozenset({Knowledge.TRAIN})),
-            make_sessions("rerelease"),
+            make_task_windows("rerelease"),
         )
-        linked(sessions, "clean", behind(Linker(), rounds))
+        linked(task_windows, "clean", behind(Linker(), rounds))
         informed = [
             context.train
             for context, *_ in rounds.seen
             if Knowledge.TRAIN in context.granted
         ]
-        assert len(informed[0].release) == sessions.learns[0].sum()
+        assert len(informed[0].release) == task_windows.trained_on[0].sum()
         for train in informed:
             assert np.allclose(train.truth, train.release.xy, atol=1e-6)
 
@@ -253,18 +261,20 @@ class TestWhatIsReadOff:
         assert result.scorecard.n_mated == hits.size
 
     def test_without_groups_neither_probes_nor_candidates_are_of_one(self):
-        results, level = linked(make_sessions("rerelease"), "clean", Linker())
-        result, sessions, alone = (
+        results, level = linked(make_task_windows("rerelease"), "clean", Linker())
+        result, task_windows, alone = (
             results[SPY],
-            level.setup.sessions,
-            level.setup.sessions.alone,
+            level.setup.task_windows,
+            level.setup.task_windows.alone,
         )
         hits = []
         for search, (_, pairing) in zip(
             result.searches, sorted(level.setup.searches.items()), strict=True
         ):
-            candidates = np.flatnonzero(alone[sessions.gallery.person[pairing.gallery]])
-            for row in np.flatnonzero(alone[sessions.probe.person[pairing.probe]]):
+            candidates = np.flatnonzero(
+                alone[task_windows.gallery.person[pairing.gallery]]
+            )
+            for row in np.flatnonzero(alone[task_windows.probe.person[pairing.probe]]):
                 best = candidates[search.scores[row, candidates].argmax()]
                 hits.append(best == search.mate[row])
         part = result.cohorts["without_groups"]
@@ -273,19 +283,19 @@ class TestWhatIsReadOff:
         assert part["chance"] > result.scorecard.estimates["chance"].value
 
     def test_who_is_in_the_scenes_too_is_drawn_alike(self):
-        sessions = make_sessions("rerelease")
-        ours = sorted(set(sessions.group))
+        task_windows = make_task_windows("rerelease")
+        ours = sorted(set(task_windows.group))
         groups = ours[5:]
-        known = sensed_sessions(sessions, groups=groups, stages=STAGES, seed=0)
+        known = sense_task(task_windows, groups=groups, stages=STAGES, seed=0)
         drawn = cluster_weights(n_clusters=len(groups), n_replicates=1000, seed=0)
         assert np.array_equal(known.weights[:, 5:], drawn)
         assert (known.weights[:, :5].sum(axis=1) == 5).all()
 
     def test_who_has_no_mate_is_left_alone_in_a_handover(self):
-        sessions = make_sessions("handover-2s", tracks=walkers(80))
-        results, *_ = linked(sessions, "clean", parsed("attacks", "kinematic"))
+        task_windows = make_task_windows("handover-2s", tracks=walkers(80))
+        results, *_ = linked(task_windows, "clean", parsed("attacks", "kinematic"))
         estimates = results["handover-2s/kinematic", "informed"].scorecard.estimates
-        assert (sessions.mate < 0).any()
+        assert (task_windows.mate < 0).any()
         assert estimates["rank1"].value > 0.9
         assert estimates["rank1_assigned"].value > 0.8
         assert estimates["false_link_rate"].value < 0.6
@@ -294,7 +304,10 @@ class TestWhatIsReadOff:
 class TestControls:
     @pytest.mark.parametrize(
         ("task", "without"),
-        [("rerelease", {*COLUMNS}), ("handover-1s", {*COLUMNS, "frame", "clock"})],
+        [
+            ("rerelease", {*CIRCUMSTANCE_COLUMNS}),
+            ("handover-1s", {*CIRCUMSTANCE_COLUMNS, "frame", "clock"}),
+        ],
     )
     def test_every_task_has_its_controls(self, task, without):
         result = task_links(task, Linker(), controls=True)
@@ -323,7 +336,9 @@ class TestControls:
             for spec in ("raw", "fixed:1")
         )
         for name, control in (
-            (item, CONTROLS[item]) for item in CONTROLS if item not in COLUMNS
+            (item, CONTROLS[item])
+            for item in CONTROLS
+            if item not in CIRCUMSTANCE_COLUMNS
         ):
             key = f"rerelease/control-{name}", ""
             assert equal(raw[key], fixed[key]) == control.sees_times_only
@@ -333,8 +348,10 @@ class TestControls:
     def test_a_control_is_rejected_as_often_as_the_test_says(self, name):
         rejected = []
         for seed in range(300):
-            sessions = make_sessions("rerelease", seed=seed)
-            results, *_ = linked(sessions, "raw", Linker(), controls=True, seed=seed)
+            task_windows = make_task_windows("rerelease", seed=seed)
+            results, *_ = linked(
+                task_windows, "raw", Linker(), controls=True, seed=seed
+            )
             rejected.append(
                 results[f"rerelease/control-{name}", ""].scorecard.p_value <= 0.05
             )
@@ -407,7 +424,7 @@ class TestBreaches:
 def written(out, task, *, control="", keep_scores=False):
     """Result and setup of a linker or control, its tables, and its manifest entry."""
     results, level = linked(
-        make_sessions(task), "raw", Linker(), controls=bool(control)
+        make_task_windows(task), "raw", Linker(), controls=bool(control)
     )
     consumer = Consumer("linkage", plugin(Linker()), "blind", task=task)
     if control:
@@ -464,7 +481,7 @@ class TestCells:
         for row, (number, scores, mate) in zip(
             table.itertuples(), expected, strict=True
         ):
-            assert row.search == known.sessions.searches[number]
+            assert row.search == known.task_windows.search_names[number]
             assert row.chance == 1 / scores.size
             mate_scores = np.nan if mate < 0 else scores[mate]
             assert row.above == ((scores > mate_scores).sum() if mate >= 0 else -1)
@@ -849,9 +866,9 @@ class TestOutcomes:
 
 
 def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
-    sessions = make_sessions("cross_session", tracks=runs())
+    task_windows = make_task_windows("cross_session", tracks=runs())
     spy = Linker(requires=frozenset({Knowledge.TRAIN}))
-    results, level = linked(sessions, "clean", spy, controls=True)
+    results, level = linked(task_windows, "clean", spy, controls=True)
     (result,) = (cell for (spec, _), cell in results.items() if "control" not in spec)
     (pairing,) = level.setup.searches.values()
     assert pairing.probe.tolist() == list(range(10))
@@ -875,6 +892,6 @@ def test_who_comes_back_is_linked_by_an_adversary_who_never_saw_them_learning():
     assert (crowd.scores == 0).all()
     times = results["cross_session/control-run_time", ""].searches[0].scores
     gap = np.subtract.outer(
-        sessions.probe.circumstances[:, 4], sessions.gallery.circumstances[:, 4]
+        task_windows.probe.circumstances[:, 4], task_windows.gallery.circumstances[:, 4]
     )
     assert (np.argsort(-np.abs(gap), axis=1) == np.argsort(times, axis=1)).all()

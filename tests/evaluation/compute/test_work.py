@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from helpers.cells import STAGES, Spy, World, make_sessions, parsed, plugin
+from helpers.cells import STAGES, Spy, World, make_task_windows, parsed, plugin
 
 from attacks.tasks.controls import CONTROLS
 from attacks.tasks.task_list import TASKS
@@ -26,7 +26,7 @@ def piece(tracks):
     levels = tuple(
         (parsed("mechanisms", spec), consumers) for spec in ("fid:1", "fixed:0.3")
     )
-    return LinkWork(make_sessions(task.name), (), levels), known
+    return LinkWork(make_task_windows(task.name), (), levels), known
 
 
 def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypatch):

@@ -29,7 +29,7 @@ def scores(rng, *, effect=0.0, slices=1):
     return np.stack([rng.standard_normal((n, n)) + effect * SAME] * slices)
 
 
-@pytest.mark.parametrize("probe", ["another run", "same run"])
+@pytest.mark.parametrize("probe", ["another session", "same session"])
 @pytest.mark.parametrize("most", [1, None])
 def test_a_person_scores_the_mean_over_the_enrolled_passages(probe, most):
     values = scores(stream(0, "test", "means"))[0]
@@ -40,7 +40,7 @@ def test_a_person_scores_the_mean_over_the_enrolled_passages(probe, most):
             place = SESSION[row]
             gallery = np.flatnonzero(weights[place][:, person])
             assert (SESSION[gallery] == place).all() == (
-                probe == "same run" or not gallery.size
+                probe == "same session" or not gallery.size
             )
             gallery = gallery[gallery != row]
             if not gallery.size:
