@@ -154,7 +154,8 @@ def _parser() -> Parser:
     add("out", type=Path, metavar="OUT", help="folder of a run")
     for name, metric in LIMITS.items():
         row = METRICS[metric]
-        kind, unit = ("a fraction", "X") if row.is_share else ("in s", "S")
+        is_share = row.is_share
+        kind, unit = ("a fraction", "X") if is_share else (f"in {row.unit}", "S")
         about = limit_help.get(name, f"{row.head}, {kind}")
         usual = USUAL.get(name)
         default = "" if usual is None else f" (default: {usual:g})"

@@ -145,12 +145,22 @@ def names(kind: Kind) -> dict[str, str]:
     """
     known = dict(_BUILT_IN.get(kind, {}))
     if kind == "mechanisms":
-        for module in _MECHANISMS:
-            table = importlib.import_module(module).MECHANISMS
-            known |= {name: f"{module}:{cls.__name__}" for name, cls in table.items()}
+        known |= {
+            name: f"{cls.__module__}:{cls.__name__}"
+            for name, cls in built_in_mechanisms().items()
+        }
     for point in _entry_points(kind):
         known.setdefault(point.name, point.value)
     return known
+
+
+def built_in_mechanisms() -> dict[str, type[Any]]:
+    """Return the class of each built-in mechanism, by its name in a SPEC."""
+    return {
+        name: cls
+        for module in _MECHANISMS
+        for name, cls in importlib.import_module(module).MECHANISMS.items()
+    }
 
 
 def broken(kind: Kind) -> dict[str, str]:

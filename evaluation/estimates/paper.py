@@ -9,7 +9,12 @@ import pandas as pd
 
 from evaluation.estimates.families import ADDING_RULES, AT_RAW, FID, FIXED, RAW
 from evaluation.estimates.interpolation import MIN_DEFINED
-from evaluation.estimates.metrics import METRICS, MISSED_FUTURE, MISSED_RATE
+from evaluation.estimates.metrics import (
+    METRICS,
+    MISSED_FUTURE,
+    MISSED_RATE,
+    PAPER_DESCRIPTORS,
+)
 from evaluation.estimates.sweeps import FUTURE, MISSED, Sweeps
 from evaluation.plan.address import Address, MechanismLevel, parse_dataset
 from evaluation.plan.presets import SHARED
@@ -346,7 +351,8 @@ def _by_rate(
         "consumer": SHARED,
         "predictor": PREDICTOR,
     }
-    rows = matched[(matched[[*wanted]] == [*wanted.values()]).all(axis=1)]
+    is_wanted = (matched[[*wanted]] == [*wanted.values()]).all(axis=1)
+    rows = matched[is_wanted & matched["metric"].isin(PAPER_DESCRIPTORS)]
     yield METRICS[MISSED_RATE].text, rows[rows["criterion"] == MISSED]
     to_come = rows[rows["criterion"] == FUTURE]
     for dataset, at_horizon in to_come.groupby("dataset", sort=False):

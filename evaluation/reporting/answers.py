@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from evaluation.estimates.families import AT_RAW, CLEAN, PAPER_FAMILIES, RAW
-from evaluation.estimates.metrics import DESCRIPTORS
+from evaluation.estimates.metrics import PAPER_DESCRIPTORS
 from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import (
     PERCENT,
@@ -320,7 +320,7 @@ def _linked_numbers(
 def _descriptor_items(items: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Return the items of the verdict on the descriptors of the paper."""
     validity = [item for item in items if item["section"] == rules.VALIDITY]
-    return [item for item in validity if item["descriptor"] in DESCRIPTORS]
+    return [item for item in validity if item["descriptor"] in PAPER_DESCRIPTORS]
 
 
 def _leading_item(items: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
@@ -358,7 +358,7 @@ def _decision_sentence(
     high = round_percent(PERCENT * (item["spread_high"] or 0.0))
     several = len(names) > 1
     subject = f"The {listed(names)}"
-    if len(names) == len(DESCRIPTORS):
+    if len(names) == len(PAPER_DESCRIPTORS):
         subject = "The paper's three descriptors"
     says_not = "do not say" if several else "does not say"
     says = "say" if several else "says"

@@ -11,8 +11,10 @@ from typing import Final
 
 from markupsafe import Markup, escape
 
+from evaluation.estimates.metrics import METRICS
 from evaluation.plan.address import parse_consumer
 from evaluation.reporting.names import ATTACK_NAMES, FAMILY_NAMES, ROBOT_NAMES
+from isac_track.plugins import built_in_mechanisms
 
 _WORDS: Final = {
     "ISAC": (
@@ -52,13 +54,11 @@ _WORDS: Final = {
     "interval": (
         "95 % interval over people: 19 of 20 such intervals hold the true value."
     ),
-    "chance": "Rank 1 of a random guess: one divided by the number of candidates.",
     "candidates": "People among whom a linkage attack looks for the same person.",
     "missed conflict": (
         "A robot does not foresee that somebody comes inside the safety radius."
     ),
     "future conflict": "A conflict in which nobody is inside the safety radius yet.",
-    "false alarm": "A robot expects a conflict that does not happen.",
     "handover": (
         "Pseudonyms change after some seconds of silence; frame and clock stay true."
     ),
@@ -110,41 +110,7 @@ _WORDS: Final = {
     "shared": "What the network sent, as `as shared`.",
 }
 
-_MECHANISMS: Final = {
-    "raw": "Sensed positions, shared with nothing added.",
-    "clean": "True positions without any error: a reference, not a release.",
-    "fixed": "The same amount of noise on every position, level in m.",
-    "fid": "The paper's mechanism: noise where the FID exceeds eta.",
-    "ou": "Noise that changes slowly, over some seconds (tau_s), level in m.",
-    "ou_fid": "Slow noise where the FID exceeds eta.",
-    "laplace": "Planar Laplace noise on every position, level in m.",
-    "forecast": (
-        "The network's own filtered position, once a second, with noise, level in m."
-    ),
-    "qclm": "Laplace noise that changes as slowly as a walk, level in m.",
-    "gp_prior": "Gaussian noise with the correlation of a walk, level in m.",
-    "fourier": "Laplace noise in a walk's first Fourier coefficients, level in m.",
-    "least_information": (
-        "Noise that tells least about a walk for its size (mutual information), in m."
-    ),
-    "remap": (
-        "Planar Laplace noise, then the likeliest position given the reports before."
-    ),
-    "shaped": (
-        "Smooth slow noise that costs a robot least for the error, in m, that it leaves"
-        " an adversary with four releases and a known position."
-    ),
-    "correlated": (
-        "A control: noise as large as fixed noise, but similar from sample to sample."
-    ),
-    "offset": (
-        "A control: a whole track shifted by one distance in a random direction, in m."
-    ),
-    "thin": "A control: only every n-th sample is shared.",
-    "window": (
-        "Only the last seconds of every track are shared; older samples are withheld."
-    ),
-}
+_MECHANISMS: Final = {name: cls.about for name, cls in built_in_mechanisms().items()}
 
 _ATTACKS: Final = {
     "identity": "No attack: the positions as shared.",
@@ -219,93 +185,10 @@ _TRACKERS: Final = {
     "genie": "A reference: assigns each scan given where everybody truly is.",
 }
 
+# Metrics of equal heads, such as those of two optima, share their sentence.
 _METRICS: Final = {
-    "missed": "Share of conflicts that a robot misses.",
-    "missed future": "Share of future conflicts that a robot misses.",
-    "distance MAE": "Mean absolute error of the distance that a robot predicts, m.",
-    "robot's own PLR": (
-        "Share of positions that the robot's own filter knows within epsilon."
-    ),
-    "PLR": (
-        "Privacy leakage ratio: share of positions closer to the truth than epsilon."
-    ),
-    "AEL": (
-        "Average exposure length: how long positions leak without a break on"
-        " average, s."
-    ),
-    "MEL": (
-        "Maximum exposure length: the longest unbroken leak of a track, averaged, s."
-    ),
-    "PLR, worst tenth": "PLR of the most exposed tenth of the people.",
-    "RMSE": "Root mean squared distance to the true positions, m.",
-    "RMSE ratio": "RMSE divided by that of a linear benchmark smoother.",
-    "PLR ratio": "PLR divided by that of a linear benchmark smoother.",
-    "PLR at 4/3 epsilon": "PLR with a distance limit one third larger.",
-    "median error": "Median distance to the true positions, m.",
-    "below the optimum": "How far the best attack stays below the optimum, in points.",
-    "optimal rank 1": "Rank 1 of the optimum in a model world.",
-    "optimal PLR": "PLR of the optimum in a model world.",
-    "PLR ceiling": "PLR of an attacker who also knows the scale of every error.",
-    "rank 1": "Share of people whose own other track comes first among the candidates.",
-    "rank 1 of 100": "Rank 1 among 100 candidates, comparable between runs.",
-    "rank 1, assigned": "Rank 1 if all probes are matched at once.",
-    "false links": (
-        "Share of probes without a partner for which a linker names somebody."
-    ),
-    "MRR": "Mean reciprocal rank of the right candidate.",
-    "AUC": "Chance that a pair of one person scores above a pair of two people.",
-    "EER": "Error rate at the threshold where both kinds of error are equal.",
-    "TPR at FPR 1 %": "Share of true pairs accepted while 1 % of false pairs are.",
-    "TPR at FPR 0.1 %": "Share of true pairs accepted while 0.1 % of false pairs are.",
-    "Cllr": "Cost of the scores as log likelihood ratios, bit; 0 is perfect.",
-    "Cllr_min": "Cllr after the best calibration, bit; 1 means no information.",
+    **{metric.head: metric.about for metric in METRICS.values()},
     "1 - Cllr_min": "Information in the scores after the best calibration, bit.",
-    "D_sys": "Global linkability measure from 0 to 1 (Gomez-Barrero et al.).",
-    "D_sys, published program": "D_sys as the published program computes it.",
-    "D_sys, corrected": "D_sys minus its mean over shuffled pairs.",
-    "residual risk": (
-        "Rank 1 above chance, as a share of all that is possible above chance."
-    ),
-    "at equal false alarms": (
-        "Future conflicts missed at the false alarms that a robot has if all is sent"
-        " raw."
-    ),
-    "missed encounters": "Share of first entries of which a robot was not warned.",
-    "withheld": (
-        "Share of conflicts that a robot would foresee if all were sent, and does not."
-    ),
-    "false alarms a minute": "Runs of alarms of a robot without a conflict, 1/min.",
-    "disclosed": "Share of person-time of which the nearest sample was sent.",
-    "known": (
-        "Share of person-time that an adversary with the log states within epsilon."
-    ),
-    "known, worst tenth": "The same of the tenth of people that is known best.",
-    "known, not sent": "Share of person-time that is known without a sample of it.",
-    "people seen": "Share of people with at least one answer in the log.",
-    "PLR of walks": "PLR of whole walks, where samples that are not sent are safe.",
-    "followed": "Time within one chain of answers that are all of one person, s.",
-    "followed 10 s": "Share followed so long, of the people present so long.",
-    "followed 30 s": "Share followed so long, of people present for 30 s.",
-    "time to confusion": (
-        "Time until an adversary is unsure who goes on (Hoh et al.), s; at most 30."
-    ),
-    "gain over the control": (
-        "Rank 1 of people who come back, less that of the strongest control."
-    ),
-    "nested p": (
-        "Chance of so high scores of the same person, beyond all controls, if people"
-        " were exchanged."
-    ),
-    "gain in the session left aside": "The same gain in a session that confirms.",
-    "nested p there": "The same probability in a session that confirms.",
-    "GOSPA": "Distance of tracks from people, with a cost of misses and of false tracks.",
-    "OSPA": "The same as a mean over the larger of both sets, at most 1 m.",
-    "HOTA": "How well tracks detect people and hold them, 0 to 1 (Luiten et al.).",
-    "purity": "Share of samples of tracks that are of the track's main person.",
-    "switches": "Changes of the track that holds a person, per minute of presence.",
-    "rejoined": "Share of breaks of a track after which the right track is joined.",
-    "linkable": "Share of people with a track of their own on both sides of a silence.",
-    "fragments": "Further tracks of a person who has a track, per minute of presence.",
 }
 
 GLOSSARY: Final[Mapping[str, Mapping[str, str]]] = MappingProxyType(

@@ -10,28 +10,13 @@ from typing import Final
 
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import level_text
+from evaluation.estimates.metrics import METRICS
 from evaluation.plan.address import plugin_name
 from evaluation.reporting.table import plugin_label
+from isac_track.plugins import built_in_mechanisms
 
 _MECHANISMS: Final = {
-    "raw": "raw positions",
-    "clean": "no error at all",
-    "fid": "FID noise, eta {level}",
-    "fixed": "fixed noise, {level} m",
-    "ou": "slow noise, {level} m",
-    "ou_fid": "slow FID noise, eta {level}",
-    "laplace": "Laplace noise, {level} m",
-    "forecast": "forecast noise, {level} m",
-    "qclm": "correlated Laplace, {level} m",
-    "gp_prior": "noise like a walk, {level} m",
-    "fourier": "Fourier noise, {level} m",
-    "least_information": "least informative, {level} m",
-    "remap": "remapped Laplace, {level} m",
-    "shaped": "shaped noise, floor {level} m",
-    "correlated": "correlated noise, {level} m",
-    "offset": "constant shift, {level} m",
-    "thin": "every {level}th sample",
-    "window": "last {level} s only",
+    family: cls.plain_name for family, cls in built_in_mechanisms().items()
 }
 """By family. A mechanism that is not here is a user's: it is called by its SPEC."""
 
@@ -262,8 +247,8 @@ def adding_phrase(adding: str) -> str:
 
 
 def descriptor_name(metric: str) -> str:
-    """Return the name of a privacy descriptor of the paper, spelled out."""
-    return _DESCRIPTORS.get(metric, metric)
+    """Return the name of a privacy descriptor, that of the paper's spelled out."""
+    return _DESCRIPTORS.get(metric) or METRICS[metric].text
 
 
 def shortcut_name(shortcut: str) -> str:

@@ -427,9 +427,9 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
     if name in (PLR, PLR_WIDE):
         reach_m = WIDE_TIMES * epsilon_m if name == PLR_WIDE else epsilon_m
         return f"{_adversary(check)} knows {share} of positions to {reach_m:.4g} m"
-    return (
-        f"{_adversary(check)} leaves a {descriptor_name(name)} of up to {upper:.2f} s"
-    )
+    metric = METRICS[name]
+    amount = share if metric.is_share else f"up to {upper:.2f} {metric.unit}".strip()
+    return f"{_adversary(check)} leaves a {descriptor_name(name)} of {amount}"
 
 
 def _adversary(check: Check) -> str:
@@ -488,7 +488,7 @@ def _subject(check: Check, answer: Recommendation) -> str:
         PLR: "known positions",
         PLR_WIDE: "known positions",
     }
-    return subjects.get(name, descriptor_name(name))
+    return subjects[name] if name in subjects else descriptor_name(name)
 
 
 def missing_texts(answer: Recommendation) -> list[str]:

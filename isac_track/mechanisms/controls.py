@@ -33,6 +33,10 @@ class Correlated:
     adding: Adding = "linear"
 
     # Without that no linear benchmark holds.
+    plain_name: ClassVar[str] = "correlated noise, {level} m"
+    about: ClassVar[str] = (
+        "A control: noise as large as fixed noise, but similar from sample to sample."
+    )
     errors_are_independent: ClassVar[bool] = False
     protects: ClassVar[bool] = False
 
@@ -71,6 +75,10 @@ class Offset:
 
     distance: float  # m
 
+    plain_name: ClassVar[str] = "constant shift, {level} m"
+    about: ClassVar[str] = (
+        "A control: a whole track shifted by one distance in a random direction, in m."
+    )
     adds_error: ClassVar[bool] = False
     errors_are_independent: ClassVar[bool] = False
     protects: ClassVar[bool] = False
@@ -100,6 +108,8 @@ class Thin:
     adding: Adding = "linear"
     d_sigma: float = 0.0  # m
 
+    plain_name: ClassVar[str] = "every {level}th sample"
+    about: ClassVar[str] = "A control: only every n-th sample is shared."
     protects: ClassVar[bool] = False
     withholds: ClassVar[bool] = True
 

@@ -75,6 +75,8 @@ class Qclm:
     tau_s: float = WALK_TAU_S  # Its correlation is exp(-(dt / tau)^2).
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "correlated Laplace, {level} m"
+    about: ClassVar[str] = "Laplace noise that changes as slowly as a walk, level in m."
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -115,6 +117,8 @@ class GpPrior:
     tau_s: float = WALK_TAU_S  # Prior and noise have the correlation exp(-(dt/tau)^2).
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "noise like a walk, {level} m"
+    about: ClassVar[str] = "Gaussian noise with the correlation of a walk, level in m."
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -159,6 +163,10 @@ class Fourier:
     walk_tau_s: float = WALK_TAU_S
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "Fourier noise, {level} m"
+    about: ClassVar[str] = (
+        "Laplace noise in a walk's first Fourier coefficients, level in m."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -255,6 +263,10 @@ class LeastInformation:
     q: float = Q_M2_PER_S3  # m^2/s^3
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "least informative, {level} m"
+    about: ClassVar[str] = (
+        "Noise that tells least about a walk for its size (mutual information), in m."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -314,6 +326,10 @@ class Remap:
     std_m: float  # m, standard deviation of a report's Laplace noise, per axis.
     q: float = Q_M2_PER_S3  # m^2/s^3, spectral density of the acceleration.
 
+    plain_name: ClassVar[str] = "remapped Laplace, {level} m"
+    about: ClassVar[str] = (
+        "Planar Laplace noise, then the likeliest position given the reports before."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True

@@ -60,6 +60,8 @@ class Raw:
         False: it claims no protection.
     """
 
+    plain_name: ClassVar[str] = "raw positions"
+    about: ClassVar[str] = "Sensed positions, shared with nothing added."
     adds_error: ClassVar[bool] = False
     protects: ClassVar[bool] = False
 
@@ -113,6 +115,8 @@ class Fixed:
     adding: Adding = "linear"
     law: ErrorLaw | None = None
 
+    plain_name: ClassVar[str] = "fixed noise, {level} m"
+    about: ClassVar[str] = "The same amount of noise on every position, level in m."
     protects: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
@@ -162,6 +166,8 @@ class Fid:
     law: ErrorLaw | None = None
     information: Literal["trace", "least"] = "trace"
 
+    plain_name: ClassVar[str] = "FID noise, eta {level}"
+    about: ClassVar[str] = "The paper's mechanism: noise where the FID exceeds eta."
     sweep: ClassVar[str] = "log"
     protects: ClassVar[bool] = True
 
@@ -195,6 +201,10 @@ class Clean:
         False: it claims no protection.
     """
 
+    plain_name: ClassVar[str] = "no error at all"
+    about: ClassVar[str] = (
+        "True positions without any error: a reference, not a release."
+    )
     adds_error: ClassVar[bool] = False
     protects: ClassVar[bool] = False
 

@@ -74,6 +74,10 @@ class Ou:
     Averaging releases then gains nothing, but their shared error makes them similar.
     """
 
+    plain_name: ClassVar[str] = "slow noise, {level} m"
+    about: ClassVar[str] = (
+        "Noise that changes slowly, over some seconds (tau_s), level in m."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -98,6 +102,8 @@ class OuFid:
     tau_s: float = 5.0  # s
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "slow FID noise, eta {level}"
+    about: ClassVar[str] = "Slow noise where the FID exceeds eta."
     sweep: ClassVar[str] = "log"
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
@@ -126,6 +132,8 @@ class Laplace:
 
     std_m: float  # m, standard deviation of the added error, per axis.
 
+    plain_name: ClassVar[str] = "Laplace noise, {level} m"
+    about: ClassVar[str] = "Planar Laplace noise on every position, level in m."
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True
@@ -182,6 +190,10 @@ class Forecast:
     every_s: float = 1.0  # s
     q: float = 0.057  # m^2/s^3, spectral density of the acceleration in the filter.
 
+    plain_name: ClassVar[str] = "forecast noise, {level} m"
+    about: ClassVar[str] = (
+        "The network's own filtered position, once a second, with noise, level in m."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True

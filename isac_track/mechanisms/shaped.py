@@ -45,6 +45,11 @@ class Shaped:
     """m per axis; 0, or within the floors of `OPTIMA`: between them log-linear."""
     reuse: Reuse = "release"
 
+    plain_name: ClassVar[str] = "shaped noise, floor {level} m"
+    about: ClassVar[str] = (
+        "Smooth slow noise that costs a robot least for the error, in m, that it"
+        " leaves an adversary with four releases and a known position."
+    )
     adding: ClassVar[Adding] = "independent"
     law: ClassVar[ErrorLaw] = "isotropic"
     protects: ClassVar[bool] = True

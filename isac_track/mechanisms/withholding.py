@@ -35,6 +35,10 @@ class Window:
     adding: Adding = "linear"
     d_sigma: float = 0.0  # m, standard deviation that is added.
 
+    plain_name: ClassVar[str] = "last {level} s only"
+    about: ClassVar[str] = (
+        "Only the last seconds of every track are shared; older samples are withheld."
+    )
     protects: ClassVar[bool] = True
     withholds: ClassVar[bool] = True
 
