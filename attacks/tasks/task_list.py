@@ -22,7 +22,10 @@ class Task:
     """What a linkage task shows of walks, frame and clock."""
 
     name: str
-    about: str
+    about: str  # What the releases are, in lists and in `linkability.csv`.
+    sentence: str  # What the adversary does, in the glossary.
+    phrase: str  # Time or place of the second log, after "re-identified".
+    head: str  # Heading of a column of re-identified people.
     # Whether the releases come in the true frame and on the true clock.
     shows_scene: bool = False
     silence_s: float = 0.0  # From the old pseudonyms to the new: without samples.
@@ -73,35 +76,55 @@ TASKS: Final[Mapping[str, Task]] = {
         Task(
             "rerelease",
             "two logs of the same steps, without frame or clock",
+            sentence="Link two logs of the same steps, without true frame or clock.",
+            phrase="between two logs of the same steps",
+            head="two logs",
             shows_same_steps=True,
         ),
         Task(
             "rerelease-framed",
             "two logs of the same steps, in the true frame and on the true clock: the"
             " bound",
+            sentence="Link two logs of the same steps, with true frame and clock.",
+            phrase="between two logs of the same steps with frame and clock",
+            head="framed logs",
             shows_scene=True,
             shows_same_steps=True,
         ),
         Task(
             "split",
             "two windows of one walk that do not touch: behaviour, and its noise level",
+            sentence="Link two windows of one walk that do not overlap.",
+            phrase="between two windows of a walk",
+            head="two parts",
         ),
         *(
             Task(
                 f"handover-{silence_s:g}s",
                 f"all pseudonyms rotate after {silence_s:g} s of silence, in the true"
                 " frame",
+                sentence=f"Link people across {silence_s:g} s of silence.",
+                phrase=f"after {silence_s:g} s of silence",
+                head=f"after {silence_s:g} s",
                 shows_scene=True,
                 silence_s=silence_s,
             )
             for silence_s in (1.0, 2.0, 5.0)
         ),
         Task(
-            "new_traversal", "the same person on another day, simulated", simulated=True
+            "new_traversal",
+            "the same person on another day, simulated",
+            sentence="Link simulated people across two days.",
+            phrase="on another simulated day",
+            head="other day",
+            simulated=True,
         ),
         Task(
             "cross_session",
             "the same real person in another session",
+            sentence="Link real people across two recording sessions.",
+            phrase="in another session",
+            head="session 2",
             links_returning_people=True,
         ),
     )
@@ -116,6 +139,9 @@ NAMED_SESSIONS: Final = (
 RETURNS: Final = Task(
     "returns",
     "whole passages of the same real person in another run",
+    sentence="Link whole passages of real people who walk in several runs.",
+    phrase="in another run",
+    head="other run",
     links_returning_people=True,
 )
 """The task that links whole passages: `attacks.tasks.return_study`."""

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from attacks.tasks.task_list import ALL_TASKS, RETURNS
+from attacks.tasks.task_list import RETURNS
 from evaluation.plan.constants import IDENTITY, SHARED
 
 __all__ = [
@@ -171,13 +171,24 @@ _SMOKE = Preset(
 )
 _POLICIES = ("everything", "window:4", "near:3.5", "ahead:2", "state:2", "flag")
 """Everything, as the paper shares, and five ways to share less."""
+_PAPER_TASKS = (
+    "rerelease",
+    "rerelease-framed",
+    "split",
+    "handover-1s",
+    "handover-2s",
+    "handover-5s",
+    "new_traversal",
+    "cross_session",
+    RETURNS.name,
+)
 _PAPER = replace(
     _SMOKE,
     scenes=500,
     utility_scenes=2000,
     mechanisms=(*_SWEEP, *DISSOCIATION),
     attacks=(*_SMOOTHERS, *_LINKERS),
-    tasks=(*ALL_TASKS,),
+    tasks=_PAPER_TASKS,
     skips_oracle=False,
     protections=PROTECTIONS,
     slow_error_attacks=("ou_rts",),

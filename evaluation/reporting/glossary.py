@@ -11,6 +11,7 @@ from typing import Final
 
 from markupsafe import Markup, escape
 
+from attacks.tasks.task_list import ALL_TASKS
 from evaluation.estimates.metrics import METRICS
 from evaluation.plan.address import parse_consumer
 from evaluation.reporting.names import ATTACK_NAMES, FAMILY_NAMES, ROBOT_NAMES
@@ -139,17 +140,7 @@ _LINKERS: Final = {
     "fusion": "Sum of several linkers' log likelihood ratios, for returning people.",
 }
 
-_TASKS: Final = {
-    "rerelease": "Link two logs of the same steps, without true frame or clock.",
-    "rerelease-framed": "Link two logs of the same steps, with true frame and clock.",
-    "split": "Link two windows of one walk that do not overlap.",
-    "handover-1s": "Link people across 1 s of silence.",
-    "handover-2s": "Link people across 2 s of silence.",
-    "handover-5s": "Link people across 5 s of silence.",
-    "new_traversal": "Link simulated people across two days.",
-    "cross_session": "Link real people across two recording sessions.",
-    "returns": "Link whole passages of real people who walk in several runs.",
-}
+_TASKS: Final = {name: task.sentence for name, task in ALL_TASKS.items()}
 
 _PREDICTORS: Final = {
     "least_squares": "The paper's robot: a straight line through the last positions.",

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Final
 
+from attacks.tasks.task_list import ALL_TASKS
 from evaluation.estimates.families import Family
 from evaluation.estimates.keys import level_text
 from evaluation.estimates.metrics import METRICS
@@ -49,31 +50,6 @@ _ATTACKS: Final = {
     "averaging": "averaging of releases",
     "corrector": "learnt corrector",
 }
-
-_TASKS: Final = {
-    "rerelease": "between two logs of the same steps",
-    "rerelease-framed": "between two logs of the same steps with frame and clock",
-    "split": "between two windows of a walk",
-    "handover-1s": "after 1 s of silence",
-    "handover-2s": "after 2 s of silence",
-    "handover-5s": "after 5 s of silence",
-    "new_traversal": "on another simulated day",
-    "cross_session": "in another session",
-    "returns": "in another run",
-}
-
-_TASK_HEADS: Final = {
-    "rerelease": "two logs",
-    "rerelease-framed": "framed logs",
-    "split": "two parts",
-    "handover-1s": "after 1 s",
-    "handover-2s": "after 2 s",
-    "handover-5s": "after 5 s",
-    "new_traversal": "other day",
-    "cross_session": "session 2",
-    "returns": "other run",
-}
-"""What stands over a column of re-identified people."""
 
 _ADVERSARIES: Final = {
     "blind": "an adversary with the release alone",
@@ -228,12 +204,12 @@ def attack_name(consumer: str) -> str:
 
 def task_phrase(task: str) -> str:
     """Return time or place of a linkage task's second log: `after 1 s of silence`."""
-    return _TASKS.get(task, f"in {task}")
+    return ALL_TASKS[task].phrase if task in ALL_TASKS else f"in {task}"
 
 
 def task_head(task: str) -> str:
     """Return the heading of a column of re-identified people."""
-    return _TASK_HEADS.get(task, task)
+    return ALL_TASKS[task].head if task in ALL_TASKS else task
 
 
 def adversary_name(adversary: str) -> str:
