@@ -30,8 +30,17 @@ ORDER = (
 SIDE_BY_SIDE = {"attacks": {"predictors"}}
 """Layers that import nothing from each other."""
 
-INTRODUCED = ("reporting", "estimates", "pool", "store", "compute")
-"""Folders of `evaluation` whose docstring introduces each of their files."""
+INTRODUCED = (
+    "evaluation/reporting",
+    "evaluation/verdict",
+    "evaluation/estimates",
+    "evaluation/pool",
+    "evaluation/store",
+    "evaluation/compute",
+    "evaluation/plan",
+    "attacks/tasks",
+)
+"""Folders whose docstring introduces each of their files."""
 
 
 def find_layer(module):
@@ -132,8 +141,8 @@ def test_a_planted_fault_of_either_kind_is_detected(tree):
 
 @pytest.mark.parametrize("folder", INTRODUCED)
 def test_the_docstring_of_a_folder_introduces_each_of_its_files(folder):
-    package = ROOT / "evaluation" / folder
+    package = ROOT / folder
     docstring = ast.get_docstring(ast.parse((package / "__init__.py").read_text()))
-    names = set(re.findall(r"`(\w+)`", docstring))
+    introduced = set(re.findall(r"`(\w+)(?:\.\w+)?`", docstring))
     files = {path.stem for path in package.glob("*.py")} - {"__init__"}
-    assert names == files
+    assert files - introduced == set()

@@ -2,10 +2,19 @@
 
 A plan is made in four steps (`plan.make_plan`):
 
-1. `settings.Settings` are checked, and a preset fills in what the user left out.
-2. `axes.expand_axes` turns them into plug-ins: mechanisms, and consumers by subject.
+1. `settings.Settings` are checked. What the user names on an axis (`choices`) replaces
+   the values of a preset (`presets`) or adds to them.
+2. `axes.expand_axes` turns them into plug-ins: mechanisms, and consumers by subject
+   (`scene_axes`, `linkage_axes` with `linkers`, `patrol_axes`, `track_axes`), for each
+   of the run's `adversaries`.
 3. `fitted_data.fit_to_data` leaves out parts for which the recording has too few people.
-4. `units.plan_units` crosses mechanisms with consumers, and gives every cell its key.
+4. `units.plan_units` crosses mechanisms with consumers, and gives every cell its key,
+   from settings and `source_digest` (`fingerprint`).
+
+`origins` and `user_plugins` tell a user's plug-ins from the project's own. `workers`
+chooses the number of processes, `environment` checks what a library would fail at.
+`variants` are the runs of `evaluation.sensitivity`, `protocol` is that of the board.
+`constants` are words and numbers that cells depend on.
 
 The nouns of plan, pool and store:
 
