@@ -76,7 +76,9 @@ def mechanisms() -> tuple[Plugin, ...]:
 def families() -> dict[str, Family]:
     """Return the families of these mechanisms by name."""
     return {
-        plugin.name: Family(plugin.name, plugin.family, plugin.adding)
+        plugin.name: Family(
+            plugin.name, plugin.family, plugin.adding, protects=plugin.protects
+        )
         for plugin in mechanisms()
     }
 

@@ -126,12 +126,17 @@ def _pairs(card: Card, again: Card) -> list[tuple[CardScore, CardScore]]:
     return [(ours[key], others[key]) for key in ours]
 
 
-def _joint_errors(score: CardScore, other: CardScore) -> float:
-    """Return a difference in joint standard errors; infinite if it has none."""
-    if score.value is None or other.value is None:
-        return 0.0 if score.value == other.value else math.inf
-    gap = abs(score.value - other.value)
-    joint = math.hypot(score.error or 0.0, other.error or 0.0)
+def _joint_errors(score: CardScore, computed: CardScore) -> float:
+    """Return a difference in joint standard errors; infinite if it has none.
+
+    A card cannot widen what it is held to: its own error counts as no larger than that
+    of the score computed again.
+    """
+    if score.value is None or computed.value is None:
+        return 0.0 if score.value == computed.value else math.inf
+    gap = abs(score.value - computed.value)
+    error = computed.error or 0.0
+    joint = math.hypot(min(score.error or 0.0, error), error)
     if gap == 0.0:
         return 0.0
     return gap / joint if joint > 0.0 else math.inf

@@ -24,6 +24,8 @@ _COMPUTES_NOTHING: Final = re.compile(
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
 )
 """Presets and the table of plug-ins only name computations; kits only test them."""
+_FOR_TYPES_ALONE: Final = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
+_WHEN_RUN: Final = tuple(f"not {test}" for test in _FOR_TYPES_ALONE)
 _MODULE: Final = re.compile(rf"({'|'.join(OURS)})(\.\w+)+(:\w+)?")
 
 
@@ -178,10 +180,10 @@ def _imported(source: bytes, *, package: str) -> tuple[str, ...]:
             if isinstance(node.value, str) and _MODULE.fullmatch(node.value):
                 names.append(node.value.partition(":")[0])  # for import_module
         # Imports for types alone do not count.
-        elif isinstance(node, ast.If) and ast.unparse(node.test).endswith(
-            "TYPE_CHECKING"
-        ):
+        elif isinstance(node, ast.If) and ast.unparse(node.test) in _FOR_TYPES_ALONE:
             nodes += node.orelse
+        elif isinstance(node, ast.If) and ast.unparse(node.test) in _WHEN_RUN:
+            nodes += node.body
         else:
             nodes += ast.iter_child_nodes(node)
     return tuple(names)

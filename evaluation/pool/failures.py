@@ -69,12 +69,14 @@ def _is_at(cell: PlannedCell, names: tuple[str, ...]) -> bool:
 def failed_lines(rows: pd.DataFrame) -> list[str]:
     """Return a line for each consumer and reason in `failed.csv`, with the levels."""
     lines = []
-    keys = ["consumer", "knowledge", "policy", "why"]
-    # A run of an earlier version names no policy.
-    texts = rows.assign(policy=rows["policy"].fillna(""))
-    for (consumer, knows, policy, why), part in texts.groupby(keys, sort=False):
+    keys = ["consumer", "knowledge", "policy", "world", "why"]
+    # A run of an earlier version names no policy or no world.
+    texts = rows.reindex(columns=[*dict.fromkeys([*rows.columns, *keys])])
+    texts = texts.fillna({"policy": "", "world": ""})
+    for (consumer, knows, policy, world, why), part in texts.groupby(keys, sort=False):
         name = f"{consumer} ({knows})" if str(knows) else consumer
         under = f" under {policy}" if str(policy) else ""
+        under += f" in {world}" if str(world) else ""
         specs = list(part["spec"].unique())
         levels = ", ".join(specs[:_MOST_NAMED])
         if len(specs) > _MOST_NAMED:

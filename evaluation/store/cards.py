@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -134,7 +135,8 @@ def write_card(card: Card, folder: Path) -> Path:
 
 def card_text(card: Card) -> str:
     """Return the content of a card's file: equal cards have equal bytes."""
-    return json.dumps(asdict(card), indent=1, ensure_ascii=False) + "\n"
+    content = asdict(card)
+    return json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_card(path: Path) -> Card:
@@ -149,7 +151,8 @@ def read_card(path: Path) -> Card:
     except (OSError, ValueError, RecursionError) as error:
         reason = str(error).partition("\n")[0]
         raise DataError(f"{path} cannot be read as a card: {reason}") from None
-    for fault in schema_faults(content, card_schema()):
+    fault = next(schema_faults(content, card_schema()), None)
+    if fault is not None:
         raise DataError(f"{path} is no card: {fault}; see docs/reference/cards.md")
     return _as_card(content)
 
@@ -233,7 +236,8 @@ def _object_faults(
 
 def _is_in_range(value: float, schema: Mapping[str, Any]) -> bool:
     low, high = schema.get("minimum", value), schema.get("maximum", value)
-    return bool(low <= value <= high)
+    # `1e999` is read as infinite.
+    return bool(math.isfinite(value) and low <= value <= high)
 
 
 def _has_type(value: object, name: str) -> bool:

@@ -25,6 +25,7 @@ FAILED_COLUMNS: Final = (
     "block",
     "why",
     "policy",
+    "world",
 )
 """Columns of `failed.csv`."""
 
@@ -79,7 +80,7 @@ class Entry:
 class FailedEntry:
     """A cell that could not be computed."""
 
-    address: Address  # Of the consumer.
+    address: Address  # Of the consumer alone; the level is in `spec`.
     kind: str  # As in `Entry`.
     spec: str  # SPEC of the mechanism, with its level.
     block: int  # Of scenes; 0 for a linkage task.

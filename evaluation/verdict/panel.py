@@ -33,7 +33,7 @@ class Panel:
     fixed: list[int]  # From the noisiest to raw, which is the last.
     fid: list[int]  # In the same order; empty without a sweep.
     others: list[int]  # Of the preset.
-    beside: list[int]  # Of the user, or a protection.
+    beside: list[int]  # Of the user, or added to the preset as protections.
     # Text on missing parts; empty if the panel is whole, with a dissociation control.
     missing: str
 
@@ -82,7 +82,7 @@ def build_panel(
     missing = ""
     if lacks:
         missing = f"the run lacks {', '.join(lacks)} of the panel"
-    elif not others:
+    elif all(families[place].protects for place in others):
         missing = "the panel has no dissociation control"
     return Panel(
         task=task,

@@ -10,6 +10,7 @@ from isac_track.sharing import perturb
 RULE = ":adding=independent"
 WITHOUT_RULE = ("raw", "clean", "offset", "thin", "mine:Ou")
 """What declares no adding rule; `mine:Ou` is somebody else's."""
+PROTECT_NOBODY = ("raw", "clean", "correlated", "offset", "thin")
 
 
 def find_family(mechanism):
@@ -17,7 +18,8 @@ def find_family(mechanism):
     own = mechanism.startswith("mine:Ou")
     family = "mine:Ou" if own else mechanism.partition(":")[0]
     linear = "" if mechanism in WITHOUT_RULE else "linear"
-    return Family(mechanism, family, "independent" if RULE[1:] in mechanism else linear)
+    adding = "independent" if RULE[1:] in mechanism else linear
+    return Family(mechanism, family, adding, protects=family not in PROTECT_NOBODY)
 
 
 def make_families(families):

@@ -62,6 +62,14 @@ class TestAgreement:
             "card 0.3, computed 0.36; 4.2 joint standard errors" in answer.reason
         )  # 0.06 / (0.01 sqrt 2)
 
+    @pytest.mark.parametrize("claimed", [9.0, 0.001, None])
+    def test_a_card_cannot_widen_what_it_is_held_to_by_its_own_errors(self, claimed):
+        computed = many_scores([0.4])
+        card = replace(many_scores([0.5], error=claimed), seed_commitment="another")
+        answer = agreement(card, computed, PROTOCOL)
+        assert answer.verdict == "differs"
+        assert "known_share by a0: card 0.5, computed 0.4" in answer.reason
+
     def test_holm_holds_over_the_scores_of_a_card(self):
         rng = stream(0, "test", "holm")
         for _ in range(40):

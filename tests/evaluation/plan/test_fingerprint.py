@@ -35,6 +35,9 @@ FILES = {
     "for_types.py": (
         "if TYPE_CHECKING:\n    import stranger\nelse:\n    import helper_b\n"
     ),
+    "when_run.py": (
+        "if not TYPE_CHECKING:\n    import helper_b\nelse:\n    import stranger\n"
+    ),
 }
 
 
@@ -73,6 +76,7 @@ def folder(tmp_path, monkeypatch):
         ("circle", ["circle.py", "circle_2.py"], ["solo.py"]),
         ("lazy", ["lazy.py", "isac_track/loops.py"], ["solo.py"]),
         ("for_types", ["for_types.py", "helper_b.py"], ["stranger.py"]),
+        ("when_run", ["when_run.py", "helper_b.py"], ["stranger.py"]),
     ],
 )
 def test_what_it_is_made_of(folder, module, changes, stays):

@@ -77,6 +77,17 @@ def test_a_missing_entry_is_named():
     assert [*schema_faults(content, card_schema())] == ["card has no policy"]
 
 
+def test_a_number_that_is_read_as_infinite_is_refused(tmp_path):
+    path = tmp_path / "card.json"
+    text = json.dumps(changed())
+    number = json.dumps(changed()["scores"][0]["value"])
+    path.write_text(text.replace(f'"value": {number}', '"value": 1e999', 1))
+    with pytest.raises(
+        DataError, match=r"scores\[0\]\.value is out of range: Infinity"
+    ):
+        read_card(path)
+
+
 @pytest.mark.parametrize("text", ["", "[", '{"level": NaN}', "[" * 5000])
 def test_a_file_that_is_no_json_is_refused(text, tmp_path):
     path = tmp_path / "card.json"
