@@ -71,8 +71,10 @@ def failed_lines(rows: pd.DataFrame) -> list[str]:
     lines = []
     keys = ["consumer", "knowledge", "policy", "world", "why"]
     # A run of an earlier version names no policy or no world.
-    texts = rows.reindex(columns=[*dict.fromkeys([*rows.columns, *keys])])
-    texts = texts.fillna({"policy": "", "world": ""})
+    texts = rows.assign(
+        policy=rows["policy"].fillna("") if "policy" in rows else "",
+        world=rows["world"].fillna("") if "world" in rows else "",
+    )
     for (consumer, knows, policy, world, why), part in texts.groupby(keys, sort=False):
         name = f"{consumer} ({knows})" if str(knows) else consumer
         under = f" under {policy}" if str(policy) else ""
