@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.plan.presets import DEFAULT
-from evaluation.plan.source_digest import ModuleFiles, has_source, source_digest
+from evaluation.plan.source_digest import ModuleFiles, has_source, short_digest
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
 from evaluation.store.checksums import check_sound, drop_stale_checksums, write_checked
@@ -168,9 +168,7 @@ def _digests_here(index_by_file: Mapping[str, FileIndex]) -> dict[str, str]:
             modules.update(consumer.code)
     known: ModuleFiles = {}
     return {
-        name: source_digest(name, known=known)[:16]
-        for name in modules
-        if has_source(name)
+        name: short_digest(name, known=known) for name in modules if has_source(name)
     }
 
 
