@@ -1,4 +1,4 @@
-"""What the board scores: entries, from names, from a run or from a card, and seeds."""
+"""Entries that the board scores, by name, of a run or of a card; and their seeds."""
 
 from __future__ import annotations
 
@@ -37,7 +37,8 @@ class Seed:
 def read_secret_seed(path: Path) -> Seed:
     """Return the seed of a file: at least 32 hexadecimal digits, so nobody guesses it.
 
-    DataError for a file that is missing or holds anything else.
+    Letters are in lower case: a seed is written in a single way. DataError for a file
+    that is missing or holds anything else.
     """
     try:
         text = read_regular_file(path).decode().strip()
@@ -45,15 +46,15 @@ def read_secret_seed(path: Path) -> Seed:
         raise DataError(f"--secret-seed {path} cannot be read: {error}") from None
     if not _SECRET.fullmatch(text):
         raise DataError(
-            f"--secret-seed {path} must hold 32 to 128 hexadecimal digits, which"
-            " python -c 'import secrets; print(secrets.token_hex(16))' prints"
+            f"--secret-seed {path} must hold 32 to 128 lower-case hexadecimal digits,"
+            " which python -c 'import secrets; print(secrets.token_hex(16))' prints"
         )
     return Seed(int(text, 16), is_secret=True)
 
 
 @dataclass(frozen=True, slots=True)
 class CardEntry:
-    """What a card is of: a recording under a law, a mechanism, and a policy."""
+    """The subject of a card: a recording under a law, a mechanism, and a policy."""
 
     recording: str
     law: str

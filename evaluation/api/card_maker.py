@@ -30,7 +30,7 @@ from evaluation.plan.protocol import Protocol, read_protocol
 from evaluation.plan.source_digest import source_digest
 from evaluation.store.cards import (
     Card,
-    CardMessage,
+    CardDigits,
     CardPlugin,
     card_file_name,
     read_card,
@@ -97,7 +97,7 @@ class CardMaker:
             )
         message, digits = hidden_message(shared), None
         if message is not None:
-            digits = CardMessage(
+            digits = CardDigits(
                 explained=message.explained,
                 place=message.place,
                 target=message.target,

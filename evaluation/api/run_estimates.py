@@ -15,7 +15,7 @@ from evaluation.estimates.decisions import decisions
 from evaluation.estimates.families import RAW, Family, entry_families
 from evaluation.estimates.galleries import TPR
 from evaluation.estimates.levels import levels
-from evaluation.estimates.linked_people import Choices
+from evaluation.estimates.linked_people import PAPER_MECHANISMS, Choices
 from evaluation.estimates.metrics import (
     LINKAGE_COMPARED,
     PLR,
@@ -25,6 +25,7 @@ from evaluation.estimates.metrics import (
 )
 from evaluation.estimates.strongest import (
     HEADLINE,
+    NO_TASK,
     CrossFitted,
     cross_fitted,
     strongest_by_task,
@@ -82,12 +83,16 @@ class RobotEstimates:
 class SceneEstimates:
     """Estimates from the cells of scenes."""
 
-    estimates: Mapping[Address, Estimate]
     attacked: dict[Address, ClusterSums]
     worlds: Mapping[World, Mapping[Address, Estimate]]
     """Estimates in other worlds, further horizons among them."""
     own_horizon: RobotEstimates
     further_horizons: Mapping[float, RobotEstimates]  # By s, ascending.
+
+    @property
+    def estimates(self) -> Mapping[Address, Estimate]:
+        """The metrics at the run's own horizon."""
+        return self.own_horizon.estimates
 
     @property
     def further_estimates(self) -> dict[float, Mapping[Address, Estimate]]:
@@ -111,18 +116,17 @@ class SceneEstimates:
 
 
 def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
-    """Return the estimates of scenes in all worlds; DataError as above."""
+    """Return the estimates of scenes in all worlds; DataError if a cell cannot be read."""
     numbers = summary.scene_numbers(out, manifest)
     dataset = manifest["dataset"]["name"]
-    own = _judged(numbers, manifest, dataset=dataset)
-    later = dict[float, RobotEstimates]()
+    further = dict[float, RobotEstimates]()
     worlds: dict[World, Mapping[Address, Estimate]] = {}
     for horizon_s in horizons_in(manifest["cells"]):
         world = World(horizon_s=horizon_s)
-        ahead = summary.scene_numbers(out, manifest, world=world)
-        worlds[world] = ahead.estimates
+        at_horizon = summary.scene_numbers(out, manifest, world=world)
+        worlds[world] = at_horizon.estimates
         name = Address(recording=dataset, world=world).dataset
-        later[horizon_s] = _judged(ahead, manifest, dataset=name)
+        further[horizon_s] = _judge_robots(at_horizon, manifest, dataset=name)
     for world in WORLDS:
         outcomes = linkability.linkage_outcomes(
             out, manifest, drawn=_DRAWN, world=world
@@ -134,12 +138,21 @@ def scene_estimates(out: Path, manifest: Mapping[str, Any]) -> SceneEstimates:
             key: replace(estimate, replicates=np.zeros(0))
             for key, estimate in in_world.items()
         }
-    return SceneEstimates(numbers.estimates, numbers.attacked, worlds, own, later)
+    return SceneEstimates(
+        attacked=numbers.attacked,
+        worlds=worlds,
+        own_horizon=_judge_robots(numbers, manifest, dataset=dataset),
+        further_horizons=further,
+    )
 
 
-def _judged(
+def _judge_robots(
     numbers: summary.SceneNumbers, manifest: Mapping[str, Any], *, dataset: str
 ) -> RobotEstimates:
+    """Return the robots at the horizon of some numbers, named `dataset` in the tables.
+
+    The best is chosen over raw and the mechanisms that claim to protect.
+    """
     robots = decisions(numbers, manifest, dataset=dataset)
     candidates = {
         name
@@ -149,7 +162,11 @@ def _judged(
     estimates = {**numbers.estimates, **robots.at_raw_alarms}
     best = best_robots(numbers.scored, manifest, estimates, among=candidates)
     return RobotEstimates(
-        numbers.estimates, robots.at_raw_alarms, best, robots.curves, robots.decided
+        estimates=numbers.estimates,
+        at_raw_alarms=robots.at_raw_alarms,
+        best=best,
+        curves=robots.curves,
+        decided=robots.decided,
     )
 
 
@@ -160,17 +177,22 @@ class AttackComparison:
     sweeps: Sweeps
     families: Mapping[str, Family]  # The mechanisms of the run, by name.
     sums: Mapping[Address, ClusterSums]  # Of attacks.
-    best: Mapping[str, Address]  # The strongest linker by task; a reconstruction as "".
-    crossed: Mapping[str, CrossFitted]  # Their success without the bias of the choice.
+    strongest_by_task: Mapping[str, Address]
+    """The strongest linker of each task, and the strongest reconstruction as `NO_TASK`."""
+    cross_fitted_by_task: Mapping[str, CrossFitted]
+    """Their success without the bias of the choice."""
     by_mechanism: tuple[StrongestAttack, ...]
 
     @property
     def choices(self) -> dict[tuple[str, str], Choices]:
-        """Choices of the strongest linkers, by task and mechanism; "": of all."""
+        """Choices of the strongest linkers, by task and mechanism.
+
+        Those of the strongest of the run are under `PAPER_MECHANISMS`.
+        """
         choices: dict[tuple[str, str], Choices] = {
-            (task, ""): crossed.choices
-            for task, crossed in self.crossed.items()
-            if task
+            (task, PAPER_MECHANISMS): crossed.choices
+            for task, crossed in self.cross_fitted_by_task.items()
+            if task != NO_TASK
         }
         for attack in self.by_mechanism:
             if attack.reader.task and attack.among == HEADLINE:
@@ -190,7 +212,7 @@ class AttackComparison:
     def judged_sweeps(self) -> Sweeps:
         """Return all sweeps, with cross-fitted estimates of the strongest attacks."""
         estimates = {**self.sweeps.estimates}
-        for crossed in self.crossed.values():
+        for crossed in self.cross_fitted_by_task.values():
             estimates |= crossed.estimates
         return Sweeps(estimates, self.families)
 
@@ -206,13 +228,20 @@ def compare_attacks(
         **links.estimates,
     }
     sweeps = Sweeps(estimates, families)
-    best = strongest_by_task(sweeps.estimates, families)
-    crossed = {
-        task: cross_fitted(sums, families, reader, by=RANK1 if task else PLR)
-        for task, reader in best.items()
-    }
-    by_mechanism = strongest_attacks(sweeps.estimates, sums, families)
-    return AttackComparison(sweeps, families, sums, best, crossed, by_mechanism)
+    strongest = strongest_by_task(sweeps.estimates, families)
+    return AttackComparison(
+        sweeps=sweeps,
+        families=families,
+        sums=sums,
+        strongest_by_task=strongest,
+        cross_fitted_by_task={
+            task: cross_fitted(
+                sums, families, reader, by=PLR if task == NO_TASK else RANK1
+            )
+            for task, reader in strongest.items()
+        },
+        by_mechanism=strongest_attacks(sweeps.estimates, sums, families),
+    )
 
 
 def level_table(
@@ -223,16 +252,16 @@ def level_table(
     attacks: Sequence[StrongestAttack],
 ) -> pd.DataFrame:
     """Return privacy and utility of a site at each level: `levels.csv`."""
-    later = {
+    further = {
         World(horizon_s=horizon_s): robots
         for horizon_s, robots in scenes.further_horizons.items()
     }
     return levels(
         {**scenes.estimates, **scenes.own_horizon.at_raw_alarms, **links.estimates},
         attacks=attacks,
-        horizons={world: robots.all_estimates for world, robots in later.items()},
+        horizons={world: robots.all_estimates for world, robots in further.items()},
         best={OWN_WORLD: scenes.own_horizon.best}
-        | {world: robots.best for world, robots in later.items()},
+        | {world: robots.best for world, robots in further.items()},
         linked=links.table,
         families=entry_families(manifest["cells"]),
         dataset=manifest["dataset"]["name"],

@@ -114,7 +114,7 @@ def _compute_results(out: Path) -> tuple[Results, dict[str, Any]]:
         scenes = scene_estimates(out, manifest)
         links = wait_for_links()
     compared = compare_attacks(scenes, links, families)
-    sweeps, best = compared.sweeps, compared.best
+    sweeps, best = compared.sweeps, compared.strongest_by_task
     describe_people = partial(
         _people_tables, out, manifest, compared.people_sweeps(), best, compared.choices
     )
@@ -274,7 +274,7 @@ def _verdict(
 ) -> dict[str, Any]:
     """Return the verdict as in `verdict.json`, with a user's own plug-ins."""
     judged = compared.judged_sweeps()
-    later = {
+    further = {
         horizon_s: Sweeps(
             judged_at(judged.estimates, robots.all_estimates), compared.families
         )
@@ -283,9 +283,12 @@ def _verdict(
     decided = build_verdict(
         judged,
         linked_people,
-        strongest=compared.best,
-        scored={task: crossed.choices for task, crossed in compared.crossed.items()},
-        later=later,
+        strongest=compared.strongest_by_task,
+        scored={
+            task: crossed.choices
+            for task, crossed in compared.cross_fitted_by_task.items()
+        },
+        later=further,
         manifest=manifest,
     )
     parts = verdict_json(decided)
@@ -296,7 +299,7 @@ def _verdict(
             sums=compared.sums,
             families=compared.families,
             attacks=compared.by_mechanism,
-            leading=leading_handover(compared.best),
+            leading=leading_handover(compared.strongest_by_task),
         )
         parts["plugins"] = plugin_records(own_plugins, estimates)
     parts["robots"] = standing_still.beaten_by_standing_still(
@@ -309,15 +312,15 @@ def _people_tables(
     out: Path,
     manifest: Mapping[str, Any],
     sweeps: Sweeps,
-    best: Mapping[str, Address],
+    strongest: Mapping[str, Address],
     choices: Mapping[tuple[str, str], Choices],
 ) -> tuple[pd.DataFrame, LinkedPeopleSections]:
     """Return `gallery.csv`, and the parts of the verdict about linked people."""
-    probes = read_probes(out, manifest, sweeps, strongest=best, choices=choices)
+    probes = read_probes(out, manifest, sweeps, strongest=strongest, choices=choices)
     dataset, seed = manifest["dataset"]["name"], manifest["identity"]["seed"]
     gallery_table = galleries(probes, sweeps.estimates, dataset=dataset, seed=seed)
     return gallery_table, linked_people_sections(
-        probes, sweeps, strongest=best, manifest=manifest
+        probes, sweeps, strongest=strongest, manifest=manifest
     )
 
 

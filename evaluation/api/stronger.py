@@ -1,4 +1,15 @@
-"""Stronger adversaries against the levels that would be proposed."""
+"""Stronger adversaries against the levels that would be proposed, in a single pass.
+
+They attack the levels that a run would propose to its default question: those that hold
+all limits, else those with no limit broken, else the nearest (`candidates` in
+`evaluation.verdict.what_to_share`). All others stay untried. A level that is refused
+stays refused whatever these adversaries do: more knowledge only raises the risk.
+
+The default question gives no limit to these adversaries, so their numbers stand beside
+a proposal and do not remove it. Under a question with such a limit
+(`Question.against`) a level that breaks it is refused, and one that was not tried has no
+answer (`level_checks`). No further level is then attacked in its place.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

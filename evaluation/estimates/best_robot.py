@@ -16,7 +16,7 @@ import numpy as np
 from evaluation.estimates.cross_fit import (
     best_rival,
     interval_of_choice,
-    is_few,
+    needs_jackknife,
     ratio_of_sums,
 )
 from evaluation.estimates.decisions import decision_curve
@@ -81,7 +81,8 @@ class _Trials:
     def needs_deletions(self) -> bool:
         """Whether some interval is a jackknife's."""
         return any(
-            is_few(effective_clusters(trials)) for trials in self.by_number.values()
+            needs_jackknife(effective_clusters(trials))
+            for trials in self.by_number.values()
         )
 
 
@@ -304,8 +305,8 @@ def _estimate(
     fixed = _cross_scored_rate(sums, np.broadcast_to(choice[:, :1], choice.shape))
     return interval_of_choice(
         trials.estimate(number, float(values[0])),
-        drawn=drawn,
-        fixed=fixed[1 : people.n_drawn],
-        without=deleted,
+        rechosen=drawn,
+        fixed_choice=fixed[1 : people.n_drawn],
+        leave_one_out=deleted,
         is_share=True,
     )

@@ -43,6 +43,10 @@ def primary_scores(
 ) -> dict[str, CardScore]:
     """Return the score of each axis: of the best robot, and the strongest adversaries.
 
+    These are plain extremes over all readers, not adjusted for the choice, which is made
+    on the people that are scored. `known` and `followed` therefore err on the side of
+    the adversary, and `missed` errs low: on the side of the mechanism (docs/protocol.md).
+
     DataError if a metric of the protocol has no score.
     """
     return {

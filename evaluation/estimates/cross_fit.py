@@ -5,6 +5,9 @@ clusters choose for each other: the rival chosen on one half is scored on the ot
 Every replicate of an interval repeats the choice, so that the interval contains the
 uncertainty of the choice.
 
+The number is the success of a rival that is chosen on half of the people. That is not
+always the true best, so the number falls somewhat short of the success of the true best.
+
 References
 ----------
 Chernozhukov, Chetverikov, Demirer, Duflo, Hansen, Newey, Robins, "Double/debiased
@@ -100,44 +103,44 @@ def cross_fit(
     """
     contest = _Contest(choosing, scored, is_first, least)
     sums, best = contest.joined(np.concatenate([np.ones((1, is_first.size)), weights]))
-    values = ratio_of_sums(sums.transpose(1, 0, 2))
+    rechosen = ratio_of_sums(sums.transpose(1, 0, 2))
     choice = np.where(is_first, best[1, 0], best[0, 0])
     # Every cluster's sums under the choice of the other half, (J, 2, C).
     joined = scored[choice, :, :, np.arange(choice.size)].transpose(1, 2, 0)
-    plain = ratio_estimates(
+    fixed_estimates = ratio_estimates(
         numerator=joined[:, 0],
         denominator=joined[:, 1],
         weights=weights[:1],
         is_share=is_share,
     )
-    fixed = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
-    deletions = _deletions(contest, joined)
+    fixed_choice = ratio_of_sums(joined.transpose(1, 0, 2) @ weights.T)
+    leave_one_out = _leave_one_out(contest, joined)
     estimates = [
         interval_of_choice(
             estimate,
-            drawn=values[place],
-            fixed=fixed[place],
-            without=deletions[place],
+            rechosen=rechosen[place],
+            fixed_choice=fixed_choice[place],
+            leave_one_out=leave_one_out[place],
             is_share=is_share[place],
             may_be_negative=bool(joined[place, 0].min() < 0.0),
         )
-        for place, estimate in enumerate(plain)
+        for place, estimate in enumerate(fixed_estimates)
     ]
     return estimates, (int(best[0, 0]), int(best[1, 0]))
 
 
-def _deletions(contest: _Contest, joined: Floats) -> list[Floats]:
+def _leave_one_out(contest: _Contest, joined: Floats) -> list[Floats]:
     """Return each number without each cluster in turn; empty where not needed.
 
     `joined`, (J, 2, C), has the sums of the numbers. Only clusters with trials count.
     """
-    few = [is_few(effective_clusters(trials)) for trials in joined[:, 1]]
-    if not any(few):
-        return [_NO_VALUES for _ in few]
+    is_needed = [needs_jackknife(effective_clusters(trials)) for trials in joined[:, 1]]
+    if not any(is_needed):
+        return [_NO_VALUES for _ in is_needed]
     sums, _ = contest.joined(1.0 - np.eye(joined.shape[-1]))
     return [
-        ratio_of_sums(sums[place])[joined[place, 1] > 0.0] if is_needed else _NO_VALUES
-        for place, is_needed in enumerate(few)
+        ratio_of_sums(sums[place])[joined[place, 1] > 0.0] if needed else _NO_VALUES
+        for place, needed in enumerate(is_needed)
     ]
 
 
@@ -150,49 +153,67 @@ def best_rival(over: Floats, under: Floats, *, least: bool, otherwise: int) -> I
     """
     is_known = (under > 0.0).all(axis=0)
     ratio = np.divide(over, under, out=np.zeros_like(over), where=is_known)
-    mean = ratio.sum(axis=1)
-    place = mean.argmin(axis=0) if least else mean.argmax(axis=0)
+    # The sum ranks as the mean does: the same levels count for all rivals.
+    total = ratio.sum(axis=1)
+    place = total.argmin(axis=0) if least else total.argmax(axis=0)
     return np.where(is_known.any(axis=0), place, otherwise)
 
 
-def is_few(effective: float) -> bool:
-    """Whether so few effective clusters need a jackknife's interval."""
+def needs_jackknife(effective: float) -> bool:
+    """Whether the interval is a jackknife's: with few effective clusters, not too few."""
     return LEAST_CLUSTERS <= effective < FEW_CLUSTERS
 
 
 def interval_of_choice(
-    plain: Estimate,
+    estimate: Estimate,
     *,
-    drawn: Floats,
-    fixed: Floats,
-    without: Floats,
+    rechosen: Floats,
+    fixed_choice: Floats,
+    leave_one_out: Floats,
     is_share: bool,
     may_be_negative: bool = False,
 ) -> Estimate:
     """Return an estimate with an interval that repeats the choice of the best rival.
 
-    `drawn`, (1 + B,), are the number and its replicates, each with a choice of its own;
-    `fixed`, (B,), the replicates under the choice of all clusters; `without`, (D,), the
-    number without each cluster that counts. A replicate has more noise than the people
-    themselves and chooses worse. All replicates are therefore shifted back by the
-    amount by which these choices move their mean. Few clusters have the jackknife's
-    interval (`is_few`); fewer keep the interval of `plain`, which also has the number
-    of clusters.
+    A replicate has more noise than the people themselves and chooses worse. All
+    replicates are therefore shifted back by the amount by which these choices move
+    their mean.
+
+    From `LEAST_CLUSTERS` effective clusters, and below `FEW_CLUSTERS`, the interval is
+    the jackknife's. A deletion can change the choice, and the number then jumps, which
+    widens the interval. With fewer clusters the interval of `estimate` stays.
+
+    Parameters
+    ----------
+    estimate : Estimate
+        The number and its clusters, with the choices that the people themselves make.
+    rechosen : (1 + B,)
+        The number and its replicates, each with a choice of its own.
+    fixed_choice : (B,)
+        The replicates, all with the choices that the people themselves make.
+    leave_one_out : (D,)
+        The number without each cluster that counts; empty without a jackknife.
+    is_share : bool
+        Whether the number is a share of trials.
+    may_be_negative : bool
+        Whether the lower end may be below 0.
     """
-    replicates = drawn[1:] - (_mean(drawn[1:]) - _mean(fixed))
-    ends = plain.ci_low, plain.ci_high
-    is_extreme = is_share and plain.value in {0.0, 1.0}
-    if is_few(plain.effective):
+    replicates = rechosen[1:] - (_mean(rechosen[1:]) - _mean(fixed_choice))
+    ends = estimate.ci_low, estimate.ci_high
+    is_extreme = is_share and estimate.value in {0.0, 1.0}
+    if needs_jackknife(estimate.effective):
         low, high = jackknife_interval(
-            np.append(drawn[0], without), effective=plain.effective, is_share=is_share
+            np.append(rechosen[0], leave_one_out),
+            effective=estimate.effective,
+            is_share=is_share,
         )
         ends = (low if may_be_negative else max(0.0, low)), high
-    elif plain.effective >= FEW_CLUSTERS and is_extreme:
-        ends = wilson(hits=plain.value * plain.n, n=plain.n)
-    elif plain.effective >= FEW_CLUSTERS:
+    elif estimate.effective >= FEW_CLUSTERS and is_extreme:
+        ends = wilson(hits=estimate.value * estimate.n, n=estimate.n)
+    elif estimate.effective >= FEW_CLUSTERS:
         low, high = percentile_interval(replicates)
         ends = (max(0.0, low), min(high, 1.0)) if is_share else (low, high)
-    return replace(plain, ci_low=ends[0], ci_high=ends[1], replicates=replicates)
+    return replace(estimate, ci_low=ends[0], ci_high=ends[1], replicates=replicates)
 
 
 def ratio_of_sums(sums: Floats) -> Floats:

@@ -6,9 +6,14 @@ from collections.abc import Mapping
 from isac_track.intervals import Estimate
 
 
-def json_number(value: float) -> float | None:
-    """Return a number as a plain float, or None if it is not finite."""
-    return float(value) if math.isfinite(value) else None
+def json_number(value: float | None) -> float | None:
+    """Return a number as a plain float, or None if there is none or it is not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+def read_number(value: float | None) -> float:
+    """Return a number that `json_number` has written; NaN for None."""
+    return math.nan if value is None else value
 
 
 def json_interval(
@@ -31,7 +36,6 @@ def json_interval(
 def read_interval(content: Mapping[str, float | None], name: str) -> Estimate:
     """Return a number and its interval, as `json_interval` writes them by a name."""
     value, low, high = (
-        math.nan if (number := content[key]) is None else number
-        for key in (name, f"{name}_low", f"{name}_high")
+        read_number(content[key]) for key in (name, f"{name}_low", f"{name}_high")
     )
     return Estimate(value, low, high)

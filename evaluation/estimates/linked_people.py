@@ -61,6 +61,8 @@ _PROBE_COLUMNS: Final = (
 )
 Choices: TypeAlias = "Mapping[str, Sequence[Address]]"
 """By metric: the linker that the first half of the people chose, then the second."""
+PAPER_MECHANISMS: Final = ""
+"""Key of the choices for raw, fixed noise and FID, where others have a mechanism."""
 _NO_CHOICES: Final[Mapping[tuple[str, str], Choices]] = MappingProxyType({})
 _WINDOW_COLUMNS: Final = (
     "side",
@@ -139,8 +141,8 @@ def read_probes(
     `strongest` gives the strongest linker of each task. It links raw, fixed noise and
     FID; every other mechanism is linked by the strongest linker against it. `choices`
     gives the linkers that either half of the people chose (`CrossFitted.choices`), by
-    task and mechanism, or "" for raw, fixed noise and FID: each half is linked by the
-    other half's choice. Without choices all are linked by the strongest, probe by
+    task and mechanism, or `PAPER_MECHANISMS`: each half is linked by the other half's
+    choice. Without choices all are linked by the strongest, probe by
     probe. Raises DataError if a cell cannot be read.
     """
     linked_entries = entries_in(
@@ -166,7 +168,8 @@ def read_probes(
             linked = cells.get(linker.at(*where))
             windows = cells.get(Address(task=task, plugin=WINDOWS).at(*where))
             if linked and windows:
-                choice = choices.get((task, "" if is_paper else mechanism), {})
+                name = PAPER_MECHANISMS if is_paper else mechanism
+                choice = choices.get((task, name), {})
                 choices_by_metric = {
                     metric: [
                         _Choice(cells.get(measure.reader.at(*where)), measure.metric)

@@ -54,6 +54,7 @@ HEADLINE: Final = ("blind", INFORMED)
 # Adversaries that know more: shown beside the headline.
 BEYOND: Final = ("repeats", "anchor", "companions", "insider")
 GROUPS: Final = (HEADLINE, *((name,) for name in BEYOND))  # Each has its strongest.
+NO_TASK: Final = ""  # Of a reconstruction, where linkers have the name of a task.
 NAMING_RULES: Final = (RANK1, RANK1_JOINT)
 """Rules by which a linker names mates: each best candidate, or a matching of all."""
 _CHOICES: Final = {
@@ -89,7 +90,7 @@ def choose_strongest(
 def strongest_by_task(
     estimates: EstimatesByAddress, families: Mapping[str, Family]
 ) -> dict[str, Address]:
-    """Return the strongest linker by task, and the strongest reconstruction as "".
+    """Return the strongest linker by task; the strongest reconstruction is `NO_TASK`'s.
 
     `estimates` are all those of the run, `families` its mechanisms.
     """

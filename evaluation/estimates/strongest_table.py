@@ -1,7 +1,12 @@
 """The strongest attack on each mechanism, by task and adversaries: `strongest.csv`.
 
-Each is chosen against that mechanism only, over all of its levels, and cross-fitted:
-its numbers are not raised by the choice.
+Each is chosen against that mechanism only, over all of its levels. Where sums over
+people are known its numbers are cross-fitted, and so not raised by the choice. Else
+they are the plain numbers of the attack that all people together choose.
+
+The columns `first_choice` and `second_choice` name the attacks that the first and the
+second half of the people chose; each half is scored by the other's choice. For plain
+numbers both name the attack itself.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -67,14 +72,19 @@ class StrongestAttack:
     def at(
         self, where: MechanismLevel, metric: str, estimates: EstimatesByAddress
     ) -> Estimate | None:
-        """Return a number at a level, cross-fitted if possible; None if unknown."""
-        key = self.reader.at(*where, metric)
-        if key in self.crossed.estimates:
-            return self.crossed.estimates[key]
-        keys = [key, key.measured(RANK1_JOINT)] if metric == RANK1 else [key]
+        """Return a number at a level, cross-fitted if possible; None if unknown.
+
+        Of a plain rank 1 the better rule of naming mates counts.
+        """
+        number = self.reader.at(*where, metric)
+        if number in self.crossed.estimates:
+            return self.crossed.estimates[number]
+        candidates = [number]
+        if metric == RANK1:
+            candidates.append(number.measured(RANK1_JOINT))
         known = [
             estimates[key]
-            for key in keys
+            for key in candidates
             if key in estimates and np.isfinite(estimates[key].value)
         ]
         return max(known, key=lambda estimate: estimate.value, default=None)

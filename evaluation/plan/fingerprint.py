@@ -50,10 +50,17 @@ _LINKAGE: Final = (
 )
 
 
-def key_modules(section: str, *plugins: Plugin) -> tuple[str, ...]:
-    """Return the root modules whose source, with all it imports, a key covers."""
-    modules = _SECTIONS.get(section, _LINKAGE) if section else ()
-    return (*modules, *(plugin.origin.partition(":")[0] for plugin in plugins))
+def section_modules(section: str) -> tuple[str, ...]:
+    """Return the root modules of a section: a key covers them and all that they import.
+
+    A section that is none of `_SECTIONS` is a linkage task, and all tasks have the same.
+    """
+    return _SECTIONS.get(section, _LINKAGE)
+
+
+def plugin_modules(plugins: Iterable[Plugin]) -> tuple[str, ...]:
+    """Return the modules of plug-ins: a key covers them and all that they import."""
+    return tuple(plugin.origin.partition(":")[0] for plugin in plugins)
 
 
 def consumer_key(consumer: Consumer, *, code: Iterable[str], keep_scores: bool) -> str:

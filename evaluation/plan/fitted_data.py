@@ -1,4 +1,4 @@
-"""The data of a run as its parts read them, and the axes that the data allow."""
+"""Fit a run to its data: leave out the parts for which there are too few people."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ class FittedData:
 
     axes: Axes
     recorded: Tracks  # All tracks, placed where the network senses them.
-    scene_tracks: Cut  # Those long enough for scenes, cut.
+    scene_tracks: Cut  # Those long enough for scenes, split into history and future.
     task_windows: tuple[TaskWindows, ...]  # Of each linkage task.
     model_task_windows: tuple[TaskWindows, ...]  # The same for walks of a model.
     passages: Passages | None  # Of people who come back, if any are linked.
@@ -37,7 +37,8 @@ class FittedData:
 def fit_to_data(run_axes: Axes, settings: Settings, dataset: Dataset) -> FittedData:
     """Return the data of a run, and its axes without parts of too few people.
 
-    Raises DataError if a user has named such a part.
+    DataError if a user has named such a part; `_fit_returns` says when --confirming
+    raises.
     """
     recorded = placed(dataset.tracks, settings=settings.stages)
     run_axes, passages = _fit_returns(run_axes, settings, recorded)
@@ -64,8 +65,8 @@ def _fit_returns(
 ) -> tuple[Axes, Passages | None]:
     """Return the axes, and the passages of people who come back if there are any.
 
-    DataError without any if the user has named the task or a session to confirm, or for
-    a session of another name.
+    SettingsError if --confirming is given without the task, or names no session;
+    DataError if the user has named the task or a session and nobody comes back.
     """
     is_named = RETURNS.name in settings.choice("tasks").named
     if not run_axes.linkage.has_returns:
@@ -134,8 +135,8 @@ def _fit_scenes(
     else:
         if needs_scenes or len(tracks) >= FEW_PEOPLE:
             return run_axes, tracks
-    no_track = no_tracks(recorded, settings=settings.stages)
-    return run_axes.without_scenes(_why_no_scenes(no_track, settings)), no_track
+    empty_cut = no_tracks(recorded, settings=settings.stages)
+    return run_axes.without_scenes(_why_no_scenes(empty_cut, settings)), empty_cut
 
 
 def _names_scenes(settings: Settings) -> bool:
@@ -148,10 +149,11 @@ def _names_scenes(settings: Settings) -> bool:
     return any(named.values()) or sizes != (None, None)
 
 
-def _why_no_scenes(tracks: Cut, settings: Settings) -> str:
-    """Return how many tracks are long enough, in short; `tracks` is empty."""
-    # None of the long tracks was cut: all of them lack a future.
-    n_long, n_recorded = tracks.no_future, tracks.no_future + tracks.too_short
+def _why_no_scenes(empty_cut: Cut, settings: Settings) -> str:
+    """Return how many tracks are long enough, in short, from the cut of no track."""
+    # `no_tracks` counts every long track under `no_future`.
+    n_long = empty_cut.no_future
+    n_recorded = n_long + empty_cut.too_short
     least_s = settings.stages.resample.min_duration_s
     if n_long >= FEW_PEOPLE:
         return f"too few of {n_long:,} tracks of {least_s:g} s cover the horizon"

@@ -42,7 +42,7 @@ class Plan:
     settings: Settings
     dataset: Dataset
     recorded: Tracks  # All its tracks, placed where the network senses them.
-    scene_tracks: Cut  # Those long enough for scenes, cut.
+    scene_tracks: Cut  # Those long enough for scenes, split into history and future.
     axes: Axes
     identity: dict[str, Any]
     code_hash: str  # Version of the code that computes the cells.

@@ -19,11 +19,17 @@ from typing import Final, TypeAlias
 import isac_track
 from evaluation.plan.origins import OURS
 
-_COMPUTES_NOTHING: Final = re.compile(
+DIGITS: Final = 16
+"""Digits of a digest in the keys of cells, and of that of all code."""
+_NOT_COUNTED: Final = re.compile(
     r"evaluation|evaluation\.plan\.presets|isac_track\.plugins"
     r"|(attacks|isac_track)\.(templates|testing)(\..*)?"
 )
-"""Presets and the table of plug-ins only name computations; kits only test them."""
+"""Modules that no number of a cell comes from.
+
+Presets and the table of plug-ins name computations, kits test them, and templates are
+copied for new plug-ins.
+"""
 _FOR_TYPES_ALONE: Final = ("TYPE_CHECKING", "typing.TYPE_CHECKING")
 _WHEN_RUN: Final = tuple(f"not {test}" for test in _FOR_TYPES_ALONE)
 _MODULE: Final = re.compile(rf"({'|'.join(OURS)})(\.\w+)+(:\w+)?")
@@ -44,9 +50,9 @@ def code_hash() -> str:
     for path in sorted(paths):
         name = path.relative_to(root).as_posix()
         module = name.removesuffix(".py").replace("/", ".")
-        if not _COMPUTES_NOTHING.fullmatch(module):
+        if not _NOT_COUNTED.fullmatch(module):
             sha.update(name.encode() + b"\0" + path.read_bytes())
-    return sha.hexdigest()[:16]
+    return sha.hexdigest()[:DIGITS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,10 +73,13 @@ def source_digest(module: str, *, known: ModuleFiles | None = None) -> str:
     """Return the sha256 of a module and of all modules beside it that it imports.
 
     These are its own top-level package and, unless it was installed, all modules in the
-    same folder as that; the project's own packages count as a folder. Imports are
-    read, not run, lazy imports too. Imports for types alone do not count, and imports
-    that are composed at run time are not seen. A module without a file, such as
-    `__main__`, has the digest of no bytes.
+    same folder as that; the project's own packages count as a folder. A module without
+    a file, such as `__main__`, has the digest of no bytes.
+
+    Imports are read from the sources, lazy imports too, and none is run. To look up the
+    file of `module` itself, Python imports the packages around it. Of imports by a string
+    only those of the project's own packages are seen, where the string is the whole name.
+    Imports for types alone do not count.
 
     `known` holds files that are not read again, and takes those that are read. It is
     for digests of one plan: most of their files are the same.
@@ -96,6 +105,11 @@ def source_digest(module: str, *, known: ModuleFiles | None = None) -> str:
     return sha.hexdigest()
 
 
+def short_digest(module: str, *, known: ModuleFiles | None = None) -> str:
+    """Return the first `DIGITS` of `source_digest`, as in the keys of cells."""
+    return source_digest(module, known=known)[:DIGITS]
+
+
 def _read_file(
     name: str, *, root: Path | None, packages: tuple[str, ...]
 ) -> _ModuleFile | None:
@@ -115,7 +129,7 @@ def changed_modules(digests: Mapping[str, str]) -> list[str]:
     return [
         module
         for module, was in digests.items()
-        if has_source(module) and source_digest(module, known=known)[:16] != was
+        if has_source(module) and short_digest(module, known=known) != was
     ]
 
 
@@ -148,7 +162,7 @@ def _read_source(
     None, too, for a module of another package than those that count, by `packages`.
     """
     is_outside = packages and name.partition(".")[0] not in packages
-    if root is None or not name or is_outside or _COMPUTES_NOTHING.fullmatch(name):
+    if root is None or not name or is_outside or _NOT_COUNTED.fullmatch(name):
         return None
     place = root.joinpath(*name.split("."))
     for path in (place.with_name(f"{place.name}.py"), place / "__init__.py"):

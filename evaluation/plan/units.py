@@ -1,6 +1,6 @@
 """Units of work: every level crossed with its consumers, and the keys of their cells."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import product
 from typing import Any
@@ -10,7 +10,7 @@ from evaluation.plan.axes import Axes
 from evaluation.plan.constants import BLOCK_SCENES
 from evaluation.plan.consumer import Consumer
 from evaluation.plan.settings import Settings, patrol_values, tracking_values
-from evaluation.plan.source_digest import ModuleFiles, source_digest
+from evaluation.plan.source_digest import ModuleFiles, short_digest
 from evaluation.plan.world import OWN_WORLD, World
 from isac_track.errors import PluginError, error_text
 from isac_track.plugins import Plugin
@@ -53,7 +53,10 @@ def plan_units(
             continue  # No code of its consumers is part of the plan.
         by_section = _consumers_by_section(crossing.consumers, settings, code)
         for mechanism, section in product(crossing.mechanisms, by_section):
-            code_digests = code.read(section, mechanism)
+            code_digests = code.read(
+                fingerprint.section_modules(section)
+                + fingerprint.plugin_modules([mechanism])
+            )
             consumers = {
                 key: consumer
                 for key, consumer in by_section[section].items()
@@ -129,13 +132,11 @@ class _CodeReader:
     digests: dict[str, str] = field(default_factory=dict)  # By module.
     files: ModuleFiles = field(default_factory=dict)
 
-    def read(self, section: str, *used_plugins: Plugin) -> dict[str, str]:
-        """Return the digests of the modules of a section and of plug-ins, by module."""
-        modules = fingerprint.key_modules(section, *used_plugins)
+    def read(self, modules: Sequence[str]) -> dict[str, str]:
+        """Return the digests of modules by name, in their order."""
         for module in modules:
             if module not in self.digests:
-                digest = source_digest(module, known=self.files)
-                self.digests[module] = digest[:16]
+                self.digests[module] = short_digest(module, known=self.files)
         return {module: self.digests[module] for module in modules}
 
 
@@ -159,7 +160,7 @@ def _consumers_by_section(
     for consumer in consumers:
         key = fingerprint.consumer_key(
             consumer,
-            code=code.read("", *consumer.plugins).values(),
+            code=code.read(fingerprint.plugin_modules(consumer.plugins)).values(),
             keep_scores=settings.keep_scores,
         )
         by_section.setdefault(_section(consumer), {})[key] = consumer

@@ -21,7 +21,7 @@ from threadpoolctl import threadpool_limits
 
 from evaluation.compute.current_cell import Failure, note_cell
 from evaluation.plan.origins import OURS
-from evaluation.plan.source_digest import code_hash, source_digest
+from evaluation.plan.source_digest import code_hash, short_digest
 from evaluation.pool.memory import release_memory_after
 from isac_track.command_line import check_interrupt
 from isac_track.errors import SettingsError, error_text
@@ -322,7 +322,7 @@ def _describe_process(
             if f"module {name}" not in digests:
                 try:
                     import_module(name)
-                    digests[f"module {name}"] = source_digest(name)[:16]
+                    digests[f"module {name}"] = short_digest(name)
                 # A user's module may raise anything.
                 except (Exception, SystemExit) as error:  # noqa: BLE001 - as said
                     raise SettingsError(

@@ -20,7 +20,7 @@ from evaluation.compute.work import (
 )
 from evaluation.plan.consumer import Consumer
 from evaluation.plan.plan import Plan
-from evaluation.pool.pieces import cut_work, n_pairs, planned_cells, unfinished
+from evaluation.pool.pieces import cut_work, missing_in_folder, n_pairs, planned_cells
 from isac_track.types import Tracks
 
 RATES: Final = "rates.json"
@@ -52,7 +52,7 @@ def wall_s(cpu_s: float, *, jobs: int) -> float:
 
 def cells_cpu_s(plan: Plan, own: PluginTimes = NO_TIMES) -> float:
     """Return the CPU time of the missing cells of a plan, s."""
-    missing = plan.units if plan.settings.fresh else unfinished(plan)
+    missing = plan.units if plan.settings.fresh else missing_in_folder(plan)
     rates, cpu_s = measured_rates(), 0.0
     for work in cut_work(missing, plan):
         rate = rates[setup_name(work)]

@@ -24,7 +24,7 @@ from evaluation.store.entries import (
     Entry,
     FailedEntry,
     entries_in,
-    other_entries,
+    entries_without,
 )
 from evaluation.store.files import CELLS_FOLDER, read_regular_file
 from evaluation.store.folder import check_folder, check_preset, open_run
@@ -71,10 +71,11 @@ def execute(
     progress(plan.n_cells, plan.n_cells, "report: intervals, verdict, figures")
     may_be_shown = keeps_walks and NOT_PASSED_ON not in plan.dataset.licence
     if may_be_shown and not plan.axes.scenes.why_left_out:
-        failed_names = {entry.spec for entry in failed}
-        failed_names |= {entry.address.consumer for entry in failed}
+        # The consumer of a reconstruction is the SPEC of the attack.
+        failed_specs = {entry.spec for entry in failed}
+        failed_specs |= {entry.address.consumer for entry in failed}
         manifest["gallery_without"] = compute_sample_tracks(
-            plan, failed_names, started.names
+            plan, failed_specs, started.names
         )
     else:
         manifest["gallery_without"] = []
@@ -118,7 +119,7 @@ def _start_run(plan: Plan) -> _StartedRun:
     # Failures of earlier axes stay, and so do their finished levels.
     failures = manifest.get("failed", []) if manifest["cells"] else []
     entries = cell_entries(plan, finished, missing)
-    manifest["failed"] = other_entries(failures, than=entries)
+    manifest["failed"] = entries_without(failures, entries)
     manifest["cells"] = merged_cells(
         manifest["cells"], entries, index_by_file=index_by_file
     )
@@ -161,7 +162,7 @@ def execute_stronger(plan: Plan, progress: Callable[[int, int, str], None]) -> N
     finished = file_by_cell(opened.index_by_file)
     missing = pieces.missing_units(plan, finished)
     entries = cell_entries(plan, finished, missing)
-    manifest["failed"] = other_entries(manifest.get("failed", []), than=entries)
+    manifest["failed"] = entries_without(manifest.get("failed", []), entries)
     # Earlier cells keep their order: results do not depend on the order of requests.
     by_cell = {entry.cell: entry for entry in entries}
     cells = [by_cell.pop(earlier.cell, earlier) for earlier in manifest["cells"]]
@@ -198,7 +199,7 @@ def _note_computed(
     if failed:
         manifest["failed"] += failed
         # No entry that lacks a cell: every mean is over all blocks.
-        manifest["cells"] = with_ceiling(other_entries(manifest["cells"], than=failed))
+        manifest["cells"] = with_ceiling(entries_without(manifest["cells"], failed))
         if not manifest["cells"]:
             write_manifest(plan.out, manifest | {"state": "failed"})
             raise PluginError(failed[0].why)

@@ -13,13 +13,9 @@ from evaluation.pool.pieces import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from evaluation.compute.current_cell import Failure
     from evaluation.compute.work import Work
     from evaluation.pool.pieces import CellName, PlannedCell
-
-_MOST_NAMED = 3
 
 
 class FailedCell(NamedTuple):
@@ -39,7 +35,11 @@ class Failures:
     def work_after(
         self, work: Work, failure: Failure, *, finished: Container[CellName]
     ) -> list[Work]:
-        """Return the work that is left after a failure; a death is tried once more."""
+        """Return the work that is left after a failure; a death is tried once more.
+
+        Every call either marks new cells as died-at or records them as failed, so this
+        ends. Cells in `finished` are left out.
+        """
         left = select_cells(work, lambda cell: cell_name(cell) not in finished)
         blamed = [cell for cell in planned_cells(left) if _is_at(cell, failure.cell)]
         # Where no cell fits, blame all that is left, or this goes on for ever.
@@ -58,30 +58,13 @@ class Failures:
 
 
 def _is_at(cell: PlannedCell, names: tuple[str, ...]) -> bool:
-    """Whether a failure is a cell's, by the names that `note_cell` got; none: any's."""
+    """Whether a failure may be at a cell, by the names that `note_cell` got.
+
+    These are the SPEC of the mechanism and the label of the consumer. Without names
+    the failure may be at any cell.
+    """
     if not names:
         return True
     spec, label = names
     # Without a label the mechanism failed, and with it all of its consumers.
     return cell.mechanism.spec == spec and label in ("", cell.consumer.label)
-
-
-def failed_lines(rows: pd.DataFrame) -> list[str]:
-    """Return a line for each consumer and reason in `failed.csv`, with the levels."""
-    lines = []
-    keys = ["consumer", "knowledge", "policy", "world", "why"]
-    # A run of an earlier version names no policy or no world.
-    texts = rows.assign(
-        policy=rows["policy"].fillna("") if "policy" in rows else "",
-        world=rows["world"].fillna("") if "world" in rows else "",
-    )
-    for (consumer, knows, policy, world, why), part in texts.groupby(keys, sort=False):
-        name = f"{consumer} ({knows})" if str(knows) else consumer
-        under = f" under {policy}" if str(policy) else ""
-        under += f" in {world}" if str(world) else ""
-        specs = list(part["spec"].unique())
-        levels = ", ".join(specs[:_MOST_NAMED])
-        if len(specs) > _MOST_NAMED:
-            levels += f" and {len(specs) - _MOST_NAMED} more"
-        lines.append(f"{name}{under} at {levels}: {why}; left out everywhere")
-    return lines

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from evaluation.compute.current_cell import Failure
 from evaluation.compute.work import FinishedCell, attempt_cells
-from evaluation.plan.fingerprint import key_modules
+from evaluation.plan.fingerprint import plugin_modules
 from evaluation.pool.pieces import CellName, cell_name
 from evaluation.store.cell_files import ComputedCell, ComputedUnit, pack_units
 from evaluation.store.new_files import group_units
@@ -80,7 +80,7 @@ def expected_files(
 def _expected_unit(unit: Unit, digests: Mapping[str, str]) -> ExpectedUnit:
     consumers = {}
     for key, consumer in unit.consumers.items():
-        modules = key_modules("", *consumer.plugins)
+        modules = plugin_modules(consumer.plugins)
         code = {module: digests[module] for module in modules}
         consumers[consumer.label] = ConsumerCode(key, code)
     return ExpectedUnit(

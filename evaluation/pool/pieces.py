@@ -20,7 +20,13 @@ from evaluation.compute.work import (
     Work,
 )
 from evaluation.plan.constants import BLOCK_SCENES
-from evaluation.plan.fingerprint import PATROL, RETURNS, TRACKING
+from evaluation.plan.fingerprint import (
+    PATROL,
+    RECONSTRUCTION,
+    RETURNS,
+    SHARING,
+    TRACKING,
+)
 from evaluation.plan.world import OWN_WORLD, WORLDS, World
 from evaluation.store.cell_index import CellKey, file_by_cell, read_index
 from evaluation.store.checksums import checksummed_files
@@ -77,12 +83,12 @@ def missing_units(plan: Plan, finished: Mapping[CellKey, str]) -> list[Unit]:
 
 
 def n_finished(plan: Plan) -> int:
-    """Return the number of finished cells of a run, as `unfinished` finds them."""
-    return plan.n_cells - sum(len(unit.consumers) for unit in unfinished(plan))
+    """Return the number of finished cells of a run, by its folder's checksums."""
+    return plan.n_cells - sum(len(unit.consumers) for unit in missing_in_folder(plan))
 
 
-def unfinished(plan: Plan) -> list[Unit]:
-    """Return the units that a run lacks by the checksums of its folder.
+def missing_in_folder(plan: Plan) -> list[Unit]:
+    """Return the units with consumers that a run lacks by its folder's checksums.
 
     Raises as `checksummed_files` does.
     """
@@ -94,37 +100,62 @@ def unfinished(plan: Plan) -> list[Unit]:
     return missing_units(plan, file_by_cell(indices))
 
 
+class _DueWork(NamedTuple):
+    """A piece of work, and when it is handed out."""
+
+    due: float  # Share of the run before it, 0..1.
+    work: Work
+
+
 def cut_work(missing: Sequence[Unit], plan: Plan) -> list[Work]:
-    """Return the work of missing units in pieces: blocks of scenes, linkage tasks."""
-    blocks = _cut_scenes(missing, plan)
+    """Return the work of missing units in pieces, in the order of their handing out.
+
+    Each piece is due at a share of the run. With several workers, blocks of scenes are
+    spread over the first `_BLOCKS_WITHIN` of it, by the cells before each; with a single
+    worker they come first. The pieces of linkage tasks, the longest first, are
+    spread evenly over the run. So are those of patrols and tracking, and those of
+    people who come back. Among pieces due at a time, those named first here come first.
+    """
     links = _cut_linkage(missing, plan)
     # The longest first: at the end no worker waits for long.
     links.sort(key=lambda work: len(work.levels) * n_pairs(work), reverse=True)
-    # A block takes the most memory, and longer the more consumers it has: with several
-    # workers, most of the time only one block is under way.
-    share = _BLOCKS_WITHIN if plan.jobs > 1 else 0.0
-    n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
-    # When a piece is handed out, as a share of the run, 0..1.
-    due = [share * sum(n_cells[:n]) / sum(n_cells) for n in range(len(blocks))]
-    due += [(n + 1) / len(links) for n in range(len(links))]
     patrols: list[Work] = [*_cut_patrols(missing, plan), *_cut_tracking(missing, plan)]
-    # A patrol takes as long as several blocks: it begins early.
-    due += [(n + 1) / (len(patrols) + 1) for n in range(len(patrols))]
     returns = _cut_returns(missing, plan)
-    due += [(n + 1) / (len(returns) + 1) for n in range(len(returns))]
-    works: list[Work] = [*blocks, *links, *patrols, *returns]
-    return [works[n] for n in sorted(range(len(works)), key=due.__getitem__)]
+    pieces = _spread_blocks(_cut_scenes(missing, plan), jobs=plan.jobs)
+    pieces += _spread_evenly(links, n_parts=len(links))
+    # A patrol takes as long as several blocks: it begins early.
+    pieces += _spread_evenly(patrols, n_parts=len(patrols) + 1)
+    pieces += _spread_evenly(returns, n_parts=len(returns) + 1)
+    return [piece.work for piece in sorted(pieces, key=lambda piece: piece.due)]
+
+
+def _spread_blocks(blocks: Sequence[SceneWork], *, jobs: int) -> list[_DueWork]:
+    """Return blocks of scenes with the time at which each is due.
+
+    A block takes the most memory, and longer the more consumers it has: with several
+    workers, most of the time only one block is under way.
+    """
+    share = _BLOCKS_WITHIN if jobs > 1 else 0.0
+    n_cells = [sum(len(consumers) for _, consumers in block.levels) for block in blocks]
+    return [
+        _DueWork(share * sum(n_cells[:place]) / sum(n_cells), block)
+        for place, block in enumerate(blocks)
+    ]
+
+
+def _spread_evenly(works: Sequence[Work], *, n_parts: int) -> list[_DueWork]:
+    """Return works that are due at the ends of the first of `n_parts` parts of a run."""
+    return [_DueWork((place + 1) / n_parts, work) for place, work in enumerate(works)]
 
 
 def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
     """Return the missing levels of every block of scenes, in every world."""
-    tasks = {windows.task.name for windows in plan.task_windows}
     # Split where few blocks are attacked by the workers. Each piece senses the block
     # again, so that there are no more pieces than an even load takes.
-    n_attacked = -(-plan.settings.n_attacked_scenes // BLOCK_SCENES)
+    n_attacked = _divide_up(plan.settings.n_attacked_scenes, BLOCK_SCENES)
     n_pieces = 1
     if plan.jobs > 1:
-        n_pieces = -(-_PIECES_PER_WORKER * plan.jobs // n_attacked)
+        n_pieces = _divide_up(_PIECES_PER_WORKER * plan.jobs, n_attacked)
     orders = _scene_orders(plan)
     blocks = []
     for number, first in enumerate(range(0, plan.settings.n_all_scenes, BLOCK_SCENES)):
@@ -133,7 +164,7 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
                 unit
                 for unit in missing
                 if unit.block == number
-                and unit.section not in {*tasks, PATROL, RETURNS, TRACKING}
+                and unit.section in {SHARING, RECONSTRUCTION}
                 and unit.world == world
             )
             is_attacked = number < n_attacked and not world
@@ -144,6 +175,11 @@ def _cut_scenes(missing: Sequence[Unit], plan: Plan) -> list[SceneWork]:
                 for piece in _share_out(levels, n_pieces if is_attacked else 1)
             ]
     return blocks
+
+
+def _divide_up(total: int, size: int) -> int:
+    """Return how many parts of a size, the last perhaps smaller, make a total."""
+    return -(-total // size)
 
 
 def _scene_orders(plan: Plan) -> dict[World, Ints]:
@@ -261,7 +297,7 @@ def cut_for_cluster(works: deque[Work]) -> None:
     The linkers behind one reconstruction are in one piece: its memory does not hold the
     releases of another.
     """
-    n_pieces = -(-_LEAST_CLUSTER_PIECES // len(works))
+    n_pieces = _divide_up(_LEAST_CLUSTER_PIECES, len(works))
     for _ in range(len(works)):
         work = works.popleft()
         for levels in _share_out(work.levels, n_pieces):

@@ -22,7 +22,7 @@ from evaluation.plan.origins import is_user_plugin
 from evaluation.plan.plan import Plan
 from evaluation.plan.units import Unit
 from evaluation.plan.user_plugins import has_user_plugins
-from evaluation.pool.pieces import unfinished
+from evaluation.pool.pieces import missing_in_folder
 from evaluation.pool.workers import spread
 from evaluation.store.files import PLUGIN_ERROR, write_whole
 from evaluation.store.folder import usable
@@ -83,7 +83,7 @@ def _call_plugins(
     if not has_user_plugins(plan.axes):
         return PluginTrial()
     with usable(plan.out):
-        missing = plan.units if plan.settings.fresh else unfinished(plan)
+        missing = plan.units if plan.settings.fresh else missing_in_folder(plan)
     trial = PluginTrial()
     allowed_s = plan.settings.cell_timeout_s
     limit_s = MOST_S if allowed_s is None else min(allowed_s, MOST_S)

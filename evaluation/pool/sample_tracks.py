@@ -19,18 +19,22 @@ from isac_track.plugins import Plugin
 
 
 def compute_sample_tracks(
-    plan: Plan, failed_names: set[str], names: Mapping[str, str]
+    plan: Plan, failed_specs: set[str], names: Mapping[str, str]
 ) -> list[str]:
-    """Compute and save sample tracks without the failed plug-ins; return new failures."""
+    """Compute and save sample tracks without the failed plug-ins; return new failures.
+
+    `failed_specs` has the SPECs of mechanisms and attacks that failed, `names` the
+    pseudonym of each person by id.
+    """
     axes = plan.axes
     mechanisms = [
-        plugin for plugin in axes.mechanisms if plugin.spec not in failed_names
+        plugin for plugin in axes.mechanisms if plugin.spec not in failed_specs
     ]
     compute = partial(
         _sample_part,
         tracks=plan.scene_tracks,
         attacks=[
-            plugin for plugin in axes.scenes.attacks if plugin.spec not in failed_names
+            plugin for plugin in axes.scenes.attacks if plugin.spec not in failed_specs
         ],
         stages=plan.settings.stages,
         seed=plan.settings.seed,
@@ -41,6 +45,7 @@ def compute_sample_tracks(
     in_workers = plan.jobs > 1 or has_user_plugins(axes)
     limit_s = plan.settings.cell_timeout_s
     works = deque(sample_mechanisms(mechanisms))
+    # A single worker returns the few works in their order, and so the file has it.
     for mechanism, result in spread(
         compute, works, jobs=1, limit_s=limit_s, in_workers=in_workers
     ):

@@ -20,7 +20,8 @@ Pictures
     `one_walk` for the README.
 Words
     They stand beside the decision that they tell: `recommendation`, `notices`,
-    `doubts`, `my_plugin`, `patrol_words`, `return_words`, `protection_record`; for
-    `evaluation.design`: `design_words`, `noise_plan`, `patrol_advice`. All take plain
-    names from `names`, numbers from `amounts` and meanings from `glossary`.
+    `doubts`, `failed_cells`, `my_plugin`, `patrol_words`, `return_words`,
+    `protection_record`; for `evaluation.design`: `design_words`, `noise_plan`,
+    `patrol_advice`. All take plain names from `names`, numbers from `amounts` and
+    meanings from `glossary`.
 """

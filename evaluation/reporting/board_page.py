@@ -260,7 +260,7 @@ def _place(place: Standing) -> Cell:
 def _digits(card: Card) -> Cell:
     if card.digits is None:
         return Cell()
-    if card.digits.is_message:
+    if card.hides_message:
         return Cell("hide a message", tone="bad")
     return Cell("say nothing")
 
@@ -291,7 +291,7 @@ def _readings(card: Card) -> Readings:
         f" {_percent(card.primary[MISSED])} of conflicts."
         f" {_percent(card.primary[FOLLOWED])} of people are followed for 10 s."
     )
-    if card.digits is not None and card.digits.is_message:
+    if card.digits is not None and card.hides_message:
         sentence += (
             f" Low-order digits explain {whole_percent(card.digits.explained)} of where"
             " people are: the release hides a message."

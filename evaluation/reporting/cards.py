@@ -29,7 +29,7 @@ def card_line(card: Card) -> str:
         for axis in AXES
     ]
     text = f"{card.label}: {', '.join(shown)}"
-    if card.digits is not None and card.digits.is_message:
+    if card.hides_message:
         text += "; its low-order digits hide a message"
     return text
 

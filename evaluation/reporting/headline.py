@@ -29,6 +29,7 @@ from evaluation.estimates.metrics import (
     WORST_TENTH,
 )
 from evaluation.estimates.strongest import (
+    NO_TASK,
     by_task,
     naming_rules,
     strongest_by_mechanism,
@@ -228,7 +229,7 @@ def headline(
     above = f"known to {epsilon_m:g} m"
     after_attack: HeadlineColumn | None = None
     worst: HeadlineColumn | None = None
-    if reconstruction := attacks.get(""):
+    if reconstruction := attacks.get(NO_TASK):
         after_attack = HeadlineColumn(above, "attacked", reconstruction.measured(PLR))
         worst = HeadlineColumn(
             above, "worst tenth", reconstruction.measured(WORST_TENTH)

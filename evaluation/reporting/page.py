@@ -10,7 +10,6 @@ from evaluation.estimates import weak_attacks
 from evaluation.estimates.keys import is_attack
 from evaluation.plan.address import parse_consumer
 from evaluation.plan.presets import IDENTITY, SHARED
-from evaluation.pool.failures import failed_lines
 from evaluation.reporting.amounts import counted
 from evaluation.reporting.announcements import (
     changed_settings,
@@ -19,6 +18,7 @@ from evaluation.reporting.announcements import (
 )
 from evaluation.reporting.answers import Answer, answers
 from evaluation.reporting.error_sources import DOCS_PAGE, ERROR_SOURCES
+from evaluation.reporting.failed_cells import failed_lines
 from evaluation.reporting.figures.figure import Figure
 from evaluation.reporting.glossary import GLOSSARY, plain_name
 from evaluation.reporting.headline import Headline

@@ -30,13 +30,13 @@ from evaluation.estimates.metrics import (
 from evaluation.estimates.strongest_table import SINGLE_RELEASE
 from evaluation.plan.address import Address, parse_consumer
 from evaluation.plan.world import OWN_WORLD
-from evaluation.pool.failures import failed_lines
 from evaluation.reporting import answer_tables, result_tables, terminal
 from evaluation.reporting.amounts import PERCENT
 from evaluation.reporting.announcements import changed_settings
 from evaluation.reporting.answers import answers
 from evaluation.reporting.bounds import bound_table, linked_bound_table
 from evaluation.reporting.doubts import doubts
+from evaluation.reporting.failed_cells import failed_lines
 from evaluation.reporting.first_screen import (
     TABLES,
     data_line,

@@ -55,13 +55,13 @@ class CardPlugin:
 
 
 @dataclass(frozen=True, slots=True)
-class CardMessage:
-    """What the low-order digits of a release say of what was sensed."""
+class CardDigits:
+    """Low-order digits of a release, which may hide a message on what was sensed."""
 
     explained: float  # Share of the variance, on people held out.
     place: int  # Decimals before the pair of digits.
     target: str
-    is_message: bool
+    is_message: bool  # Whether they explain more than chance does.
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,9 +83,14 @@ class Card:
     scores: tuple[CardScore, ...]
     primary: Mapping[str, CardScore]  # By axis: missed, known, followed.
     attacks: tuple[CardPlugin, ...]
-    digits: CardMessage | None
+    digits: CardDigits | None
     code_digest: str
     environment: Mapping[str, str]
+
+    @property
+    def hides_message(self) -> bool:
+        """Whether the low-order digits are known to hide a message."""
+        return self.digits is not None and self.digits.is_message
 
     @property
     def label(self) -> str:
@@ -164,7 +169,7 @@ def _refuse_constant(name: str) -> float:
 def _as_card(content: dict[str, Any]) -> Card:
     """Return the card of a file's content that fits the schema."""
     digits = content["digits"]
-    plain = {
+    nested = {
         "scores": tuple(CardScore(**score) for score in content["scores"]),
         "primary": {
             axis: CardScore(**score) for axis, score in content["primary"].items()
@@ -172,9 +177,9 @@ def _as_card(content: dict[str, Any]) -> Card:
         "mechanism": CardPlugin(**content["mechanism"]),
         "policy": CardPlugin(**content["policy"]),
         "attacks": tuple(CardPlugin(**attack) for attack in content["attacks"]),
-        "digits": None if digits is None else CardMessage(**digits),
+        "digits": None if digits is None else CardDigits(**digits),
     }
-    return Card(**{**content, **plain})
+    return Card(**{**content, **nested})
 
 
 # The file does not change while a process runs.
@@ -192,7 +197,8 @@ def schema_faults(
     """Yield what in a value breaks a schema, a line each, and where.
 
     Of JSON schema (2020-12) this reads `$ref`, `type`, `enum`, `pattern`, `minimum`,
-    `maximum`, `required`, `properties`, `additionalProperties` and `items`.
+    `maximum`, `required`, `properties`, `additionalProperties` and `items`. A `$ref` is
+    looked up in `card_schema()`, also if `schema` is another.
     """
     if reference := schema.get("$ref"):
         schema = card_schema()["$defs"][reference.rpartition("/")[2]]

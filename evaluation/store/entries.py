@@ -2,6 +2,8 @@
 
 The texts of the file become addresses once, when the manifest is opened. In the file an
 entry has the fields of its mechanism level and those of its consumer, each by name.
+Two fields of the file have another name in the code: `knowledge` is `adversary`, and
+`slow` is `is_slow`. The file has the names of earlier versions.
 """
 
 from __future__ import annotations
@@ -179,11 +181,11 @@ def parse_failed(rows: Iterable[Mapping[str, Any]]) -> list[FailedEntry]:
     ]
 
 
-def other_entries(
-    entries: Iterable[_AnyEntry], *, than: Iterable[_HasCell]
+def entries_without(
+    entries: Iterable[_AnyEntry], excluded: Iterable[_HasCell]
 ) -> list[_AnyEntry]:
-    """Return the entries of other cells."""
-    cells = {entry.cell for entry in than}
+    """Return the entries whose cells are not among those of the excluded entries."""
+    cells = {entry.cell for entry in excluded}
     return [entry for entry in entries if entry.cell not in cells]
 
 

@@ -7,13 +7,13 @@ from pathlib import Path
 from typing import Any
 
 from evaluation.plan.presets import DEFAULT
-from evaluation.plan.source_digest import ModuleFiles, has_source, source_digest
+from evaluation.plan.source_digest import ModuleFiles, has_source, short_digest
 from evaluation.store import files
 from evaluation.store.cell_index import FileIndex, UnitIndex, sound_files
 from evaluation.store.checksums import check_sound, drop_stale_checksums, write_checked
 from evaluation.store.entries import Entry
 from evaluation.store.manifest import (
-    CELL_NAME,
+    CELL_FILE_NAME,
     file_names,
     load_manifest_json,
     parse_manifest,
@@ -168,9 +168,7 @@ def _digests_here(index_by_file: Mapping[str, FileIndex]) -> dict[str, str]:
             modules.update(consumer.code)
     known: ModuleFiles = {}
     return {
-        name: source_digest(name, known=known)[:16]
-        for name in modules
-        if has_source(name)
+        name: short_digest(name, known=known) for name in modules if has_source(name)
     }
 
 
@@ -226,7 +224,7 @@ def _remove_run(out: Path) -> None:
     """Delete the files of a run by name, the manifest last; other files stay."""
     manifest = load_manifest_json(out)
     cells = (out / files.CELLS_FOLDER).glob("*.parquet")
-    written = [path for path in cells if CELL_NAME.fullmatch(path.name)]
+    written = [path for path in cells if CELL_FILE_NAME.fullmatch(path.name)]
     written += [out / name for name in files.WRITTEN]
     with contextlib.suppress(DataError):
         written += _figures(out, parse_manifest(manifest, out=out))

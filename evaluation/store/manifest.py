@@ -31,7 +31,10 @@ from evaluation.store.files import (
 )
 from isac_track.errors import DataError
 
-CELL_NAME: Final = re.compile(r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet")
+CELL_FILE_NAME: Final = re.compile(
+    r"[A-Za-z0-9.=-]{1,80}_[0-9]{5}_[0-9a-f]{16}\.parquet"
+)
+"""Name of a file of cells, as a run writes it."""
 # The number changes whenever a reader of another would miss or mistake a value.
 LAYOUT: Final = 5
 # Folders that are read as well: in layout 4 each unit of work has a file of its own.
@@ -99,13 +102,16 @@ def load_manifest_json(out: Path) -> dict[str, Any]:
 
 
 def parse_manifest(manifest: dict[str, Any], *, out: Path) -> dict[str, Any]:
-    """Return the manifest that a file holds; DataError if it has changed."""
+    """Return the manifest that a file holds; DataError if its seal does not fit.
+
+    DataError, too, for a name that is not that of a file of cells.
+    """
     content = {name: value for name, value in manifest.items() if name != "seal"}
     seals = [digest([layout, content]) for layout in _READABLE_LAYOUTS]
     is_sealed = manifest.get("seal") in seals
-    # Files are deleted by these names, and a seal may be forged.
+    # A forger can reseal, and files are deleted by these names.
     if not is_sealed or not all(
-        CELL_NAME.fullmatch(name)
+        CELL_FILE_NAME.fullmatch(name)
         for level in content["cells"]
         for name in level["files"]
     ):

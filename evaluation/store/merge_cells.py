@@ -10,7 +10,7 @@ from evaluation.compute.return_columns import CLEAN
 from evaluation.plan.consumer import TRACK_KINDS
 from evaluation.plan.settings import patrol_values, tracking_values
 from evaluation.store.cell_index import CellKey
-from evaluation.store.entries import Entry, make_entry, other_entries
+from evaluation.store.entries import Entry, entries_without, make_entry
 from evaluation.store.new_files import group_units
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ def merged_cells(
             for name in entry.files
         )
     ]
-    return with_ceiling(entries + other_entries(finished, than=entries))
+    return with_ceiling(entries + entries_without(finished, entries))
 
 
 def with_ceiling(entries: list[Entry]) -> list[Entry]:

@@ -170,7 +170,7 @@ def build_contrasts(
     others: Sequence[int],
     fid: Sequence[int] = (),
 ) -> Contrasts:
-    """Return the contrasts with fixed noise: of FID at quartiles, then of other levels.
+    """Return the contrasts with fixed noise: of FID at quarter points, then of other levels.
 
     `rates` are `Sums.rates` under `draw_weights`. `others` and `fid` are places of
     levels, as in `Panel`.
@@ -217,13 +217,13 @@ def build_contrasts(
 def _compared_levels(
     rates: Rates, fixed: Sequence[int], *, others: list[int], fid: list[int]
 ) -> _Compared:
-    """Return FID at the quartiles, if it has a sweep, and then each other level."""
+    """Return FID at the quarter points, if it has a sweep, and then each other level."""
     success, descriptor = rates.success, rates.descriptor
     n_levels = descriptor.shape[1]
     other_shares = np.eye(n_levels)[others]
     if not fid:
         return _Compared(descriptor[:, others], success[:, others], other_shares)
-    readings = curves.read_at_quartiles(
+    readings = curves.read_at_quarter_points(
         descriptor[:, fid], success[:, fid], descriptor[:, fixed]
     )
     fid_shares = _task_level_shares(fid, readings.places, n_levels)

@@ -18,8 +18,8 @@ from evaluation.estimates.interpolation import (
 from evaluation.verdict import rules
 from isac_track.types import Floats, Ints
 
-# Quartiles of the common range of the logarithm, at which FID is read.
-QUARTILES: Final = (0.25, 0.5, 0.75)
+# Quarter points of the common range of the logarithm, at which FID is read.
+QUARTER_POINTS: Final = (0.25, 0.5, 0.75)
 BOTH, ONLY_MORE, ONLY_FEWER, NEITHER = 0, 1, -1, 2  # Testable sides of a contrast.
 LEAST_SHARE: Final = 0.01  # Of the descriptor at raw: the least value for a logarithm.
 
@@ -33,12 +33,12 @@ class FixedNoise:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class QuartileReadings:
-    """A sweep read at the quartiles of the range that it shares with fixed noise."""
+class QuarterReadings:
+    """A sweep read at the quarter points of the range shared with fixed noise."""
 
     descriptor: Floats  # (R, 3)
     success: Floats  # (R, 3)
-    places: CurvePositions  # Of the quartiles among the sweep's levels.
+    places: CurvePositions  # Of the quarter points among the sweep's levels.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -62,25 +62,25 @@ def rates_by_draw(sums: Floats, counts: Floats, weights: Floats) -> Floats:
     return rates
 
 
-def read_at_quartiles(
+def read_at_quarter_points(
     descriptor: Floats, success: Floats, fixed_descriptor: Floats
-) -> QuartileReadings:
-    """Read a sweep's descriptor and success at the quartiles.
+) -> QuarterReadings:
+    """Read a sweep's descriptor and success at the quarter points.
 
-    The quartiles are of the range of the logarithm that sweep and fixed noise have in
-    common; they are set by the estimate, as a share of the descriptor at raw.
-    `descriptor` and `success`, (R, E), go from the noisiest level to raw, and so does
-    the descriptor of fixed noise, (R, F).
+    They are of the range of the logarithm that sweep and fixed noise have in common.
+    The points are fixed shares of the descriptor at raw, computed from row 0; in each
+    replicate they are these shares of its raw. `descriptor` and `success`, (R, E), go
+    from the noisiest level to raw, and so does the descriptor of fixed noise, (R, F).
     """
     scale = isotonic_rows(descriptor)
     raw = scale[:, -1:]
     fixed_least = isotonic_rows(fixed_descriptor[:1])[0, 0]
     least = max(scale[0, 0], fixed_least, LEAST_SHARE * raw[0, 0])
     common = least / raw[0, 0] if raw[0, 0] > 0 else 1.0
-    at = raw * common ** (1.0 - np.array(QUARTILES))
+    at = raw * common ** (1.0 - np.array(QUARTER_POINTS))
     position = nearest_positions(at, scale)
     reached = interpolated(position, isotonic_rows(success), log=False)
-    return QuartileReadings(at, reached, position)
+    return QuarterReadings(at, reached, position)
 
 
 def compare_with_fixed(
@@ -92,11 +92,14 @@ def compare_with_fixed(
     it links no more than there, above raw no less. So one direction can still be shown.
     """
     scale, achieved = isotonic_rows(fixed.descriptor), isotonic_rows(fixed.success)
-    span, below = scale[0, -1] - scale[0, 0], scale[0, -1] - descriptor[0]
+    span = scale[0, -1] - scale[0, 0]
+    drop = scale[0, -1] - descriptor[0]  # From raw, (K,).
     tolerance = rules.REACH * span
-    side = np.select(
-        [below < -tolerance, below > span + tolerance], [ONLY_FEWER, ONLY_MORE], BOTH
-    )
+    side = np.full(drop.size, BOTH)
+    # Above raw fixed noise would link no less: only fewer links can be shown.
+    side[drop < -tolerance] = ONLY_FEWER
+    # Below its noisiest level it would link no more: only more links can be shown.
+    side[drop > span + tolerance] = ONLY_MORE
     position = nearest_positions(descriptor, scale)
     gaps = success - interpolated(position, achieved, log=False)
     return FixedNoiseComparison(gaps, side, position)

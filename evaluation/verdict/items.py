@@ -128,8 +128,8 @@ class Contrast:
     """A mechanism level against fixed noise at the same descriptor value."""
 
     mechanism: str
-    level: float | None  # None: FID, which is read at a quartile.
-    quartile: float | None
+    level: float | None  # None: FID, which is read at quarter points.
+    quartile: float | None  # Quarter point of FID, under its key in `verdict.json`.
     linker: str  # Label of the linker.
     gap: Estimate  # Share of people linked, less that under fixed noise.
     reading: str  # `differs`, `equal`, `between` or `not testable`.

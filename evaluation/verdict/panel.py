@@ -16,7 +16,7 @@ from evaluation.estimates.keys import where_text
 from evaluation.estimates.linked_people import TaskSums
 from evaluation.estimates.sweeps import FEWEST_LEVELS
 from evaluation.plan.presets import PRESETS
-from evaluation.verdict.curves import QUARTILES
+from evaluation.verdict.curves import QUARTER_POINTS
 from isac_track import plugins
 
 # It moves a whole walk: an adversary that links in a hidden frame cannot notice.
@@ -29,7 +29,7 @@ class Panel:
 
     task: TaskSums
     adding: str
-    families: tuple[str, ...]  # (L,) of all levels
+    family_names: tuple[str, ...]  # (L,) of all levels
     fixed: list[int]  # From the noisiest to raw, which is the last.
     fid: list[int]  # In the same order; empty without a sweep.
     others: list[int]  # Of the preset.
@@ -43,13 +43,13 @@ class Panel:
         It then differs by construction.
         """
         task = TASKS.get(self.task.task)
-        is_offset = self.families[place] == OFFSET
+        is_offset = self.family_names[place] == OFFSET
         return is_offset and task is not None and not task.shows_scene
 
     @property
     def compared(self) -> list[int]:
         """The level of each contrast; of FID the noisiest."""
-        return self.fid[:1] * len(QUARTILES) + self.others
+        return self.fid[:1] * len(QUARTER_POINTS) + self.others
 
 
 def build_panel(
@@ -87,7 +87,7 @@ def build_panel(
     return Panel(
         task=task,
         adding=adding,
-        families=tuple(family.family for family in families),
+        family_names=tuple(family.family for family in families),
         fixed=fixed,
         fid=fid,
         others=others,
@@ -110,8 +110,10 @@ def _sweep(
         for place, family in enumerate(families)
         if (family.family, family.adding, family.parameters) == (name, adding, "")
     ]
+    # A larger level of fixed noise is noisier, a larger eta of FID less noisy.
+    larger_is_noisier = name == FIXED
     places.sort(
-        key=lambda place: task.levels[place].level or 0.0, reverse=name == FIXED
+        key=lambda place: task.levels[place].level or 0.0, reverse=larger_is_noisier
     )
     return places + raw if len(places) >= FEWEST_LEVELS else []
 

@@ -1,6 +1,7 @@
 """Are people who come back re-identified? The rule's answer as a record.
 
-The rule is `isac_track.linkability.return_rule`; it reads the level without error alone.
+The rule is `isac_track.linkability.return_rule`; it reads only the level without sensing
+error (`clean`).
 """
 
 import math
@@ -18,7 +19,12 @@ from evaluation.compute.return_columns import (
     STRONGEST,
 )
 from evaluation.estimates.families import CLEAN
-from evaluation.estimates.json_numbers import json_interval, json_number, read_interval
+from evaluation.estimates.json_numbers import (
+    json_interval,
+    json_number,
+    read_interval,
+    read_number,
+)
 from evaluation.estimates.returns import ReturnNumbers
 from evaluation.plan.address import Address
 from evaluation.plan.consumer import FUSION
@@ -43,14 +49,14 @@ class ReturnAnswer:
     n: int  # People.
     n_needed: int | None  # People for whom the power suffices.
     nested_p: float  # P-value of being the same person beyond all controls.
-    rank1: Estimate  # Share named first by the fusion of all linkers.
-    chance: float  # The same by guessing.
-    control: Estimate  # The same by the strongest control.
+    rank1: Estimate  # Rank 1 of the fusion of all linkers.
+    chance: float  # Rank 1 by guessing.
+    control: Estimate  # Rank 1 of the strongest control.
     controls: Mapping[str, int]  # By control, for how many people it is the strongest.
     gain: Estimate  # Rank 1 of the fusion less that of the control.
     confirming: str | None  # Session that was left aside, if any.
     confirming_gain: Estimate
-    confirming_p: float | None
+    confirming_p: float | None  # As `nested_p`; None without such a session.
 
 
 def return_answer(
@@ -100,15 +106,15 @@ def return_json(answer: ReturnAnswer) -> dict[str, Any]:
         "n": answer.n,
         "n_needed": answer.n_needed,
         "primary": f"{PRIMARY}, no error",
-        "nested_p": answer.nested_p,
+        "nested_p": json_number(answer.nested_p),
         **json_interval("rank1", answer.rank1),
-        "chance": answer.chance,
+        "chance": json_number(answer.chance),
         **json_interval("control", answer.control),
         "controls": dict(answer.controls),
         **json_interval("gain", answer.gain),
         "confirming": answer.confirming,
         **json_interval("confirming_gain", answer.confirming_gain),
-        "confirming_p": answer.confirming_p,
+        "confirming_p": json_number(answer.confirming_p),
     }
 
 
@@ -120,12 +126,12 @@ def read_return(verdict: Mapping[str, Any]) -> ReturnAnswer | None:
     return ReturnAnswer(
         decision=content["decision"],
         why=content["why"],
-        power=math.nan if content["power"] is None else content["power"],
+        power=read_number(content["power"]),
         n=content["n"],
         n_needed=content["n_needed"],
-        nested_p=content["nested_p"],
+        nested_p=read_number(content["nested_p"]),
         rank1=read_interval(content, "rank1"),
-        chance=content["chance"],
+        chance=read_number(content["chance"]),
         control=read_interval(content, "control"),
         controls=content["controls"],
         gain=read_interval(content, "gain"),

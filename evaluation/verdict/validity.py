@@ -18,7 +18,7 @@ from evaluation.estimates.linked_people import TaskSums
 from evaluation.estimates.metrics import RANK1, RANK1_AMONG_100
 from evaluation.verdict import power, rules, spread
 from evaluation.verdict.contrasts import Contrasts
-from evaluation.verdict.curves import NEITHER, ONLY_FEWER, ONLY_MORE, QUARTILES
+from evaluation.verdict.curves import NEITHER, ONLY_FEWER, ONLY_MORE, QUARTER_POINTS
 from evaluation.verdict.items import (
     Contrast,
     DescriptorTrial,
@@ -81,7 +81,7 @@ def _item(draft: ValidityDraft, deviation: Floats) -> ValidityItem:
         beside_widths = spread.interval_widths(draft.beside, deviation)
         beside = _contrasts(panel, panel.beside, draft.beside, beside_widths)
     is_flat = rules.is_flat_miss(answer.decision, answer.low)
-    families = [panel.families[place] for place in panel.compared]
+    families = [panel.family_names[place] for place in panel.compared]
     answers = power.answer_probabilities(own, widths, families)
     needed = None if is_flat else power.clusters_needed(own, widths, draft.n)
     item = ValidityItem(
@@ -154,7 +154,7 @@ def _contrasts(
             Contrast(
                 mechanism=level.mechanism,
                 level=None if is_fid else level.level,
-                quartile=QUARTILES[k] if is_fid else None,
+                quartile=QUARTER_POINTS[k] if is_fid else None,
                 linker=level.linker.without_task.label,
                 gap=Estimate(
                     gap if is_known else np.nan,

@@ -145,7 +145,7 @@ def _errors(panel: Panel, name: str, rates: Rates) -> DescriptorErrors | None:
     levels = [*panel.fixed, *panel.fid[:-1], *panel.others]
     success = rates.success[: 1 + _N_FOR_ERRORS, levels]
     descriptor = rates.descriptor[: 1 + _N_FOR_ERRORS, levels]
-    families = [panel.families[place] for place in levels]
+    families = [panel.family_names[place] for place in levels]
     kinds = ["white" if family in WHITE_FAMILIES else family for family in families]
     return prediction_errors(
         -descriptor if name in RISING_WITH_NOISE else descriptor, success, kinds

@@ -11,7 +11,7 @@ from evaluation.verdict.curves import (
     NEITHER,
     ONLY_FEWER,
     ONLY_MORE,
-    QUARTILES,
+    QUARTER_POINTS,
 )
 from evaluation.verdict.items import Contrast, SpreadAnswer, ValidityItem
 from evaluation.verdict.number_text import people_amount, points_text, with_interval
@@ -25,7 +25,7 @@ _WHY_ONE_SIDED: Final = {
     ONLY_FEWER: "has a higher {} than raw, so that only fewer could be seen",
     NEITHER: "has a {} of too few people",
 }
-_QUARTILE: Final = dict(zip(QUARTILES, ("low", "middle", "high"), strict=True))
+_POINT_NAMES: Final = dict(zip(QUARTER_POINTS, ("low", "middle", "high"), strict=True))
 
 
 def why_undecided(
@@ -140,7 +140,7 @@ def _worst_contrast(item: ValidityItem) -> Contrast:
 def _mechanism_name(contrast: Contrast) -> str:
     """Return the mechanism of a contrast as people write it."""
     if contrast.quartile is not None:
-        return f"{contrast.mechanism} ({_QUARTILE[contrast.quartile]})"
+        return f"{contrast.mechanism} ({_POINT_NAMES[contrast.quartile]})"
     return where_text(contrast.mechanism, contrast.level)
 
 

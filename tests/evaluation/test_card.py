@@ -146,7 +146,7 @@ class TestVerifying:
     def test_a_seed_that_can_be_guessed_is_refused(self, text, tmp_path):
         path = tmp_path / "seed.txt"
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(DataError, match="32 to 128 hexadecimal digits"):
+        with pytest.raises(DataError, match="32 to 128 lower-case hexadecimal digits"):
             card_entries.read_secret_seed(path)
 
 

@@ -23,7 +23,7 @@ from evaluation.compute.patrol_rows import (
 from evaluation.estimates.differences import compare
 from evaluation.plan.axes import expand_axes
 from evaluation.pool.execute import FailedCellsWarning
-from evaluation.pool.failures import failed_lines
+from evaluation.reporting.failed_cells import failed_lines
 from evaluation.reporting.patrol_tables import patrol_tables
 from evaluation.reporting.patrol_words import patrol_sentence
 from isac_track import datasets

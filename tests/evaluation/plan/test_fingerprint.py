@@ -10,7 +10,8 @@ from evaluation.plan.fingerprint import (
     RECONSTRUCTION,
     SHARING,
     consumer_key,
-    key_modules,
+    plugin_modules,
+    section_modules,
 )
 from evaluation.plan.settings import Settings
 from evaluation.plan.source_digest import source_digest
@@ -160,7 +161,7 @@ SOURCES = {
 def test_a_section_is_computed_by_what_it_imports(monkeypatch, module, sections):
     def digests():
         return {
-            section: [source_digest(source) for source in key_modules(section)]
+            section: [source_digest(source) for source in section_modules(section)]
             for section in SECTIONS
         }
 
@@ -181,9 +182,7 @@ def test_a_plug_in_is_its_own_code_and_nobody_elses(monkeypatch):
         return {
             consumer.label: consumer_key(
                 consumer,
-                code=[
-                    source_digest(name) for name in key_modules("", *consumer.plugins)
-                ],
+                code=[source_digest(name) for name in plugin_modules(consumer.plugins)],
                 keep_scores=False,
             )
             for consumer in consumers

@@ -107,9 +107,9 @@ class TestParts:
             curve
         )
 
-    def test_fid_is_read_at_quartiles_of_the_common_range_of_the_logarithm(self):
+    def test_fid_is_read_at_quarter_points_of_the_common_range_of_the_logarithm(self):
         fid, fixed = np.array([[0.01, 0.1, 1.0]]), np.array([[0.0001, 1.0]])
-        read = curves.read_at_quartiles(fid, np.log10(fid) + 2, fixed)
+        read = curves.read_at_quarter_points(fid, np.log10(fid) + 2, fixed)
         at = read.descriptor
         assert at[0] == pytest.approx(0.01 ** np.array([0.75, 0.5, 0.25]))
         assert read.success[0] == pytest.approx(np.interp(at[0], fid[0], [0, 1, 2]))
