@@ -379,6 +379,8 @@ def _labels(
     curves: Sequence[Curve], to_y: Callable[[Any], Any], *, x: float, bottom: float
 ) -> list[Label]:
     """Return labels at the heights of the last values, moved apart if they overlap."""
+    # A curve without a known value has no end to stand beside.
+    curves = [curve for curve in curves if np.isfinite(curve.y[0]).any()]
     ends = [float(to_y(curve.y[0][np.isfinite(curve.y[0])][-1])) for curve in curves]
     order = sorted(range(len(curves)), key=ends.__getitem__)
     heights = list[float]()
@@ -432,16 +434,29 @@ def _log_axis(
     """Return the same for a logarithmic axis of positive values."""
     length = ends[1] - ends[0]
     low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
-    steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
-    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
-    candidates = np.outer(decades, steps).ravel()
-    ticks = [tick for tick in candidates if low <= np.log10(tick) <= high]
+    ticks = _log_ticks(low, high)
 
     def position(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
         exponents = np.log10(np.maximum(values, 10.0**low))
         return ends[0] + length * (exponents - low) / (high - low)
 
     return position, [Tick(float(position(tick)), _short(tick)) for tick in ticks]
+
+
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Return the ticks of a logarithmic axis between two exponents, at least one.
+
+    They are powers of ten; over few decades also their double and fivefold. Over less
+    than such a step they are all whole multiples, or else the middle to two digits.
+    """
+    steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
+    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
+    for factors in (steps, range(1, 10)):
+        candidates = np.outer(decades, factors).ravel()
+        ticks = [tick for tick in candidates if low <= np.log10(tick) <= high]
+        if ticks:
+            return ticks
+    return [float(f"{10.0 ** (0.5 * (low + high)):.2g}")]
 
 
 def _short(value: float) -> str:

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from scipy.special import bdtrc
+
 from evaluation.estimates import weak_attacks
 from evaluation.reporting.amounts import counted, listed
 from evaluation.reporting.my_plugin import plugin_doubts
@@ -95,19 +97,25 @@ def _invalid_results(run: Results) -> list[str]:
 
 
 def _linking_controls(run: Results) -> list[str]:
-    """Return how many controls link people, if more than chance explains."""
+    """Return how many controls link people, if more than chance explains.
+
+    Each test of a control that links nobody rejects in 5 % of runs. The doubt appears
+    if so many rejections are as rare, by the one-sided binomial tail. The tail takes
+    the tests as independent. They share their people, so that several reject together
+    more often than it says.
+    """
     tests = [
         is_linked
         for task in run.tasks
         for control in control_tests(task).values()
         for is_linked in control
     ]
-    n_linked, expected = sum(tests), LEVEL * len(tests)
-    if not n_linked > expected:
+    n_linked, n_tests = sum(tests), len(tests)
+    # P(n_linked or more of n_tests); bdtrc(k, n, p) is P(more than k).
+    if n_linked == 0 or bdtrc(n_linked - 1, n_tests, LEVEL) > LEVEL:
         return []
-    return [
-        f"{n_linked} of {len(tests)} controls link people ({expected:.0f} expected)"
-    ]
+    expected = f"{LEVEL * n_tests:.1f} expected"
+    return [f"{n_linked} of {n_tests} controls link people ({expected})"]
 
 
 def _skipped_tasks(run: Results) -> list[str]:

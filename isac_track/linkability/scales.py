@@ -44,6 +44,8 @@ _COLUMNS = (
 """Rows that the loop `read_scores` writes."""
 # Most numbers that a vector instruction treats: replicates are a multiple of it.
 _LANES = 16
+# The loops name a row of the table of weights in 16 bits; the last row holds ones.
+_MOST_CLUSTERS = 2**16 - 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -192,6 +194,9 @@ def _weigh_clusters(
     clusters = np.unique(
         np.concatenate([array for _, *pair in arrays for array in pair])
     )
+    if clusters.size > _MOST_CLUSTERS:
+        limit = f"{_MOST_CLUSTERS:,} clusters"
+        raise ValueError(f"a scale may have at most {limit}, got {clusters.size:,}")
     drawn = same.weights[:SCORE_REPLICATES, clusters].T
     is_left = clusters[:, None] != np.array(without)
     rows = np.column_stack([np.ones(clusters.size), drawn, is_left])

@@ -20,6 +20,8 @@ LEVEL = 0.05
 """Significance level of the tests."""
 # Scores that are ranked at a time: those of thousands of people take 400 MB at once.
 _SCORES_AT_ONCE = 2**20
+# Column of the last candidate that shuffles can name: they keep columns in 16 bits.
+_LAST_COLUMN = 2**16 - 1
 # Bits of a double that a number in single precision leaves unused.
 _SPARE_BITS = 2**29 - 1
 
@@ -306,9 +308,16 @@ def shuffled_mates(
 ) -> NDArray[np.uint16]:
     """Draw the column of the mate that each of N probes gets in n shuffles, (N, n).
 
-    As in `permutation_p`. Sixteen bits suffice for a column: no memory would hold the
-    scores of more candidates.
+    As in `permutation_p`. Columns are kept in 16 bits: the shuffles of a search take a
+    quarter of the memory that they would as 64-bit integers. ValueError for a mate
+    beyond the first 65,536 candidates.
     """
+    last = int(mated.mate.max(initial=0))
+    if last > _LAST_COLUMN:
+        limit = f"{_LAST_COLUMN + 1:,} candidates"
+        raise ValueError(
+            f"a search may have at most {limit}; a mate is no. {last + 1:,}"
+        )
     sizes, n_clusters = mated.sizes.copy(), mated.n_clusters.copy()
     n_probes, rows = mated.probes.size, 64
     uniform = np.empty((rows, n_probes - sizes.size))

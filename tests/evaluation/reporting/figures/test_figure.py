@@ -105,6 +105,27 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     assert name == "paper"
 
 
+@pytest.mark.parametrize("levels", [[3.0], [60.0, 80.0], [1.4], [0.034], [700.0]])
+def test_a_logarithmic_axis_has_a_tick_over_any_few_values(levels):
+    x = np.array(levels)
+    curve = Curve(Look(1), "mine", x, np.ones((3, x.size)))
+    chart = curves_chart([curve], x=Axis("level", log=True), y=Axis("seen (%)"))
+    assert chart.x_ticks
+    for tick in chart.x_ticks:
+        assert chart.left <= tick.at <= chart.right
+        assert x.min() / 1.1 <= float(tick.text) <= 1.1 * x.max()
+
+
+def test_a_labelled_curve_without_a_known_value_has_no_label():
+    x, known = np.array([1.0, 2.0]), np.ones((3, 2))
+    curves = [
+        Curve(Look(0), "a", x, known, label="seen"),
+        Curve(Look(1), "b", x, np.full((3, 2), np.nan), label="never seen"),
+    ]
+    chart = curves_chart(curves, x=Axis("level"), y=Axis("seen (%)"))
+    assert [label.text for label in chart.labels] == ["seen"]
+
+
 def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
     summary = make_summary(LINEAR)
     _, chart = drawn(summary=summary)["fid_threshold"].panels[1]
