@@ -41,11 +41,11 @@ def _few_people(run: Results) -> list[str]:
 
 def _untried_proposal(run: Results) -> list[str]:
     """Return that no further adversary was tried on the proposal."""
-    proposals = run.recommendation().proposals[:1]
-    is_untried = any(
-        all(side.reader is None for side in offer.beyond) for offer in proposals
-    )
-    return ["the proposal was tried against one release only"] if is_untried else []
+    proposals = run.recommendation().proposals
+    if not proposals:
+        return []
+    is_tried = any(side.reader is not None for side in proposals[0].beyond)
+    return [] if is_tried else ["the proposal was tried against one release only"]
 
 
 def _doubtful_units(run: Results) -> list[str]:
@@ -60,8 +60,8 @@ def _missing_intervals(run: Results) -> list[str]:
     table, subjects = run.headline, dict[str, None]()  # A set that keeps its order.
     for column in table.columns:
         numbers = [table.at(where, column) for where in table.levels]
-        finite = [number for number in numbers if number is not None]
-        if finite and not any(math.isfinite(number.ci_low) for number in finite):
+        known = [number for number in numbers if number is not None]
+        if known and not any(math.isfinite(number.ci_low) for number in known):
             subjects[column.subject] = None
     return [f"no intervals on {listed([*subjects])} (few people)"] if subjects else []
 

@@ -23,7 +23,7 @@ from evaluation.estimates.frontier import WHITE_NOISE
 from evaluation.reporting.charts import (
     Axis,
     Curve,
-    LineAcross,
+    Guide,
     LonePoint,
     Look,
     curves_chart,
@@ -85,7 +85,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
     marked = [LonePoint(Look(6), np.inf, 10.0, "paper")]
     chart = curves_chart(
-        [curve], x=axes[0], y=axes[1], across=[LineAcross(6, 20.0)], marked=marked
+        [curve], x=axes[0], y=axes[1], guides=[Guide(6, 20.0)], marked=marked
     )
     (_, marks, _), (_, paper, name) = chart.marks
     known, close = np.isfinite(y), {"rtol": 0.03, "atol": 0.4}
