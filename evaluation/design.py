@@ -123,7 +123,11 @@ def _answer_from_run(arguments: Sequence[str]) -> int:
 
 def _parser() -> Parser:
     from evaluation.estimates.families import ADDING_RULES  # noqa: PLC0415 - heavy
-    from evaluation.estimates.metrics import METRICS  # noqa: PLC0415 - heavy
+    from evaluation.estimates.metrics import (  # noqa: PLC0415 - heavy
+        DESCRIPTORS,
+        METRICS,
+    )
+    from evaluation.reporting.amounts import listed  # noqa: PLC0415 - heavy
     from evaluation.verdict.question import HORIZON_S, LIMITS, USUAL  # noqa: PLC0415 - heavy
 
     limit_help = {
@@ -154,9 +158,9 @@ def _parser() -> Parser:
     add("out", type=Path, metavar="OUT", help="folder of a run")
     for name, metric in LIMITS.items():
         row = METRICS[metric]
-        is_share = row.is_share
-        kind, unit = ("a fraction", "X") if is_share else (f"in {row.unit}", "S")
-        about = limit_help.get(name, f"{row.head}, {kind}")
+        kind = "a fraction" if row.is_share else f"in {row.unit}"
+        about = limit_help.get(name, f"{row.head}, {kind}".removesuffix(", in "))
+        unit = "S" if row.unit == "s" else "X"
         usual = USUAL.get(name)
         default = "" if usual is None else f" (default: {usual:g})"
         option = f"--max-{name.replace('_', '-')}"
@@ -188,8 +192,9 @@ def _parser() -> Parser:
     )
     about = "family of mechanisms, such as fid; repeatable (default: all of the run)"
     add("--family", action="append", default=[], metavar="NAME", help=about)
+    descriptors = listed([METRICS[name].head for name in DESCRIPTORS])
     about = (
-        "limit PLR, AEL and MEL of the sent positions, not of the strongest"
+        f"limit {descriptors} of the sent positions, not of the strongest"
         " reconstruction"
     )
     add("--as-shared", action="store_true", help=about)

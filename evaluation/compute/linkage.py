@@ -48,17 +48,22 @@ if TYPE_CHECKING:
     from isac_track.linkability import Calibration
     from isac_track.plugins import Plugin
 
-_LAG_STEP_S = 0.2
-_LAG_WIDTH = 3  # Steps over which a lag counts.
-_LEAST_WEIGHT = 0.1
+# The prior of the optimum on lags, a smoothed histogram over a grid of lags.
+_LAG_STEP_S = 0.2  # Step of the grid.
+# Half-width in steps of the triangle that smooths each lag: a few mates have few lags.
+_LAG_HALF_WIDTH = 3
+_PSEUDO_COUNT = 0.1  # At each lag of the grid, so that none is impossible.
 
 
-def sees_times_only(consumer: Consumer, level: LinkedLevel) -> bool:
-    """Whether a control has the same result at all levels that leave out no sample."""
-    is_control = (
+def is_same_at_all_levels(consumer: Consumer, level: LinkedLevel) -> bool:
+    """Whether a consumer has one result for all levels that leave out no sample.
+
+    So has a control that sees times alone. False at a level that leaves out samples.
+    """
+    sees_times_only = (
         consumer.kind == "control" and CONTROLS[consumer.control].sees_times_only
     )
-    return is_control and level.setup is level.full_setup
+    return sees_times_only and level.setup is level.full_setup
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -139,7 +144,11 @@ def search_scores(consumer: Consumer, level: LinkedLevel) -> dict[int, Floats]:
 def _add_scores(
     scores: dict[int, Floats], linker: _FittedLinker, pairings: FoldPairings
 ) -> None:
-    """Add a fold's scores to those of its searches, which folds may have split."""
+    """Add a fold's scores to those of its searches, which folds may have split.
+
+    Folds must come in the order of `SensedTask.folds`. In this order `whole_searches`
+    joins the probes of a split search, whose rows the scores are.
+    """
     for number, pairing in pairings.searches.items():
         fold_scores = linker.score_pairing(pairing)
         earlier = scores.get(number, fold_scores[:0])
@@ -149,14 +158,15 @@ def _add_scores(
 def link_optimum(level: LinkedLevel, motion: Motion | None) -> LinkResult:
     """Return the links of the optimum: the likelihood ratio of pairs in a model world.
 
-    The optimum knows the motion, the variance of every sample and the distribution of
-    lags. No adversary that looks at one probe at a time links more of them, in
-    expectation, where errors are Gaussian. Raises PluginError for a mechanism whose
-    errors are not white, or of unknown laws.
+    The optimum knows the motion, the variance of every sample and a smoothed, mirrored
+    prior of the lags. Suppose that errors are Gaussian and that lags follow this prior.
+    Then no adversary that looks at each probe by itself links more people, in
+    expectation. Raises PluginError for a mechanism whose errors are not white, or of
+    unknown laws.
     """
     assert motion is not None
     setup, mechanism = level.setup, level.mechanism
-    lags_s, weight = _lag_distribution(setup.task_windows)
+    lags_s, weights = _lag_prior(setup.task_windows)
     variances = []
     for side, release, sensed in zip(SIDES, level.shared, setup.sensed, strict=True):
         rng = stream(setup.seed, "genie", "linkage", mechanism.spec, side)
@@ -181,29 +191,38 @@ def link_optimum(level: LinkedLevel, motion: Motion | None) -> LinkResult:
                     prior,
                 )
             )
-        scores[number] = log_ratios(*walks, motion=motion, lags_s=lags_s, weight=weight)
+        scores[number] = log_ratios(
+            *walks, motion=motion, lags_s=lags_s, weight=weights
+        )
     return evaluate_links(scores, setup=setup, attack_names=(BOUND,))
 
 
-def _lag_distribution(task_windows: TaskWindows) -> tuple[Floats, Floats]:
-    """Return lags of the gallery's window after the probe's, (L,) s, and weights."""
+def _lag_prior(task_windows: TaskWindows) -> tuple[Floats, Floats]:
+    """Return a smoothed, mirrored prior of the lags: lags, (L,) s, and weights, (L,).
+
+    A lag is the start of the gallery's window after that of the probe's. The lag of
+    each pair of mates counts as it is and with the other sign, so that the prior is
+    symmetric about 0.
+    """
     probe, gallery = task_windows.probe, task_windows.gallery
     probe_start_s = probe.t[probe.offsets[:-1]]
     gallery_start_s = gallery.t[gallery.offsets[:-1]]
     mated = np.flatnonzero(task_windows.mate >= 0)
     lag_s = gallery_start_s[task_windows.mate[mated]] - probe_start_s[mated]
-    most = int(np.ceil(np.abs(lag_s).max(initial=0.0) / _LAG_STEP_S)) + _LAG_WIDTH
-    lags_s = np.arange(-most, most + 1, dtype=np.float64) * _LAG_STEP_S
+    largest_s = np.abs(lag_s).max(initial=0.0)
+    n_steps = int(np.ceil(largest_s / _LAG_STEP_S)) + _LAG_HALF_WIDTH
+    lags_s = np.arange(-n_steps, n_steps + 1, dtype=np.float64) * _LAG_STEP_S
     away_s = lags_s[:, None] - np.concatenate([lag_s, -lag_s])
-    width_s = _LAG_WIDTH * _LAG_STEP_S
-    weight = np.maximum(1.0 - np.abs(away_s) / width_s, 0.0).sum(axis=1) + _LEAST_WEIGHT
-    return lags_s, weight / weight.sum()
+    half_width_s = _LAG_HALF_WIDTH * _LAG_STEP_S
+    triangles = np.maximum(1.0 - np.abs(away_s) / half_width_s, 0.0)
+    weights = triangles.sum(axis=1) + _PSEUDO_COUNT
+    return lags_s, weights / weights.sum()
 
 
 def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
     """Return the result of an attack that scores only each probe's best candidates."""
-    setup, name = level.setup, (consumer.spec, consumer.adversary)
-    rng = stream(setup.seed, "linkage", "candidates", *name)
+    setup, attack_names = level.setup, (consumer.spec, consumer.adversary)
+    rng = stream(setup.seed, "linkage", "candidates", *attack_names)
     results = {}
     for fold, pairings in enumerate(setup.folds):
         linker = _fit_linker(consumer, level, fold)
@@ -225,7 +244,7 @@ def _link_candidates(consumer: Consumer, level: LinkedLevel) -> LinkResult:
         [result.exact - result.approximate for result in results.values()]
     )
     scores = {number: result.scores for number, result in results.items()}
-    return evaluate_links(scores, setup=setup, attack_names=name, losses=losses)
+    return evaluate_links(scores, setup=setup, attack_names=attack_names, losses=losses)
 
 
 def _score_untrained(
@@ -338,6 +357,9 @@ def score_releases(
     name: str,
 ) -> Floats:
     """Return a fitted linker's scores of two releases: (p, g), rounded to float32.
+
+    Ranks must not depend on the last bits of a double, which differ between machines.
+    Numbers of single precision also sort faster (`rank_rows`) and take half the memory.
 
     Raises PluginError if the linker raises or returns anything else; the message says
     its `name`.

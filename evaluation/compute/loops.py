@@ -22,7 +22,7 @@ GAIN: Final = "isac_track._gain_loop:correlated"
 _DESCRIPTORS: Final = ("isac_track._privacy_loop:described",)
 _NOISE: Final = ("isac_track.kalman._linear_loops:innovation_level",)
 _FILTER: Final = ("isac_track.kalman._linear_loops:cv_last", *_NOISE)
-_SMOOTHER: Final = (
+_SMOOTHING_ATTACK: Final = (
     "isac_track.kalman._linear_loops:smooth_positions",
     "isac_track.kalman._error_loops:smooth_lanes",
     "isac_track.kalman._error_loops:log_likelihoods",
@@ -40,33 +40,35 @@ _SCORECARD: Final = tuple(
         "add_shuffles",
     )
 )
-_SMOOTHED: Final = ("isac_track.kalman._linear_loops:smooth_positions", *_FILTER)
+_LOG_READER: Final = ("isac_track.kalman._linear_loops:smooth_positions", *_FILTER)
 _BY_KIND: Final = {
-    "log": _SMOOTHED,
-    "tracks": _SMOOTHED,
-    "track_log": _SMOOTHED,
+    "log": _LOG_READER,
+    "tracks": _LOG_READER,
+    "track_log": _LOG_READER,
     "track_link": ("attacks.linkage._lag_loop:continuation_densities", *_FILTER),
 }
 """Loops of an adversary that no plug-in stands for, by the kind of the consumer."""
+_SLOW_ERROR_MECHANISM: Final = ("isac_track.kalman._error_loops:recursion",)
+"""Further loops of a mechanism whose error changes slowly."""
+_SLOW_ERROR_ATTACK: Final = (
+    "isac_track.kalman._error_loops:filter_tracks",
+    "isac_track.kalman._error_loops:smooth_tracks",
+)
 _BEHIND_SLOW_ERROR: Final = {
-    "mechanism": ("isac_track.kalman._error_loops:recursion",),
     "predictor": ("isac_track.kalman._error_loops:filter_tracks",),
-    "attack": (
-        "isac_track.kalman._error_loops:filter_tracks",
-        "isac_track.kalman._error_loops:smooth_tracks",
-    ),
+    "attack": _SLOW_ERROR_ATTACK,
 }
-"""Further loops where the error changes slowly: of a mechanism, and of its consumers."""
+"""Further loops of a consumer behind such an error, by its kind."""
 _PLUGIN_LOOPS: Final = {
     "kalman_cv": _FILTER,
     "kalman_ca": ("isac_track.kalman._linear_loops:ca_last", *_NOISE),
     "kalman_imm": ("isac_track.kalman._imm_loops:imm_last", *_NOISE),
     "moving_average": ("attacks.reconstruction._window_loops:centred_means",),
     "savgol": ("attacks.reconstruction._window_loops:fit_parabolas",),
-    "kalman_rts": _SMOOTHER,
-    "radial_rts": _SMOOTHER,
-    "ou_rts": _SMOOTHER,
-    "gaussian_process": _SMOOTHER,
+    "kalman_rts": _SMOOTHING_ATTACK,
+    "radial_rts": _SMOOTHING_ATTACK,
+    "ou_rts": _SMOOTHING_ATTACK,
+    "gaussian_process": _SMOOTHING_ATTACK,
     "kinematic": ("attacks.linkage._lag_loop:continuation_densities", *_FILTER),
     "shape": (
         "attacks.linkage._lag_loop:least_costs",
@@ -85,7 +87,7 @@ _PLUGIN_LOOPS: Final = {
         "attacks.linkage._ratio_loop:ratios",
         "attacks.linkage._ratio_loop:take_sides",
         "attacks.linkage._ratio_loop:accumulate_information",
-        *_SMOOTHER,
+        *_SMOOTHING_ATTACK,
     ),
 }
 """By the name of the plug-in, without its parameters."""
@@ -113,7 +115,7 @@ def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
     std_m, tau_s = added_error(mechanism.instance)
     is_slow = std_m > 0.0 and tau_s > 0.0
     if is_slow:
-        yield from _BEHIND_SLOW_ERROR["mechanism"]
+        yield from _SLOW_ERROR_MECHANISM
         yield from _BEHIND_SLOW_ERROR.get(consumer.kind, ())
     if consumer.kind in {"shared", "attack", "windows"}:
         yield from _DESCRIPTORS
@@ -123,10 +125,10 @@ def _cell_loops(mechanism: Plugin, consumer: Consumer) -> Iterator[str]:
     for plugin in consumer.plugins:
         yield from _PLUGIN_LOOPS.get(plugin.name.partition(":")[0], ())
         if is_slow and consumer.kind != "predictor":
-            yield from _BEHIND_SLOW_ERROR["attack"]
+            yield from _SLOW_ERROR_ATTACK
 
 
-def prepare_loop(name: str) -> Iterator[str]:
+def prepare_loop_in_steps(name: str) -> Iterator[str]:
     """Load a loop or compile it, in a process that may be a worker.
 
     Yields `COMPILING` before a loop that numba's cache lacks, and at the end `COMPILED`
@@ -136,12 +138,9 @@ def prepare_loop(name: str) -> Iterator[str]:
     note_cell()
     fills_cache = False
     with contextlib.suppress(Exception):
-        from isac_track.compiling import (  # noqa: PLC0415 - imports numba
-            is_cached,
-            prepare_loop,
-        )
+        from isac_track import compiling  # noqa: PLC0415 - imports numba
 
-        if not is_cached(name):
+        if not compiling.is_cached(name):
             yield COMPILING
-        fills_cache = prepare_loop(name, quietly=True)
+        fills_cache = compiling.prepare_loop(name, quietly=True)
     yield COMPILED if fills_cache else LOADED

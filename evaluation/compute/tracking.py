@@ -49,7 +49,7 @@ def release_rows(
 ) -> Iterator[tuple[Consumer, dict[str, Rows]]]:
     """Yield the consumers of a tracker's releases, each with the rows of its tables.
 
-    Forecasts of a robot are made once for all horizons, and held as long as this runs.
+    A robot foresees once for all horizons. Its counts are held as long as this runs.
     """
     by_robot: dict[str, list[CountsByHorizon]] = {}
     for consumer in consumers:
@@ -60,21 +60,22 @@ def release_rows(
             continue
         if robot.spec not in by_robot:
             by_robot[robot.spec] = [
-                _robot_seed(robot, release.shared, setup, mechanism=mechanism)
+                _count_release(robot, release.shared, setup, mechanism=mechanism)
                 for release in releases
             ]
         yield consumer, robot_tables(consumer, by_robot[robot.spec], setup)
 
 
 def _reference(robot: Plugin, setup: TrackingSetup) -> list[CountsByHorizon]:
-    """Return what a robot misses with raw tracks of the oracle, for each seed.
+    """Return the counts of a robot with raw tracks of the oracle, for each seed.
 
-    At its false alarms all others are compared.
+    All other tracks are compared at the false alarms that the robot has with these.
+    `setup.references` holds them for the next mechanism, as long as the setup lives.
     """
     if robot.spec not in setup.references:
         raw, oracle = parse("mechanisms", "raw")[0], parse("trackers", "oracle")[0]
         setup.references[robot.spec] = [
-            _robot_seed(robot, release.shared, setup, mechanism=raw)
+            _count_release(robot, release.shared, setup, mechanism=raw)
             for release in share_tracked(raw, oracle, setup)
         ]
     return setup.references[robot.spec]
@@ -89,10 +90,13 @@ def _horizon(consumer: Consumer, stages: StageSettings) -> int:
     return further[stages.conflict.horizons_s.index(horizon_s)]
 
 
-def _robot_seed(
+def _count_release(
     robot: Plugin, shared: SharedTracks, setup: TrackingSetup, *, mechanism: Plugin
 ) -> CountsByHorizon:
-    """Return what robots miss, by horizon; PluginError names a predictor that fails."""
+    """Return the counts of robots with one release, by horizon in scans.
+
+    Conflicts, misses and alarms are counted. PluginError names a predictor that fails.
+    """
     foresight = guarded(
         f"predictor {robot.spec!r}",
         lambda: foresee_from_tracks(
@@ -107,7 +111,7 @@ def _robot_seed(
 
 
 def count_horizons(foresight: Foresight, setup: TrackingSetup) -> CountsByHorizon:
-    """Return what robots miss of what they foresee, by horizon in scans."""
+    """Return the conflicts, misses and alarms of robots, by horizon in scans."""
     return {
         horizon: robot_counts(
             setup.blocks,
@@ -127,7 +131,10 @@ def robot_tables(
     """Return the tables of a robot by seed and block: `ROBOT_COLUMNS`, `ALARM_COLUMNS`.
 
     Its horizon is that of the consumer's world. Robots are compared at the false alarms
-    that they have with raw tracks of the oracle.
+    that they have with raw tracks of the oracle. So `allowed` is the number of queries
+    with a false alarm there. `alarms` is that number here, if the robot alarms below
+    the distance of `step`. `warned` is the number of future conflicts of which this
+    distance, and no shorter, warns.
     """
     assert consumer.plugin is not None
     horizon = _horizon(consumer, setup.stages)

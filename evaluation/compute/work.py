@@ -280,13 +280,13 @@ def _linkage_cells(
                 if setup.n_candidates:
                     # Thousands of people: forget all that was made of the level.
                     level = link_views.linked_level(mechanism, setup)
-            sees_times_only = linkage.sees_times_only(consumer, level)
-            tables = shared_tables.get(consumer.label) if sees_times_only else None
+            is_shared = linkage.is_same_at_all_levels(consumer, level)
+            tables = shared_tables.get(consumer.label) if is_shared else None
             if tables is None:
                 tables = _linkage_tables(
                     consumer, level, setup, motion=motion, keep_scores=work.keep_scores
                 )
-            if sees_times_only:
+            if is_shared:
                 shared_tables[consumer.label] = tables
             yield FinishedCell(0, mechanism, consumer, tables)
 

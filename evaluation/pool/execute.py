@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from evaluation.compute.loops import GAIN, prepare_loop
+from evaluation.compute.loops import GAIN, prepare_loop_in_steps
 from evaluation.plan.plan import Plan
 from evaluation.plan.units import Unit
 from evaluation.plan.world import OWN_WORLD, World
@@ -103,7 +103,8 @@ def _start_run(plan: Plan) -> _StartedRun:
         check_preset(plan.out, preset=plan.settings.preset)
     opened = open_run(plan.out, identity=plan.identity, fresh=plan.settings.fresh)
     manifest, index_by_file = opened.manifest, opened.index_by_file
-    for _ in prepare_loop(GAIN):  # a generator: its steps compile or load the loop
+    # A generator: its steps compile or load the loop.
+    for _ in prepare_loop_in_steps(GAIN):
         pass
     names = prepare_names(plan, is_continued=bool(index_by_file))
     finished = file_by_cell(index_by_file)

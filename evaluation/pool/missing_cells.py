@@ -13,7 +13,7 @@ from evaluation.compute.loops import (
     COMPILING,
     LOADED,
     list_loops,
-    prepare_loop,
+    prepare_loop_in_steps,
 )
 from evaluation.compute.work import FinishedCell, Work
 from evaluation.plan.address import parse_label
@@ -144,7 +144,11 @@ def _prepare_loops(
     in_workers = has_user_plugins(plan.axes) or plan.settings.cell_timeout_s is not None
     started, states = time.monotonic(), dict[str, str]()
     prepared = spread(
-        prepare_loop, deque(loops), jobs=plan.jobs, limit_s=None, in_workers=in_workers
+        prepare_loop_in_steps,
+        deque(loops),
+        jobs=plan.jobs,
+        limit_s=None,
+        in_workers=in_workers,
     )
     with closing(prepared):
         for loop, state in prepared:

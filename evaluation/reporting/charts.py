@@ -147,8 +147,8 @@ class Tick(NamedTuple):
     text: str
 
 
-class LineAcross(NamedTuple):
-    """A value that a line across the chart marks."""
+class Guide(NamedTuple):
+    """A value that a line across the chart marks, such as chance or a limit."""
 
     colour: int
     value: float  # In the unit of the axis.
@@ -157,7 +157,7 @@ class LineAcross(NamedTuple):
 class Line(NamedTuple):
     """Strokes of one kind and colour."""
 
-    kind: str  # `across`, `bar`, `curve` or `front`.
+    kind: str  # CSS class: `across` (a guide), `bar`, `curve` or `front`.
     strokes: Sequence[Stroke]
     colour: int | None = None  # None: the kind has its own.
 
@@ -237,11 +237,11 @@ def rows_chart(
     series: Mapping[str, tuple[Look, Sequence[Estimate | None]]],
     *,
     x_label: str,
-    across: Iterable[tuple[Look, float]] = (),
+    guides: Iterable[tuple[Look, float]] = (),
 ) -> Chart:
     """Return a chart with a row for each name and a mark for each series.
 
-    `across` are vertical lines, such as chance: a look and a fraction each.
+    `guides` are vertical lines, such as chance: a look and a fraction each.
     """
     step = 4.5 * len(series) + 7.0
     longest = max(map(len, rows), default=0)
@@ -261,7 +261,7 @@ def rows_chart(
                 text = f"{row}: {name} {precise_percent(estimate)}"
                 chart.lines.append(Line("bar", bar(ends, at=y), look.colour))
                 chart.marks.append(ChartMark(look, [(x, y)], text))
-    for look, value in across:
+    for look, value in guides:
         if np.isfinite(value):
             line = chart.down(to_x(PERCENT * value))
             chart.lines.append(Line("across", [line], look.colour))
@@ -326,22 +326,21 @@ def curves_chart(
     *,
     x: Axis,
     y: Axis,
-    across: Sequence[LineAcross] = (),
+    guides: Sequence[Guide] = (),
     marked: Sequence[LonePoint] = (),
 ) -> Chart:
     """Return a chart of curves on two axes.
 
-    `across` are horizontal lines. `marked` are further
-    marks, of no curve.
+    `guides` are horizontal lines. `marked` are further marks, of no curve.
     """
     chart = Chart(
         x.label, _CURVES_HEIGHT, 40.0, y.label, right=_RIGHT - label_room(curves)
     )
     to_x = chart.x_axis(np.concatenate([curve.x for curve in curves]), log=x.log)
-    others = [guide.value for guide in across] + [mark.y for mark in marked]
+    others = [guide.value for guide in guides] + [mark.y for mark in marked]
     curve_values = [curve.y.ravel() for curve in curves]
     to_y = chart.y_axis(np.concatenate([*curve_values, np.array(others)]), log=y.log)
-    for guide in across:
+    for guide in guides:
         strokes = [chart.across(to_y(guide.value))]
         chart.lines.append(Line("across", strokes, guide.colour))
     for curve in curves:
@@ -379,12 +378,15 @@ def _labels(
     curves: Sequence[Curve], to_y: Callable[[Any], Any], *, x: float, bottom: float
 ) -> list[Label]:
     """Return labels at the heights of the last values, moved apart if they overlap."""
+    # A curve without a known value has no end to stand beside.
+    curves = [curve for curve in curves if np.isfinite(curve.y[0]).any()]
     ends = [float(to_y(curve.y[0][np.isfinite(curve.y[0])][-1])) for curve in curves]
     order = sorted(range(len(curves)), key=ends.__getitem__)
+    # Heights are counted from the top of the picture, so that the first is the highest.
     heights = list[float]()
     for place in order:
-        highest = heights[-1] + _LABEL_STEP if heights else _TOP + 2.0
-        heights.append(max(ends[place], highest))
+        least = heights[-1] + _LABEL_STEP if heights else _TOP + 2.0
+        heights.append(max(ends[place], least))
     # Labels that have moved below the axis push the others up again.
     limit = bottom
     for n in reversed(range(len(heights))):
@@ -413,7 +415,11 @@ def _percents(estimates: Sequence[Estimate]) -> Floats:
 def _axis(
     values: Floats, ends: tuple[float, float], *, log: bool
 ) -> tuple[Callable[[Any], Any], list[Tick]]:
-    """Return the map from values to positions between two ends, and the ticks."""
+    """Return the map from values to positions between two ends, and the ticks.
+
+    A linear axis always shows 0. A logarithmic axis shows the values alone; without a
+    positive value it is linear.
+    """
     known, length = values[np.isfinite(values)], ends[1] - ends[0]
     if log and (known > 0).any():
         return _log_axis(known[known > 0], ends)
@@ -432,16 +438,29 @@ def _log_axis(
     """Return the same for a logarithmic axis of positive values."""
     length = ends[1] - ends[0]
     low, high = np.log10([known.min() / 1.1, 1.1 * known.max()]).tolist()
-    steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
-    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
-    candidates = np.outer(decades, steps).ravel()
-    ticks = [tick for tick in candidates if low <= np.log10(tick) <= high]
+    ticks = _log_ticks(low, high)
 
     def position(values: Any) -> Any:  # noqa: ANN401 - a number or an array, as given
         exponents = np.log10(np.maximum(values, 10.0**low))
         return ends[0] + length * (exponents - low) / (high - low)
 
     return position, [Tick(float(position(tick)), _short(tick)) for tick in ticks]
+
+
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Return the ticks of a logarithmic axis between two exponents, at least one.
+
+    They are powers of ten; over few decades also their double and fivefold. Over less
+    than such a step they are all whole multiples, or else the middle to two digits.
+    """
+    steps = (1.0, 2.0, 5.0) if high - low < _FEW_DECADES else (1.0,)
+    decades = 10.0 ** np.arange(np.floor(low), np.ceil(high))
+    for factors in (steps, range(1, 10)):
+        candidates = np.outer(decades, factors).ravel()
+        ticks = [tick for tick in candidates if low <= np.log10(tick) <= high]
+        if ticks:
+            return ticks
+    return [float(f"{10.0 ** (0.5 * (low + high)):.2g}")]
 
 
 def _short(value: float) -> str:

@@ -27,6 +27,7 @@ from evaluation.verdict.rules import SECTIONS
 _MOST_SHOWN = 20
 _ROOM = 24
 _SURE = 0.001  # Smaller p-values are not written out.
+_WITHOUT_UNIT = {"", "fraction", "share", "ratio", "correlation"}
 _PAIRED = {
     run_settings.DRAWS: "paired over people and draws",
     run_settings.PEOPLE: "paired over people, not over draws (other scenes and errors)",
@@ -285,10 +286,11 @@ def sign_changes(rows: pd.DataFrame) -> list[str]:
 
 
 def _short(value: float, unit: str) -> str:
-    """Return an effect with three digits; only seconds have their unit."""
+    """Return an effect with three digits, and its unit if it has a dimension."""
     if not math.isfinite(value):
         return "unknown"
-    return f"{value:.3g} s" if unit == "s" else f"{value:.3g}"
+    word = "" if unit in _WITHOUT_UNIT else f" {unit}"
+    return f"{value:.3g}{word}"
 
 
 def variants_json(

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
+from scipy.special import bdtrc
+
 from evaluation.estimates import weak_attacks
 from evaluation.reporting.amounts import counted, listed
 from evaluation.reporting.my_plugin import plugin_doubts
@@ -39,11 +41,11 @@ def _few_people(run: Results) -> list[str]:
 
 def _untried_proposal(run: Results) -> list[str]:
     """Return that no further adversary was tried on the proposal."""
-    proposals = run.recommendation().proposals[:1]
-    is_untried = any(
-        all(side.reader is None for side in offer.beyond) for offer in proposals
-    )
-    return ["the proposal was tried against one release only"] if is_untried else []
+    proposals = run.recommendation().proposals
+    if not proposals:
+        return []
+    is_tried = any(side.reader is not None for side in proposals[0].beyond)
+    return [] if is_tried else ["the proposal was tried against one release only"]
 
 
 def _doubtful_units(run: Results) -> list[str]:
@@ -58,8 +60,8 @@ def _missing_intervals(run: Results) -> list[str]:
     table, subjects = run.headline, dict[str, None]()  # A set that keeps its order.
     for column in table.columns:
         numbers = [table.at(where, column) for where in table.levels]
-        finite = [number for number in numbers if number is not None]
-        if finite and not any(math.isfinite(number.ci_low) for number in finite):
+        known = [number for number in numbers if number is not None]
+        if known and not any(math.isfinite(number.ci_low) for number in known):
             subjects[column.subject] = None
     return [f"no intervals on {listed([*subjects])} (few people)"] if subjects else []
 
@@ -95,19 +97,25 @@ def _invalid_results(run: Results) -> list[str]:
 
 
 def _linking_controls(run: Results) -> list[str]:
-    """Return how many controls link people, if more than chance explains."""
+    """Return how many controls link people, if more than chance explains.
+
+    Each test of a control that links nobody rejects in 5 % of runs. The doubt appears
+    if so many rejections are as rare, by the one-sided binomial tail. The tail takes
+    the tests as independent. They share their people, so that several reject together
+    more often than it says.
+    """
     tests = [
         is_linked
         for task in run.tasks
         for control in control_tests(task).values()
         for is_linked in control
     ]
-    n_linked, expected = sum(tests), LEVEL * len(tests)
-    if not n_linked > expected:
+    n_linked, n_tests = sum(tests), len(tests)
+    # P(n_linked or more of n_tests); bdtrc(k, n, p) is P(more than k).
+    if n_linked == 0 or bdtrc(n_linked - 1, n_tests, LEVEL) > LEVEL:
         return []
-    return [
-        f"{n_linked} of {len(tests)} controls link people ({expected:.0f} expected)"
-    ]
+    expected = f"{LEVEL * n_tests:.1f} expected"
+    return [f"{n_linked} of {n_tests} controls link people ({expected})"]
 
 
 def _skipped_tasks(run: Results) -> list[str]:

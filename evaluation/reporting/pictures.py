@@ -201,7 +201,7 @@ def _levels(
         [table.short_name(where) for where in levels],
         {name: (look, series[name]) for name, look in looks.items()},
         x_label=x_label,
-        across=[
+        guides=[
             (look, shown[name].chance) for name, look in looks.items() if name in shown
         ],
     )

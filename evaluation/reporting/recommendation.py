@@ -4,7 +4,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from evaluation.estimates.metrics import MEDIAN_ERROR, METRICS, PLR, PLR_WIDE, RANK1
+from evaluation.estimates.metrics import (
+    MEDIAN_ERROR,
+    METRICS,
+    PAPER_DESCRIPTORS,
+    PLR,
+    PLR_WIDE,
+    RANK1,
+)
 from evaluation.estimates.strongest import BEYOND
 from evaluation.plan.address import MechanismLevel
 from evaluation.reporting.amounts import (
@@ -429,7 +436,16 @@ def _excess(check: Check, answer: Recommendation, epsilon_m: float) -> str:
         return f"{_adversary(check)} knows {share} of positions to {reach_m:.4g} m"
     metric = METRICS[name]
     amount = share if metric.is_share else f"up to {upper:.2f} {metric.unit}".strip()
-    return f"{_adversary(check)} leaves a {descriptor_name(name)} of {amount}"
+    return _descriptor_excess(name, _adversary(check), amount)
+
+
+def _descriptor_excess(name: str, adversary: str, amount: str) -> str:
+    """Return that a descriptor reaches an amount against an adversary."""
+    descriptor = descriptor_name(name)
+    if name in PAPER_DESCRIPTORS:
+        return f"{adversary} leaves a {descriptor} of {amount}"
+    # The name of a further descriptor may be a plural, which takes no "a".
+    return f"{descriptor} against {adversary}: {amount}"
 
 
 def _adversary(check: Check) -> str:

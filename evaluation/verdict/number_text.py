@@ -8,6 +8,13 @@ from isac_track.intervals import Estimate
 
 MOST_PEOPLE: Final = 100_000  # More people than any recording has.
 _UNREALISTIC: Final = "no realistic number of"
+# Words behind a number by its unit; any other unit is written as it is.
+_UNIT_WORDS: Final = {
+    "fraction": " points",
+    "share": "",
+    "ratio": " times",
+    "correlation": "",
+}
 
 
 def is_realistic(n: float) -> bool:
@@ -31,8 +38,8 @@ def with_interval(
     """Return an effect with its interval as people write it: +3.1 points [+1.0, +5.2].
 
     `unit` is `fraction` (in points of a hundred), `share` (the same as a bare number),
-    `s`, `ratio` or `correlation`; `absolute` turns the sign so that the effect is
-    positive.
+    `ratio` or `correlation`; any other, such as `s` or `1/min`, is written as it is.
+    `absolute` turns the sign so that the effect is positive.
     """
     scale, digits = (100.0, 1) if unit in {"fraction", "share"} else (1.0, 2)
     interval = [
@@ -44,7 +51,7 @@ def with_interval(
         return "unknown"
     sign = "+" if signed else "-"
     value, low, high = (f"{number:{sign}.{digits}f}" for number in interval)
-    word = {"fraction": " points", "s": " s", "ratio": " times"}.get(unit, "")
+    word = _UNIT_WORDS.get(unit, f" {unit}")
     if not np.isfinite(interval[1:]).all():
         return f"{value}{word}"
     return f"{value}{word} [{low}, {high}]"

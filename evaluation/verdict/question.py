@@ -15,6 +15,7 @@ from evaluation.estimates.metrics import (
     MISSED_RATE,
     PLR,
     RANK1,
+    Metric,
 )
 from evaluation.estimates.strongest import BEYOND
 from evaluation.plan.world import World
@@ -75,11 +76,9 @@ class Question:
 
     def __post_init__(self) -> None:
         for name, limit in self.limits.items():
-            is_share = METRICS[LIMITS[name]].is_share
-            if not 0.0 <= limit <= (1.0 if is_share else sys.float_info.max):
-                kind = "time in s, 0 or more"
-                if is_share:
-                    kind = "fraction from 0 to 1 (0.2 for 20 %)"
+            metric = METRICS[LIMITS[name]]
+            if not 0.0 <= limit <= (1.0 if metric.is_share else sys.float_info.max):
+                kind = _limit_kind(metric)
                 option = f"--max-{name.replace('_', '-')}"
                 raise SettingsError(f"{option} is a {kind}, got {limit:g}")
         for name in self.against:
@@ -94,6 +93,16 @@ class Question:
     def asks_linkage(self) -> bool:
         """Whether linkage after a silence is limited."""
         return self.limits.get(LINKED, 1.0) < 1.0
+
+
+def _limit_kind(metric: Metric) -> str:
+    """Return what the option of a limit takes, behind "is a"."""
+    if metric.is_share:
+        return "fraction from 0 to 1 (0.2 for 20 %)"
+    if metric.unit == "s":
+        return "time in s, 0 or more"
+    unit = f" in {metric.unit}" if metric.unit else ""
+    return f"number{unit}, 0 or more"
 
 
 def default_question(known: Mapping[str, Family]) -> Question:

@@ -76,7 +76,9 @@ def nested_permutation(
     # What permuted residuals are multiplied by: the response's rest, and the controls.
     against = np.column_stack([y - basis @ (basis.T @ y), basis])
     free = y.size - basis.shape[1] - 1 - _centred(squares)
-    coefficient, observed = _slope(residual[counts], against, free)
+    # The controls explain the predictor wholly if they leave no more than rounding.
+    least_power = _ROUNDING * float(x @ x)
+    coefficient, observed = _slope(residual[counts], against, free, least_power)
     groups = [np.flatnonzero(block == name) for name in np.unique(block)]
     rows, columns = np.nonzero(counts)
     hits, order = 0, np.arange(block.size)
@@ -84,7 +86,7 @@ def nested_permutation(
         for group in groups:
             order[group] = rng.permutation(group)
         moved = residual[order[rows], order[columns]]
-        hits += _slope(moved, against, free)[1] >= observed - _ROUNDING
+        hits += _slope(moved, against, free, least_power)[1] >= observed - _ROUNDING
     p_value = (1 + int(hits)) / (1 + n_permutations)
     return Regression(coefficient, observed, p_value, block.size)
 
@@ -131,14 +133,17 @@ def _orthonormal(z: Floats) -> Floats:
     )
 
 
-def _slope(x: Floats, against: Floats, free: int) -> tuple[float, float]:
+def _slope(
+    x: Floats, against: Floats, free: int, least_power: float
+) -> tuple[float, float]:
     """Return slope and t beyond the controls of a predictor, (E,).
 
-    `against`, (E, 1 + r), has the response's residual and the controls' basis.
+    `against`, (E, 1 + r), has the response's residual and the controls' basis. Both
+    are 0 where the controls leave at most `least_power` of the sum of squares of `x`.
     """
     products = x @ against
     power = float(x @ x - products[1:] @ products[1:])
-    if power < _ROUNDING * float(x.size):  # The controls explain it wholly.
+    if power <= least_power:
         return 0.0, 0.0
     slope = float(products[0]) / power
     left = float(against[:, 0] @ against[:, 0]) - slope**2 * power

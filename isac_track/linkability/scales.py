@@ -1,4 +1,8 @@
-"""Score metrics of one scale, for the data and all bootstrap replicates in one pass.
+"""Score metrics of one scale: of searches whose scores compare, from one fitted attack.
+
+An attack is fitted anew for each fold of people. Scores of two fits do not compare, so
+that searches of two fits are of two scales. The metrics of a scale are computed for the
+data and all bootstrap replicates in one pass, and then averaged over scales.
 
 References
 ----------
@@ -10,6 +14,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +33,17 @@ of a 95 % interval from 200 replicates have a standard error of 0.19 standard de
 of the estimate (0.08 from 1,000).
 """
 
-LEVELS = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
-METRICS = ("auc", "eer", "cllr_min", *LEVELS, "d_sys", "d_sys_published", "cllr")
+FALSE_POSITIVE_RATES = {"tpr_at_fpr_1pct": 0.01, "tpr_at_fpr_01pct": 0.001}
+"""Largest false-positive rate of each TPR."""
+METRICS = (
+    "auc",
+    "eer",
+    "cllr_min",
+    *FALSE_POSITIVE_RATES,
+    "d_sys",
+    "d_sys_published",
+    "cllr",
+)
 _COLUMNS = (
     "d_sys",
     "d_sys_published",
@@ -44,6 +58,8 @@ _COLUMNS = (
 """Rows that the loop `read_scores` writes."""
 # Most numbers that a vector instruction treats: replicates are a multiple of it.
 _LANES = 16
+# The loops name a row of the table of weights in 16 bits; the last row holds ones.
+_MOST_CLUSTERS = 2**16 - 1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,7 +67,10 @@ class Cells:
     """The scores of one scale, cut where a metric can tell two apart.
 
     A replicate needs the weight of mated and of non-mated scores in each cell and
-    nothing else.
+    nothing else. `cut_scores` makes the cells before any search is ranked. Then
+    `scoring` ranks search after search, and thereby fills three arrays in place:
+    `rank_rows` adds to `counts`, `add_shuffles` to `null_bins`, and `places` gets the
+    cells of each search. `score_scale` reads them all.
     """
 
     breaks: Floats
@@ -63,14 +82,23 @@ class Cells:
     places: list[NDArray[np.int32]]  # The cell of every score, (P, G) for each search.
 
 
+class _SearchedClusters(NamedTuple):
+    """All S searches of one scale as the loop `read_scores` takes them, in this order.
+
+    Arrays of probes and candidates hold those of the first search first.
+    """
+
+    shapes: Ints  # (S, 2) numbers of probes and candidates of each search.
+    probe_clusters: Ints
+    candidate_clusters: Ints
+    mates: Ints  # Column of each probe's mate in its search; -1 without.
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class _Weighed:
     """Weights of the clusters 0..C - 1 of one scale: the same for every attack."""
 
-    searches: tuple[Ints, ...]
-    """(S, 2) numbers of probes and candidates of each search, clusters of all probes,
-    clusters of all candidates, and mates of all probes.
-    """
+    searches: _SearchedClusters
     table: NDArray[np.uint8]
     """(C + 1, R or a few more) weights; replicate 0 is the data: every weight is 1."""
     totals: Floats
@@ -147,7 +175,7 @@ def score_scale(
         (*weighing.searches, cells, counts),
         cut.bins,
         weighing.totals,
-        np.array([*LEVELS.values()]),
+        np.array([*FALSE_POSITIVE_RATES.values()]),
         columns,
     )
 
@@ -192,6 +220,9 @@ def _weigh_clusters(
     clusters = np.unique(
         np.concatenate([array for _, *pair in arrays for array in pair])
     )
+    if clusters.size > _MOST_CLUSTERS:
+        limit = f"{_MOST_CLUSTERS:,} clusters"
+        raise ValueError(f"a scale may have at most {limit}, got {clusters.size:,}")
     drawn = same.weights[:SCORE_REPLICATES, clusters].T
     is_left = clusters[:, None] != np.array(without)
     rows = np.column_stack([np.ones(clusters.size), drawn, is_left])
@@ -215,7 +246,8 @@ def _weigh_clusters(
         totals[1, :n_weights] += _summed(pairs, *weights, same_cluster)
     first = np.concatenate([probes for probes, _ in places])
     second = np.concatenate([others for _, others in places])
-    return _Weighed((shapes, first, second, mate), table, totals, weighed, within)
+    searched = _SearchedClusters(shapes, first, second, mate)
+    return _Weighed(searched, table, totals, weighed, within)
 
 
 def _costs(
@@ -245,7 +277,8 @@ def _summed(
 
     `pair_values` are (P, G), the weights `first` and `second` (P, R) and (G, R).
     """
-    # Within a cluster, a pair weighs no more than the probe.
+    # Within a cluster, a pair weighs no more than the probe: both of its people come
+    # with the same draw of the cluster, which a product of weights would count twice.
     cluster_sums = np.bincount(
         within[0], weights=pair_values[within], minlength=len(first)
     )
@@ -256,11 +289,15 @@ def _summed(
 
 
 def average_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Floats]:
-    """Return the means of `Scale.values` over scales, weighted by mated scores.
+    """Return the mean of each metric in `Scale.values` over scales, (R,) each.
 
-    NaN where no scale has both classes, and where a TPR is refused. A TPR is judged by
-    the mean number of non-mated pairs of the `n_searches`: several searches have the
-    same few people.
+    In each replicate a scale counts by the weight of its mated scores there,
+    `Scale.mass`. The mean is NaN where no scale has both mated and non-mated scores.
+
+    A TPR, and the FPR that it was reached at, is NaN as a whole where there are too few
+    non-mated pairs for its false-positive rate (`is_refused`). Their number is the mean
+    over the `n_searches`: several searches have the same few people, so that the sum
+    would promise too much.
     """
     mass = np.stack([result.mass for result in results])[:, None]
     scale_values = np.stack([list(result.values.values()) for result in results])
@@ -270,7 +307,7 @@ def average_scales(results: Sequence[Scale], *, n_searches: int) -> dict[str, Fl
             zip(results[0].values, weighted.sum(axis=0) / mass.sum(axis=0), strict=True)
         )
     n_non_mated = sum(result.n_non_mated for result in results) / n_searches
-    for name, alpha in LEVELS.items():
-        if scores.is_refused(n_non_mated, alpha):
+    for name, rate in FALSE_POSITIVE_RATES.items():
+        if scores.is_refused(n_non_mated, rate):
             mean[name][:] = mean[name.replace("tpr_at", "realised")][:] = np.nan
     return mean

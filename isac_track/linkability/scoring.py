@@ -14,7 +14,7 @@ from isac_track.linkability import ranks, scales, significance
 from isac_track.linkability.matches import most_probable
 from isac_track.linkability.ranks import Search
 from isac_track.linkability.scales import (
-    LEVELS,
+    FALSE_POSITIVE_RATES,
     METRICS,
     SCORE_REPLICATES,
     Cells,
@@ -225,7 +225,8 @@ def scorecard(
 
     ValueError without a search, for too few shuffles, for clusters beyond `weights`, if
     these are no counts up to 255, if `calibration` lacks a scale, or if
-    `no_match_score` is not as long as `searches`.
+    `no_match_score` is not as long as `searches`. So for a mate beyond the first 65,536
+    candidates, or more than 65,535 clusters in a scale.
 
     Examples
     --------
@@ -565,7 +566,7 @@ def _interval(
 ) -> tuple[float, float]:
     """Return a score metric's interval from percentiles or, if few, the jackknife's."""
     is_constant = not (np.abs(replicates - value) > _NO_SPREAD).any()
-    is_extreme = name in LEVELS and value in {0.0, 1.0}
+    is_extreme = name in FALSE_POSITIVE_RATES and value in {0.0, 1.0}
     most = _FITTED.get(name, 1.0)
     low, high = ends
     if name != "cllr" and (is_constant or is_extreme):

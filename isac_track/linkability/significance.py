@@ -20,6 +20,8 @@ LEVEL = 0.05
 """Significance level of the tests."""
 # Scores that are ranked at a time: those of thousands of people take 400 MB at once.
 _SCORES_AT_ONCE = 2**20
+# Column of the last candidate that shuffles can name: they keep columns in 16 bits.
+_LAST_COLUMN = 2**16 - 1
 # Bits of a double that a number in single precision leaves unused.
 _SPARE_BITS = 2**29 - 1
 
@@ -64,8 +66,8 @@ def permutation_p(
     the same two releases.
 
     Search by search, a shuffle draws one uniform number for each mated probe, less one
-    for each size of a cluster. ValueError without a search or for fewer than 999
-    shuffles.
+    for each size of a cluster. ValueError without a search, for fewer than 999
+    shuffles, or for a mate beyond the first 65,536 candidates.
 
     References
     ----------
@@ -90,8 +92,13 @@ class ShuffledRanks:
 def shuffled_log_ranks(
     searches: Sequence[Search], rng: np.random.Generator, n_shuffles: int
 ) -> ShuffledRanks:
-    """Rank all searches, and shuffle their mates as `permutation_p` does."""
+    """Rank all searches, and shuffle their mates as `permutation_p` does.
+
+    The loops also count scores in cells and bins, for score metrics. Those are not
+    wanted here: without a break all scores lie in one cell, which is one bin.
+    """
     observed, null, standings = 0.0, np.zeros(n_shuffles), []
+    no_breaks, unused_counts = np.empty(0), np.zeros((1, 2), dtype=np.int64)
     unused_bins = np.zeros((1, n_shuffles), dtype=np.uint16)
     for search in searches:
         mated = mated_probes(searched_people(search))
@@ -99,18 +106,17 @@ def shuffled_log_ranks(
         n_at_once = max(1, _SCORES_AT_ONCE // search.scores.shape[1])
         for first in range(0, search.mate.size, n_at_once):
             rows = slice(first, first + n_at_once)
-            unused = np.zeros((1, 2), dtype=np.int64)
             scores, mate = search.scores[rows], search.mate[rows]
-            ranked = rank_rows(scores, mate, np.empty(0), unused)
+            ranked = rank_rows(scores, mate, no_breaks, unused_counts)
             in_part = np.flatnonzero(
                 (mated.probes >= first) & (mated.probes < first + mate.size)
             )
             part = replace(
                 mated, probes=mated.probes[in_part] - first, mate=mated.mate[in_part]
             )
-            bins = ranked.cell.astype(np.uint8)
+            only_bin = ranked.cell.astype(np.uint8)
             observed += add_shuffles(
-                part, columns[in_part], ranked.log_rank, bins, null, unused_bins
+                part, columns[in_part], ranked.log_rank, only_bin, null, unused_bins
             )
             parts.append(ranked.standing)
         standings.append(np.concatenate(parts))
@@ -306,9 +312,16 @@ def shuffled_mates(
 ) -> NDArray[np.uint16]:
     """Draw the column of the mate that each of N probes gets in n shuffles, (N, n).
 
-    As in `permutation_p`. Sixteen bits suffice for a column: no memory would hold the
-    scores of more candidates.
+    As in `permutation_p`. Columns are kept in 16 bits: the shuffles of a search take a
+    quarter of the memory that they would as 64-bit integers. ValueError for a mate
+    beyond the first 65,536 candidates.
     """
+    last = int(mated.mate.max(initial=0))
+    if last > _LAST_COLUMN:
+        limit = f"{_LAST_COLUMN + 1:,} candidates"
+        raise ValueError(
+            f"a search may have at most {limit}; a mate is no. {last + 1:,}"
+        )
     sizes, n_clusters = mated.sizes.copy(), mated.n_clusters.copy()
     n_probes, rows = mated.probes.size, 64
     uniform = np.empty((rows, n_probes - sizes.size))

@@ -26,13 +26,32 @@ class Correlated:
     Each sample has the same error distribution as under `fixed` with the same `d_sigma`
     and adding rule. With linear adding the whole error is redrawn: sigma_raw + d_sigma
     times the slow error.
+
+    Attributes
+    ----------
+    d_sigma : float
+        Additional standard deviation, m, at least 0: the level.
+    tau_s : float
+        Time over which the error's correlation falls to 1/e, s, positive.
+    adding : Adding
+        Rule by which the noise joins the raw error, see `perturb`.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
+    errors_are_independent : bool
+        False: the linear benchmark, which takes errors as independent, does not hold.
+    protects : bool
+        False: it claims no protection.
+
+    Raises
+    ------
+    ValueError
+        If `d_sigma` is negative, `tau_s` not positive, or either not finite.
     """
 
-    d_sigma: float  # m
-    tau_s: float = 2.0  # Time over which the error's correlation falls to 1/e, s.
+    d_sigma: float
+    tau_s: float = 2.0
     adding: Adding = "linear"
 
-    # Without that no linear benchmark holds.
     plain_name: ClassVar[str] = "correlated noise, {level} m"
     about: ClassVar[str] = (
         "A control: noise as large as fixed noise, but similar from sample to sample."
@@ -57,6 +76,8 @@ class Correlated:
             return perturb(
                 sensed, self.d_sigma, rng, adding=self.adding, unit_error=unit
             )
+        # Linear adding scales the raw error, which changes from sample to sample. For a
+        # sum that changes slowly, the slow error first takes the raw error's place.
         if sensed.cov is not None:
             shaped = shaped_errors(cov=sensed.cov, unit_error=unit, law=sensed.law)
             unit = shaped / sensed.sigma_raw[:, None]
@@ -71,9 +92,27 @@ class Offset:
 
     The release declares the standard deviation of the raw estimates: a smoother weighs
     samples by their scatter, which the displacement does not change.
+
+    Attributes
+    ----------
+    distance : float
+        Length of the displacement, m, at least 0: the level.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
+    adds_error : bool
+        False: both adding rules share the same.
+    errors_are_independent : bool
+        False: all samples of a track have the same displacement.
+    protects : bool
+        False: it claims no protection.
+
+    Raises
+    ------
+    ValueError
+        If `distance` is negative or not finite.
     """
 
-    distance: float  # m
+    distance: float
 
     plain_name: ClassVar[str] = "constant shift, {level} m"
     about: ClassVar[str] = (
@@ -102,13 +141,33 @@ class Thin:
 
     The error is drawn for all samples first, so that shared samples lie where `fixed`
     puts them.
+
+    Attributes
+    ----------
+    every : int
+        The n of every n-th sample, at least 1: the level.
+    adding : Adding
+        Rule by which the noise joins the raw error, see `perturb`.
+    d_sigma : float
+        Additional standard deviation, m, at least 0.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
+    protects : bool
+        False: it claims no protection.
+    withholds : bool
+        True: it leaves out samples.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of its range or not finite.
     """
 
-    every: int  # The n of every n-th sample.
+    every: int
     adding: Adding = "linear"
-    d_sigma: float = 0.0  # m
+    d_sigma: float = 0.0
 
-    plain_name: ClassVar[str] = "every {level}th sample"
+    plain_name: ClassVar[str] = "one sample in {level}"
     about: ClassVar[str] = "A control: only every n-th sample is shared."
     protects: ClassVar[bool] = False
     withholds: ClassVar[bool] = True

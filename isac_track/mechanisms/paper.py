@@ -26,7 +26,8 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     Eqs. fid_ratio and fid_error_control: 0 up to the threshold, then alpha * (beta -
     exp(-(rho - 1))), which rises from alpha * (beta - 1) just above it to alpha * beta.
     `fid`, (M,), and the threshold `eta`, positive, are in 1/(m^2 s); `alpha_m` is in m,
-    `beta` at least 1 and without a unit. Nothing is checked here: `Fid` does it.
+    `beta` at least 1 and without a unit. NaN where `fid` is NaN. Nothing is checked
+    here: `Fid` and `perturb` do it.
 
     Examples
     --------
@@ -39,13 +40,17 @@ def fid_d_sigma(*, fid: Floats, eta: float, alpha_m: float, beta: float) -> Floa
     array([0.  , 0.  , 0.25, 0.75])
     """
     rho = fid / eta
-    below = ~(rho > 1.0)
-    # The exponent is clipped at 0 so that it does not overflow below the threshold.
-    extra: Floats = np.minimum(np.subtract(1.0, rho, out=rho), 0.0, out=rho)
-    np.exp(extra, out=extra)
-    extra = np.multiply(alpha_m, np.subtract(beta, extra, out=extra), out=extra)
-    extra[below] = 0.0
-    return extra
+    # An unknown density, NaN, is not below the threshold: `perturb` refuses its NaN.
+    is_below = rho <= 1.0
+    # alpha_m * (beta - exp(min(1 - rho, 0))), step by step in one array: new arrays take
+    # longer than the arithmetic. The clipped exponent cannot overflow.
+    d_sigma: Floats = np.subtract(1.0, rho, out=rho)
+    np.minimum(d_sigma, 0.0, out=d_sigma)
+    np.exp(d_sigma, out=d_sigma)
+    np.subtract(beta, d_sigma, out=d_sigma)
+    d_sigma *= alpha_m
+    d_sigma[is_below] = 0.0
+    return d_sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +59,8 @@ class Raw:
 
     Attributes
     ----------
+    plain_name, about : str
+        Its name and meaning in words.
     adds_error : bool
         False: the release has the error of the sensors alone.
     protects : bool
@@ -82,6 +89,8 @@ class Fixed:
         Rule by which the noise joins the raw error, see `perturb`.
     law : ErrorLaw or None
         Law of the added error; None: that of the raw error.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
     protects : bool
         True: it claims protection.
 
@@ -148,6 +157,8 @@ class Fid:
     information : str
         What is held against the threshold where errors have a shape: ``trace``, the
         mean information of both axes, or ``least``, that of the worst direction.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
     sweep : str
         ``"log"``: a range of levels is spaced logarithmically.
     protects : bool
@@ -195,6 +206,8 @@ class Clean:
 
     Attributes
     ----------
+    plain_name, about : str
+        Its name and meaning in words.
     adds_error : bool
         False: the release has no error.
     protects : bool

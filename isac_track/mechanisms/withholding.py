@@ -24,16 +24,38 @@ from isac_track.types import (
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Share only the last seconds of every track, as `fixed` would.
+    """Share only the samples of the last seconds of every track.
 
-    A sample is shared if it is at most `seconds` older than the track's last sample.
-    The error is drawn for all samples first, so that shared samples lie where `fixed`
-    puts them. PLR, AEL and MEL describe the shared samples, not the withheld.
+    A sample is shared if it is at most `seconds` older than the track's last sample. It
+    gets the noise that `fixed` with the same `d_sigma` adds to it: the error is drawn
+    for all samples first, so that shared samples lie where `fixed` puts them. PLR, AEL
+    and MEL describe the shared samples. The withheld samples do not count.
+
+    Attributes
+    ----------
+    seconds : float
+        Greatest age of a shared sample, s before the last of its track, positive: the
+        level.
+    adding : Adding
+        Rule by which the noise joins the raw error, see `perturb`.
+    d_sigma : float
+        Additional standard deviation, m, at least 0.
+    plain_name, about : str
+        Its name and meaning in words; ``{level}`` stands for the level.
+    protects : bool
+        True: it claims protection.
+    withholds : bool
+        True: it leaves out samples.
+
+    Raises
+    ------
+    ValueError
+        If a parameter is out of its range or not finite.
     """
 
-    seconds: float  # s before the last sample of a track.
+    seconds: float
     adding: Adding = "linear"
-    d_sigma: float = 0.0  # m, standard deviation that is added.
+    d_sigma: float = 0.0
 
     plain_name: ClassVar[str] = "last {level} s only"
     about: ClassVar[str] = (

@@ -11,7 +11,7 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
-    LineAcross,
+    Guide,
     Look,
     curves_chart,
 )
@@ -33,7 +33,7 @@ def figures(run: Results) -> Iterator[Figure]:
         now = float(shares[0, 0])
         curve = Curve(_LOOK, f"{now:.0f} % are inside at step 0", by_s, shares)
         x, y = Axis("time from now (s)"), Axis("conflicts that have begun (%)")
-        chart = curves_chart([curve], x=x, y=y, across=[LineAcross(GUIDE_COLOUR, now)])
+        chart = curves_chart([curve], x=x, y=y, guides=[Guide(GUIDE_COLOUR, now)])
         horizon_s = parse_dataset(str(dataset)).world.horizon_s
         heading = (
             "the run's own horizon" if horizon_s is None else f"{horizon_s:g} s ahead"

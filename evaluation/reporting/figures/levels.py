@@ -23,7 +23,7 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
-    LineAcross,
+    Guide,
     LonePoint,
     Look,
     curves_chart,
@@ -84,7 +84,7 @@ def _panel(
     key: dict[str, Look],
     *,
     y: Axis,
-    across: Sequence[LineAcross] = (),
+    guides: Sequence[Guide] = (),
     marked: Sequence[LonePoint] = (),
 ) -> Iterator[tuple[str, Chart]]:
     """Yield a panel over the levels of a scheme, its curves named by their ends.
@@ -108,16 +108,16 @@ def _panel(
         if not label_room(curves):
             key |= {curve.label: curve.look for curve in curves}
         x_axis = Axis(scheme.label, scheme.log)
-        chart = curves_chart(curves, x=x_axis, y=y, across=across, marked=marked)
+        chart = curves_chart(curves, x=x_axis, y=y, guides=guides, marked=marked)
         yield f"{scheme.title}, {scheme.rule_text}", chart
         if marked:
             key["paper (raw at the edge)"] = _PAPER_LOOK
 
 
-def _raw_lines(series: Sequence[_Series]) -> list[LineAcross]:
+def _raw_lines(series: Sequence[_Series]) -> list[Guide]:
     """Return a line across for each raw value."""
     return [
-        LineAcross(part.look.colour, value)
+        Guide(part.look.colour, value)
         for part in series
         for value in part.values_at(RAW)
     ]
@@ -138,8 +138,8 @@ def _sweep(run: Results, rules: Sequence[Scheme], *, name: str) -> Figure:
                 if metric in published
                 for mark in _paper_marks(metric, scheme)
             ]
-            y, across = Axis(label, label.endswith("(s)")), _raw_lines(drawn)
-            panels += _panel(scheme, drawn, key, y=y, across=across, marked=marked)
+            y, guides = Axis(label, label.endswith("(s)")), _raw_lines(drawn)
+            panels += _panel(scheme, drawn, key, y=y, guides=guides, marked=marked)
     return Figure(
         name=name,
         section="figures",
@@ -253,11 +253,11 @@ def _attacked(run: Results) -> Iterator[Figure]:
         for reader, look in looks.items()
     ]
     series = [part for part in series if len(part.rows)]
-    across = _raw_lines([part for part in series if part.label == "as shared"])
+    guides = _raw_lines([part for part in series if part.label == "as shared"])
     panels, key = list[tuple[str, Chart]](), dict[str, Look]()
     for scheme in schemes(rows):
         panels += _panel(
-            scheme, series, key, y=Axis("PLR, shared or attacked (%)"), across=across
+            scheme, series, key, y=Axis("PLR, shared or attacked (%)"), guides=guides
         )
     yield Figure(
         name="after_attack",

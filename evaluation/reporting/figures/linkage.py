@@ -16,7 +16,7 @@ from evaluation.reporting.charts import (
     Axis,
     Chart,
     Curve,
-    LineAcross,
+    Guide,
     Look,
     curves_chart,
     label_room,
@@ -65,10 +65,10 @@ def figures(run: Results) -> Iterator[Figure]:
     for title, members in _kinds(tasks).items():
         for name in shown:
             rules = [scheme for scheme in swept if scheme.name == name]
-            curves, across = _drawn([tasks[task] for task in members], rules)
+            curves, guides = _drawn([tasks[task] for task in members], rules)
             if curves:
                 x = Axis(rules[0].label, rules[0].log)
-                chart = curves_chart(curves, x=x, y=_AXIS, across=across)
+                chart = curves_chart(curves, x=x, y=_AXIS, guides=guides)
                 panels.append((f"{rules[0].title}: {title}", chart))
                 if not label_room(curves):
                     key |= {curve.label: curve.look for curve in curves}
@@ -115,9 +115,9 @@ def _kinds(tasks: Iterable[str]) -> dict[str, list[str]]:
 
 def _drawn(
     tasks: Sequence[_Linked], rules: Sequence[Scheme]
-) -> tuple[list[Curve], list[LineAcross]]:
+) -> tuple[list[Curve], list[Guide]]:
     """Return a curve for each task and adding rule of a mechanism, and lines across."""
-    curves, across = list[Curve](), list[LineAcross]()
+    curves, guides = list[Curve](), list[Guide]()
     for place, linked in enumerate(tasks):
         for scheme in rules:
             is_hollow = scheme.rules == ("independent",) and len(rules) > 1
@@ -126,9 +126,9 @@ def _drawn(
                 curves.append(
                     _curve(linked.task, scheme, rows, Look(place, hollow=is_hollow))
                 )
-        across += [LineAcross(place, value) for value in linked.at_raw()]
-        across += [LineAcross(GUIDE_COLOUR, value) for value in linked.chance()]
-    return curves, list(dict.fromkeys(across))
+        guides += [Guide(place, value) for value in linked.at_raw()]
+        guides += [Guide(GUIDE_COLOUR, value) for value in linked.chance()]
+    return curves, list(dict.fromkeys(guides))
 
 
 def _curve(task: str, scheme: Scheme, rows: pd.DataFrame, look: Look) -> Curve:

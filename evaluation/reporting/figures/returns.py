@@ -48,8 +48,8 @@ def figures(run: Results) -> Iterator[Figure]:
     is_marked = any(row.endswith(INDEPENDENT_MARK) for row in rows)
     note = "Dashed: guessing. Bars are 95 % intervals over people."
     chance = find_number(numbers, levels[0], FUSION, "chance")
-    across = [(looks[FUSION], chance.value)] if chance else []
-    chart = rows_chart(rows, series, x_label="named first (%)", across=across)
+    guides = [(looks[FUSION], chance.value)] if chance else []
+    chart = rows_chart(rows, series, x_label="named first (%)", guides=guides)
     yield Figure(
         name="returns",
         section="returns",

@@ -21,7 +21,7 @@ from attacks.reconstruction.averaging import Identity
 from attacks.reconstruction.kalman_rts import RadialRTS
 from attacks.tasks.windows import Windows
 from evaluation.compute.link_setup import sense_task
-from evaluation.compute.linkage import sees_times_only
+from evaluation.compute.linkage import is_same_at_all_levels
 from evaluation.compute.sharing import samples_shared, share, take_samples
 from evaluation.compute.window_tables import WINDOW_COLUMNS
 from evaluation.compute.work import LinkWork, compute_cells
@@ -284,8 +284,8 @@ class TestLinkage:
         )
         key = "rerelease/control-sample_count", ""
         control = Consumer("control", task="rerelease", control="sample_count")
-        assert sees_times_only(control, at_all)
-        assert not sees_times_only(control, at_none)
+        assert is_same_at_all_levels(control, at_all)
+        assert not is_same_at_all_levels(control, at_none)
         assert not np.array_equal(
             whole[key].searches[0].scores, few[key].searches[0].scores
         )

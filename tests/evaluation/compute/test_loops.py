@@ -9,7 +9,7 @@ from evaluation.compute.loops import (
     COMPILING,
     LOADED,
     list_loops,
-    prepare_loop,
+    prepare_loop_in_steps,
 )
 from evaluation.plan.axes import expand_axes
 from evaluation.plan.settings import Settings
@@ -54,6 +54,7 @@ def test_the_slowest_to_compile_begin():
 
 def test_every_listed_loop_is_there():
     listed = {loops.GAIN, *loops._DESCRIPTORS, *loops._SCORECARD}
+    listed |= {*loops._SLOW_ERROR_MECHANISM, *loops._SLOW_ERROR_ATTACK}
     by_reader = (loops._PLUGIN_LOOPS, loops._BEHIND_SLOW_ERROR, loops._BY_KIND)
     for some in (names for table in by_reader for names in table.values()):
         listed.update(some)
@@ -78,8 +79,8 @@ def test_a_loop_says_whether_it_is_compiled(
     monkeypatch.setattr(
         compiling, "prepare_loop", lambda _, *, quietly: fills_cache and quietly
     )
-    assert [*prepare_loop(loops.GAIN)] == states
+    assert [*prepare_loop_in_steps(loops.GAIN)] == states
 
 
 def test_a_loop_that_cannot_be_compiled_is_left_to_the_cell_that_calls_it():
-    assert [*prepare_loop("isac_track._gain_loop:nothing")] == [LOADED]
+    assert [*prepare_loop_in_steps("isac_track._gain_loop:nothing")] == [LOADED]

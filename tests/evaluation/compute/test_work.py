@@ -31,7 +31,7 @@ def piece(tracks):
 def test_controls_of_times_alone_are_computed_once_and_the_same(piece, monkeypatch):
     work, tracks = piece
     once = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
-    monkeypatch.setattr(work_module.linkage, "sees_times_only", lambda *_: False)
+    monkeypatch.setattr(work_module.linkage, "is_same_at_all_levels", lambda *_: False)
     each = list(compute_cells(work, tracks=tracks, stages=STAGES, seed=0))
     first = {
         consumer.label: tables

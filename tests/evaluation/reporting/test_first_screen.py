@@ -148,6 +148,30 @@ def test_what_simulates_says_so_first_and_doubts_are_counted():
     assert [*notices(run.manifest)] == ["rerelease: 7 of 9 tracks are nearly frozen."]
 
 
+@pytest.mark.parametrize(
+    ("n_linked", "n_tests", "text"),
+    [
+        (0, 0, ""),
+        (1, 10, ""),  # So many in 40 % of runs if no control links.
+        (2, 10, ""),  # In 9 %.
+        (3, 10, "3 of 10 controls link people (0.5 expected)"),  # In 1 %.
+        (5, 50, ""),  # In 10 %.
+        (6, 50, "6 of 50 controls link people (2.5 expected)"),  # In 4 %.
+    ],
+)
+def test_controls_that_link_are_a_doubt_if_chance_hardly_explains_them(
+    n_linked, n_tests, text, monkeypatch
+):
+    outcomes = [True] * n_linked + [False] * (n_tests - n_linked)
+    monkeypatch.setattr(
+        "evaluation.reporting.doubts.control_tests", lambda _: {"duration": outcomes}
+    )
+    run = make_run()
+    assert len(run.tasks) == 1
+    lines = [line for line in doubts(run) if "controls link" in line]
+    assert lines == [text] * bool(text)
+
+
 def test_too_few_people_are_a_doubt_from_the_start_to_the_end():
     run = make_run()
     dataset = run.manifest["dataset"]

@@ -49,6 +49,7 @@ WHITE = "fixed:adding=independent,law=isotropic"
             "slow noise, 0.4 m (tau_s=2)",
             "slow noise of 0.4 m (tau_s=2)",
         ),
+        ("thin", 2.0, *["one sample in 2"] * 3),
         ("a.b:Mine", 3.0, "Mine:3", "Mine:3", "Mine:3"),
     ],
 )

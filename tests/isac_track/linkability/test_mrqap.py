@@ -71,6 +71,25 @@ def test_a_predictor_that_a_control_explains_says_nothing():
     assert regress(response, SAME[None], rng).p_value == 1.0
 
 
+@pytest.mark.parametrize("scale", [1e-5, 1e-10, 1e6])
+def test_the_unit_of_a_predictor_changes_neither_t_nor_p(scale):
+    response, controls = world(stream(0, "test", "mrqap"), effect=3.0)
+    first, second = (
+        nested_permutation(
+            response,
+            factor * SAME,
+            controls,
+            counts=COUNTS,
+            block=BLOCK,
+            rng=stream(1, "test", "mrqap"),
+        )
+        for factor in (1.0, scale)
+    )
+    assert second.t == pytest.approx(first.t, rel=1e-9)
+    assert second.p_value == first.p_value
+    assert second.coefficient * scale == pytest.approx(first.coefficient, rel=1e-9)
+
+
 def test_wolves_and_runs_alone_do_not_count():
     rng = stream(0, "test", "mrqap", "wolves")
     response, controls = world(rng)

@@ -492,3 +492,9 @@ def test_a_scorecard_refuses(options, message):
     usual = {"searches": [search(np.eye(3))], "weights": np.ones((5, 3))}
     with pytest.raises(ValueError, match=message):
         card(n_clusters=3, **usual | options)
+
+
+def test_more_clusters_than_sixteen_bits_can_name_are_refused():
+    scores = np.zeros((1, 2**16))
+    with pytest.raises(ValueError, match="at most 65,535 clusters, got 65,536"):
+        card([search(scores, mate=[0])], n_clusters=2**16)

@@ -146,6 +146,19 @@ def test_sums_and_bins_of_many_probes_are_those_of_the_mates_that_were_drawn():
     assert np.array_equal(null_bins, [1 + (held == k).sum(axis=1) for k in range(5)])
 
 
+@pytest.mark.parametrize(("n_candidates", "fits"), [(65_536, True), (65_537, False)])
+def test_a_mate_beyond_sixteen_bits_is_refused_and_not_wrapped(n_candidates, fits):
+    mated = mated_probes(
+        searched_people(search(np.zeros((1, n_candidates)), mate=[n_candidates - 1]))
+    )
+    rng = stream(0, "test", "bits")
+    if fits:
+        assert (shuffled_mates(mated, rng, 3) == n_candidates - 1).all()
+    else:
+        with pytest.raises(ValueError, match="at most 65,536 candidates"):
+            shuffled_mates(mated, rng, 3)
+
+
 def test_the_permutation_test_has_its_size_on_null_data_of_several_searches():
     rng = stream(7, "test", "size", 0)
     pairs = ([gaussian(rng, n, 0.0, decimals=0) for n in (15, 8)] for _ in range(1_000))

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from math import inf, sqrt
 
 import numpy as np
@@ -11,6 +11,7 @@ from helpers.sensed import ADDING, LAWS, rng, sensed, truth
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 
+from isac_track.mechanisms.protections import OuFid
 from isac_track.protocols import Mechanism
 from isac_track.sensing import unit_errors
 from isac_track.sharing import Clean, Fid, Fixed, Raw, fid_d_sigma, perturb
@@ -28,6 +29,17 @@ def test_far_below_the_threshold_nothing_overflows():
         assert fid_d_sigma(
             fid=np.full(1, fid), eta=eta, alpha_m=0.5, beta=1.5
         ).tolist() == [0.0]
+
+
+def test_an_unknown_density_is_refused_and_not_shared_without_noise():
+    batch = sensed()
+    fid = batch.fid.copy()
+    fid[3] = np.nan
+    added = fid_d_sigma(fid=fid, eta=10.0, alpha_m=0.5, beta=1.5)
+    assert np.flatnonzero(np.isnan(added)).tolist() == [3]
+    for mechanism in (Fid(10.0), OuFid(10.0)):
+        with raises("d_sigma must be finite and not negative"):
+            mechanism.share(replace(batch, fid=fid), rng("nan"))
 
 
 @pytest.mark.parametrize("law", LAWS)

@@ -23,7 +23,7 @@ from evaluation.estimates.frontier import WHITE_NOISE
 from evaluation.reporting.charts import (
     Axis,
     Curve,
-    LineAcross,
+    Guide,
     LonePoint,
     Look,
     curves_chart,
@@ -85,7 +85,7 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     axes = Axis("level", log[0]), Axis("seen (%)", log[1])
     marked = [LonePoint(Look(6), np.inf, 10.0, "paper")]
     chart = curves_chart(
-        [curve], x=axes[0], y=axes[1], across=[LineAcross(6, 20.0)], marked=marked
+        [curve], x=axes[0], y=axes[1], guides=[Guide(6, 20.0)], marked=marked
     )
     (_, marks, _), (_, paper, name) = chart.marks
     known, close = np.isfinite(y), {"rtol": 0.03, "atol": 0.4}
@@ -103,6 +103,27 @@ def test_marks_bars_and_lines_stand_where_the_numbers_are(log):
     for places, value in ((paper, 10.0), (paths["across k6"][0], 20.0)):
         assert values(places, chart, log=log)[0, 1] == pytest.approx(value, rel=0.03)
     assert name == "paper"
+
+
+@pytest.mark.parametrize("levels", [[3.0], [60.0, 80.0], [1.4], [0.034], [700.0]])
+def test_a_logarithmic_axis_has_a_tick_over_any_few_values(levels):
+    x = np.array(levels)
+    curve = Curve(Look(1), "mine", x, np.ones((3, x.size)))
+    chart = curves_chart([curve], x=Axis("level", log=True), y=Axis("seen (%)"))
+    assert chart.x_ticks
+    for tick in chart.x_ticks:
+        assert chart.left <= tick.at <= chart.right
+        assert x.min() / 1.1 <= float(tick.text) <= 1.1 * x.max()
+
+
+def test_a_labelled_curve_without_a_known_value_has_no_label():
+    x, known = np.array([1.0, 2.0]), np.ones((3, 2))
+    curves = [
+        Curve(Look(0), "a", x, known, label="seen"),
+        Curve(Look(1), "b", x, np.full((3, 2), np.nan), label="never seen"),
+    ]
+    chart = curves_chart(curves, x=Axis("level"), y=Axis("seen (%)"))
+    assert [label.text for label in chart.labels] == ["seen"]
 
 
 def test_a_line_over_the_level_is_the_run_and_its_name_tells_the_ends():
