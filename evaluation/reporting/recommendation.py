@@ -443,7 +443,8 @@ def _descriptor_excess(name: str, adversary: str, amount: str) -> str:
     """Return that a descriptor reaches an amount against an adversary."""
     descriptor = descriptor_name(name)
     if name in PAPER_DESCRIPTORS:
-        return f"{adversary} leaves a {descriptor} of {amount}"
+        article = "an" if descriptor.startswith("average") else "a"
+        return f"{adversary} leaves {article} {descriptor} of {amount}"
     # The name of a further descriptor may be a plural, which takes no "a".
     return f"{descriptor} against {adversary}: {amount}"
 

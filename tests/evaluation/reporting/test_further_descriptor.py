@@ -75,7 +75,7 @@ def test_a_limit_that_fails_is_a_sentence_with_the_unit():
     )
     exposure = Check("ael", 0.5, Estimate(0.9, 0.8, 1.0), attack)
     assert reason(exposure, SimpleNamespace(), epsilon_m=0.3).startswith(
-        "an attack leaves a average exposure length of up to 1.00 s (limit 0.5 s)"
+        "an attack leaves an average exposure length of up to 1.00 s (limit 0.5 s)"
     )
 
 
