@@ -10,7 +10,7 @@ Session
 Track
     The recorded samples of one person in one session (`isac_track.types.Tracks`).
 Passage
-    A whole track: a person's walk through the scene, from entry to exit.
+    A track as `returns` links it: whole, from entry to exit, or its first minute.
 Window
     A part of a track that is cut out and resampled for a task.
 Side
@@ -34,7 +34,7 @@ Returning people
     People with passages in two sessions or more. Few recordings have them.
 Circumstances
     Properties of a session in which somebody walks, such as the place in the queue.
-    They are not of the person, and a control uses them alone.
+    They are hardly of the person, and a control uses them alone.
 
 Read `task_list` first: the tasks by name. Then follow the windows:
 
@@ -43,7 +43,7 @@ Read `task_list` first: the tasks by name. Then follow the windows:
   and return `windows.TaskWindows`.
 - `track_handover` makes the same from the tracks of a tracker, with its errors.
 - `controls` are linkers that see one property only; `window_circumstances` measures
-  some of these.
+  some of these. `queues` has the order of people and whether it closes to a ring.
 
 The task `returns` links whole passages instead of windows:
 

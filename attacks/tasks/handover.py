@@ -29,8 +29,8 @@ class _UsedRotations:
     """S rotations in which people are linked, and who of N tracks is there."""
 
     number: Ints  # (S,) among all rotations of the recording.
-    end_s: Floats  # (S,) last instant of the old pseudonyms.
-    begin_s: Floats  # (S,) first instant of the new pseudonyms.
+    old_end_s: Floats  # (S,) last instant of the old pseudonyms.
+    new_begin_s: Floats  # (S,) first instant of the new pseudonyms.
     names: tuple[str, ...]  # (S,)
     before: Bools  # (S, N) present up to the rotation.
     after: Bools  # (S, N) present from the end of the silence on.
@@ -62,8 +62,8 @@ def handover(task_input: TaskInput) -> TaskWindows:
         used,
         rows=rows,
         present=used.before,
-        start_s=used.end_s - window_s,
-        end_s=used.end_s,
+        start_s=used.old_end_s - window_s,
+        end_s=used.old_end_s,
     )
     gallery = _cut_side(
         task_input,
@@ -71,8 +71,8 @@ def handover(task_input: TaskInput) -> TaskWindows:
         used,
         rows=rows,
         present=used.after,
-        start_s=used.begin_s,
-        end_s=used.end_s + (task_input.task.silence_s + window_s),
+        start_s=used.new_begin_s,
+        end_s=used.old_end_s + (task_input.task.silence_s + window_s),
     )
     return assemble(
         task_input,
@@ -100,14 +100,14 @@ def _used_rotations(task_input: TaskInput) -> _UsedRotations:
     after = rotations.present_after(came_s, left_s)
     linkable = np.flatnonzero((before & after).any(axis=1))
     number = np.intersect1d(linkable, _draw_rotations(task_input, rotations))
-    end_s = rotations.end_s[number]
+    old_end_s = rotations.old_end_s[number]
     return _UsedRotations(
         number=number,
-        end_s=end_s,
-        begin_s=rotations.begin_s[number],
+        old_end_s=old_end_s,
+        new_begin_s=rotations.new_begin_s[number],
         # By the time since the recording began: a rotation has the same draws whatever
         # the clock says.
-        names=tuple(f"{since_s:g} s" for since_s in end_s - float(t.min())),
+        names=tuple(f"{since_s:g} s" for since_s in old_end_s - float(t.min())),
         before=before[number],
         after=after[number],
         n_lasting=int((before | after)[linkable].any(axis=0).sum()),
@@ -122,10 +122,10 @@ def _draw_rotations(task_input: TaskInput, rotations: Rotations) -> Ints:
     present = present_throughout(
         task_input.start_s,
         task_input.end_s,
-        rotations.end_s + longest_silence_s(),
-        rotations.end_s,
+        rotations.old_end_s + longest_silence_s(),
+        rotations.old_end_s,
     )
-    drawn = task_input.rng("instants").permutation(rotations.end_s.size)
+    drawn = task_input.rng("instants").permutation(rotations.old_end_s.size)
     n_people = np.logical_or.accumulate(present[drawn], axis=0).sum(axis=1)
     few = int((n_people <= task_input.settings.linkage.most_people).sum())
     return np.sort(drawn[: max(few, N_FOLDS)])

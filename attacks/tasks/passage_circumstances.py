@@ -1,7 +1,8 @@
-"""Circumstances of passages: properties of the session, and not of the person.
+"""Circumstances of passages: properties of the session more than of the person.
 
 The controls of `returns` compare them: whoever is linked by them is linked by the place
-in the queue or the hour, not by the walk.
+in the queue or the hour, not by the walk. The speed is partly of the person. As a
+control it is held against the attack, which is conservative.
 """
 
 from collections.abc import Mapping
@@ -10,7 +11,8 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.types import Floats, Ints, Tracks, lengths, read_only
+from attacks.tasks.queues import NOBODY, find_queue
+from isac_track.types import Bools, Floats, Ints, Tracks, lengths, read_only
 
 CIRCUMSTANCES: Final = (
     "queue place",
@@ -20,17 +22,21 @@ CIRCUMSTANCES: Final = (
     "time of day",
     "neighbours",
 )
-"""Names of the circumstances: a control for each."""
-_TOGETHER_S = 1.0  # Starts within it are simultaneous: the queue is on a ring.
+"""Names of the circumstances: a control for each. Files of results use them.
+
+The length is the logarithm of the duration. The time of day is the time in the session:
+seconds since its first track.
+"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Circumstances:
     """How each of T tracks was walked, apart from the person."""
 
+    on_ring: Bools  # (T,) whether the queue of its session is a ring.
     place: Floats  # (T,) place in the queue of its session, 0 to 1
-    ahead: Ints  # (T,) person in front in the queue, or -1
-    behind: Ints  # (T,) person behind in the queue, or -1
+    ahead: Ints  # (T,) person in front in the queue, or `NOBODY`
+    behind: Ints  # (T,) person behind in the queue, or `NOBODY`
     scalars: Mapping[str, Floats]  # (T,) by name: logarithms, and a time in s.
 
 
@@ -42,12 +48,11 @@ def compare_circumstances(
     `person` and `session`, (T,), number the people and sessions of all tracks.
     """
     walked = _measure_circumstances(tracks, person, session)
-    place, ahead, behind = walked.place[rows], walked.ahead[rows], walked.behind[rows]
-    apart = np.abs(place[:, None] - place)
-    same_ahead = (ahead[:, None] == ahead) & (ahead >= 0)
-    same_behind = (behind[:, None] == behind) & (behind >= 0)
+    ahead, behind = walked.ahead[rows], walked.behind[rows]
+    same_ahead = (ahead[:, None] == ahead) & (ahead != NOBODY)
+    same_behind = (behind[:, None] == behind) & (behind != NOBODY)
     closeness = {
-        "queue place": -np.minimum(apart, 1.0 - apart),
+        "queue place": -_places_apart(walked.place[rows], walked.on_ring[rows]),
         "neighbours": same_ahead.astype(float) + same_behind,
     }
     for name, values in walked.scalars.items():
@@ -57,76 +62,58 @@ def compare_circumstances(
     return {name: read_only(closeness[name]) for name in CIRCUMSTANCES}
 
 
+def _places_apart(place: Floats, on_ring: Bools) -> Floats:
+    """Return how far places in queues are apart, (N, N), round the ring if on rings."""
+    apart = np.abs(place[:, None] - place)
+    both_on_ring = on_ring[:, None] & on_ring
+    return np.where(both_on_ring, np.minimum(apart, 1.0 - apart), apart)
+
+
 def _measure_circumstances(
     tracks: Tracks, person: Ints, session: Ints
 ) -> _Circumstances:
     """Measure the circumstances of all tracks, session by session."""
     n = len(tracks)
-    place, ahead, behind = np.empty(n), np.empty(n, np.int64), np.empty(n, np.int64)
-    density, time_s = np.empty((2, n))
+    on_ring, place = np.empty(n, dtype=bool), np.empty(n)
+    ahead, behind = np.empty((2, n), dtype=np.int64)
+    density, in_session_s = np.empty((2, n))
     begin_s = tracks.t[tracks.offsets[:-1]]
     end_s = tracks.t[tracks.offsets[1:] - 1]
     for number in np.unique(session):
         here = np.flatnonzero(session == number)
-        order = here[_queue_order(tracks, here)]
-        ahead[order] = np.append(-1, person[order[:-1]])
-        behind[order] = np.append(person[order[1:]], -1)
-        place[here] = _queue_places(person[order])[person[here]]
-        time_s[here] = begin_s[here] - begin_s[here].min()
+        queue = find_queue(tracks, here, person[here])
+        on_ring[here], place[here] = queue.is_ring, queue.place
+        ahead[here], behind[here] = queue.ahead, queue.behind
+        in_session_s[here] = begin_s[here] - begin_s[here].min()
         density[here] = _density(begin_s[here], end_s[here])
-    lasts_s = end_s - begin_s
+    duration_s = end_s - begin_s
     scalars = {
         "density": np.log(density),
-        "speed": np.log(np.maximum(_speeds(tracks, lasts_s), 1e-3)),
-        "length": np.log(np.maximum(lasts_s, 1e-3)),
-        "time of day": time_s,
+        "speed": np.log(np.maximum(_speeds(tracks, duration_s), 1e-3)),
+        "length": np.log(np.maximum(duration_s, 1e-3)),
+        "time of day": in_session_s,
     }
-    return _Circumstances(place, ahead, behind, scalars)
-
-
-def _queue_order(tracks: Tracks, here: Ints) -> Ints:
-    """Return the order of a session's tracks in the queue; `here` are their rows.
-
-    It is that of entry. Where most people are there from the start, on a ring, it is
-    that of their bearing from the middle of the session.
-    """
-    first = tracks.offsets[:-1][here]
-    begin_s = tracks.t[first]
-    if (begin_s <= begin_s.min() + _TOGETHER_S).mean() > 0.5:  # noqa: PLR2004 - most
-        samples = [_samples(tracks, row) for row in here.tolist()]
-        middle_m = np.concatenate([tracks.xy[part] for part in samples]).mean(axis=0)
-        bearing = tracks.xy[first] - middle_m
-        return np.argsort(np.arctan2(bearing[:, 1], bearing[:, 0]), kind="stable")
-    return np.argsort(begin_s, kind="stable")
-
-
-def _queue_places(queue: Ints) -> Floats:
-    """Return the place in a queue by person, 0 to 1: that of the first track.
-
-    `queue` has the person of each of a session's tracks, in order. People who are not
-    in it have no place: their value is arbitrary.
-    """
-    firsts = np.unique(queue, return_index=True)[1]
-    place = np.empty(queue.max() + 1)
-    place[queue[np.sort(firsts)]] = np.arange(firsts.size) / firsts.size
-    return place
+    return _Circumstances(on_ring, place, ahead, behind, scalars)
 
 
 def _density(begin_s: Floats, end_s: Floats) -> Floats:
-    """Return the mean number of people present during each track, (N,), itself too."""
+    """Return the mean number of tracks present during each, (N,), itself too.
+
+    Two tracks of a person at the same time count twice.
+    """
     shared_s = np.minimum(end_s[:, None], end_s) - np.maximum(begin_s[:, None], begin_s)
-    lasts_s = np.maximum(end_s - begin_s, 1e-9)
-    return np.asarray(np.maximum(shared_s, 0.0).sum(axis=1) / lasts_s)
+    duration_s = np.maximum(end_s - begin_s, 1e-9)
+    return np.asarray(np.maximum(shared_s, 0.0).sum(axis=1) / duration_s)
 
 
-def _speeds(tracks: Tracks, lasts_s: Floats) -> Floats:
+def _speeds(tracks: Tracks, duration_s: Floats) -> Floats:
     """Return the mean speed of each track, (T,) m/s, along steps of a second."""
     speed = np.empty(len(tracks))
     for row in range(len(tracks)):
         part = _samples(tracks, row)
         direct_m = lengths(tracks.xy[part][-1] - tracks.xy[part][0])
         way_m = lengths(np.diff(_every_second(tracks, part), axis=0)).sum()
-        speed[row] = max(direct_m, way_m) / max(lasts_s[row], 1e-9)
+        speed[row] = max(direct_m, way_m) / max(duration_s[row], 1e-9)
     return speed
 
 

@@ -1,6 +1,7 @@
-"""Passages of people who come back: whole walks through the scene, still true.
+"""Passages of people who come back, at their true positions, not yet sensed.
 
-A passage is a whole track of a person in a session, from entry to exit.
+A passage is a track of a person in a session: whole, from entry to exit, or its first
+minute.
 """
 
 from collections.abc import Mapping
@@ -34,7 +35,7 @@ in turn. It bounds memory and time."""
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Passages:
-    """N passages of people in sessions, still true.
+    """N passages of people in sessions: whole, or their first minute; not yet sensed.
 
     Attributes
     ----------
@@ -108,7 +109,8 @@ def find_passages(
     Passages shorter than `least_s` are left out; longer are cut to `longest_s`. If
     a linker would have more than `most_scores` scores, people are drawn by `seed`.
     Circumstances come from whole tracks, those of short passages included. DataError
-    without people or sessions, if nobody comes back, or for a single person.
+    without people or sessions, if nobody comes back or is drawn, or for a single
+    person.
     """
     if tracks.person is None or tracks.session is None:
         raise DataError(
@@ -120,14 +122,16 @@ def find_passages(
     rows = np.flatnonzero(end_s - begin_s >= least_s)
     people, person = np.unique(tracks.person, return_inverse=True)
     sessions, session = np.unique(tracks.session, return_inverse=True)
+    _check_returning(person[rows], session[rows], least_s)
     n_all = np.unique(person[rows]).size
     if most_scores is not None:
         is_drawn = _draw_people(
             person[rows], session[rows], most_scores=most_scores, seed=seed
         )
         rows = rows[is_drawn]
+        _check_drawn(person[rows], session[rows], most_scores)
     samples = _first_seconds(tracks, rows, longest_s)
-    passages = Passages(
+    return Passages(
         t=samples.t,
         xy=samples.xy,
         offsets=samples.offsets,
@@ -139,8 +143,6 @@ def find_passages(
         closeness=compare_circumstances(tracks, person, session, rows),
         not_drawn=n_all - np.unique(person[rows]).size,
     )
-    _check_returning(passages, least_s)
-    return passages
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -163,18 +165,38 @@ def _first_seconds(tracks: Tracks, rows: Ints, longest_s: float) -> _Samples:
     return _Samples(t[inside], xy[inside], np.append(0, np.cumsum(sizes)))
 
 
-def _check_returning(passages: Passages, least_s: float) -> None:
+def _check_returning(person: Ints, session: Ints, least_s: float) -> None:
     """Raise DataError if nobody comes back, or there is nobody else."""
-    if not passages.returning.size:
+    if not _anybody_returns(person, session):
         raise DataError(
             f"nobody walks in two sessions for {least_s:g} s: returning people need a"
             " person with passages in several sessions"
         )
-    if np.unique(passages.person).size == 1:
+    if np.unique(person).size == 1:
         raise DataError(
             f"all passages of {least_s:g} s are of a single person: there is no other"
             " for whom a passage could be taken; give sessions of more people"
         )
+
+
+def _check_drawn(person: Ints, session: Ints, most_scores: int) -> None:
+    """Raise DataError if the draw has nobody who comes back, or nobody else."""
+    if not _anybody_returns(person, session):
+        lack = "nobody walks in two sessions"
+    elif np.unique(person).size == 1:
+        lack = "there is a single person"
+    else:
+        return
+    raise DataError(
+        f"linking all people takes over {most_scores:,} scores; among those drawn at"
+        f" random {lack}; give fewer passages, or another seed"
+    )
+
+
+def _anybody_returns(person: Ints, session: Ints) -> bool:
+    """Return whether a person has passages in two sessions or more."""
+    n_people = int(person.max(initial=-1)) + 1
+    return returning_people(person, session, n_people=n_people).size > 0
 
 
 def _draw_people(person: Ints, session: Ints, *, most_scores: int, seed: int) -> Bools:

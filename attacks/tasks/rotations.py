@@ -14,8 +14,8 @@ from isac_track.types import Bools, Floats
 class Rotations:
     """S rotations: at each all pseudonyms end, and new ones begin after a silence."""
 
-    end_s: Floats  # (S,) last instant of the old pseudonyms.
-    begin_s: Floats  # (S,) first instant of the new pseudonyms.
+    old_end_s: Floats  # (S,) last instant of the old pseudonyms.
+    new_begin_s: Floats  # (S,) first instant of the new pseudonyms.
     least_s: float  # A person or track counts if present for so long on a side.
 
     def present_before(self, came_s: Floats, left_s: Floats) -> Bools:
@@ -23,12 +23,14 @@ class Rotations:
 
         `came_s` and `left_s`, (N,), are first and last instants of people or tracks.
         """
-        return present_throughout(came_s, left_s, self.end_s - self.least_s, self.end_s)
+        return present_throughout(
+            came_s, left_s, self.old_end_s - self.least_s, self.old_end_s
+        )
 
     def present_after(self, came_s: Floats, left_s: Floats) -> Bools:
         """Return who is present from the end of each silence on, (S, N)."""
         return present_throughout(
-            came_s, left_s, self.begin_s, self.begin_s + self.least_s
+            came_s, left_s, self.new_begin_s, self.new_begin_s + self.least_s
         )
 
 
@@ -52,8 +54,8 @@ def find_rotations(
     count = int(lasting_s / settings.handover_period_s)
     every_s = settings.handover_period_s * max(1.0, count / settings.handover_instants)
     n_rotations = min(count, settings.handover_instants)
-    end_s = np.asarray(first_s + every_s * np.arange(1.0, n_rotations + 1))
-    return Rotations(end_s, end_s + task.silence_s, settings.handover_least_s)
+    old_end_s = np.asarray(first_s + every_s * np.arange(1.0, n_rotations + 1))
+    return Rotations(old_end_s, old_end_s + task.silence_s, settings.handover_least_s)
 
 
 def longest_silence_s() -> float:

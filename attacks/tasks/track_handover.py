@@ -1,7 +1,9 @@
 """Handovers of tracks: all pseudonyms rotate while a tracker breaks and swaps tracks.
 
-A window of a track belongs to the person who has more than half of its samples. A window
-without such a person belongs to nobody: it is a probe and a candidate without a mate.
+The majority owner of a window is the person with more than half of its samples. Whole
+tracks are judged by a plurality instead, the person with most samples
+(`isac_track.tracking.metrics`). A window without a majority owner belongs to nobody: it
+is a probe and a candidate without a mate.
 
 A trial is a person who is truly present on both sides of a rotation, as in the handover
 of people (`attacks.tasks.handover`). Of the person's own windows, those with most of the
@@ -30,7 +32,7 @@ from isac_track.tracking.detections import CLUTTER
 from isac_track.tracking.sharing import SharedTracks
 from isac_track.types import Bools, Floats, Ints, Release, derived, stretches
 
-NOBODY: Final = "nobody"  # Source and group of windows without an owner.
+NOBODY: Final = "nobody"  # Source and group of windows without a majority owner.
 MISSING: Final = -1
 
 
@@ -66,8 +68,8 @@ class _TrackWindows:
     rotation: Ints  # (W,)
     rows: Ints  # (M,) samples of the windows, end to end.
     offsets: Ints  # (W + 1,)
-    owner: Ints  # (W,) person with more than half of the samples, or `CLUTTER`.
-    n_own: Ints  # (W,) samples of the owner.
+    majority_owner: Ints  # (W,) person with more than half of them, or `CLUTTER`.
+    n_owned: Ints  # (W,) samples of that person.
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -149,15 +151,15 @@ def _cut_sides(
     probe = _cut_windows(
         shared,
         rotations.present_before(start_s, end_s),
-        rotations.end_s - window_s,
-        rotations.end_s,
+        rotations.old_end_s - window_s,
+        rotations.old_end_s,
         rng,
     )
     gallery = _cut_windows(
         shared,
         rotations.present_after(start_s, end_s),
-        rotations.begin_s,
-        rotations.begin_s + window_s,
+        rotations.new_begin_s,
+        rotations.new_begin_s + window_s,
         rng,
     )
     came_s, left_s = people.t[people.offsets[:-1]], people.t[people.offsets[1:] - 1]
@@ -177,8 +179,8 @@ def _select_rotations(side: _TrackWindows, used: Ints) -> _TrackWindows:
         rotation=side.rotation[window],
         rows=side.rows[rows],
         offsets=offsets,
-        owner=side.owner[window],
-        n_own=side.n_own[window],
+        majority_owner=side.majority_owner[window],
+        n_owned=side.n_owned[window],
     )
 
 
@@ -193,53 +195,83 @@ def _cut_windows(
 
     `present` is (S, number of tracks); windows last from `first_s` to `last_s`, (S,).
     """
-    t, offsets = shared.release.t, shared.release.offsets
-    rotations, firsts, sizes = [], [], []
-    for number in range(len(present)):
-        track = rng.permutation(np.flatnonzero(present[number]))
-        in_window = (t >= first_s[number] - CLOCK_S) & (t <= last_s[number] + CLOCK_S)
-        n_in_window = np.append(0, np.cumsum(in_window))
-        size = n_in_window[offsets[track + 1]] - n_in_window[offsets[track]]
-        n_earlier = np.append(0, np.cumsum(t < first_s[number] - CLOCK_S))
-        first = offsets[track] + n_earlier[offsets[track + 1]]
-        first = first - n_earlier[offsets[track]]
-        rotations.append(np.full(track.size, number)[size > 0])
-        firsts.append(first[size > 0])
-        sizes.append(size[size > 0])
+    cuts = [
+        _cut_tracks(
+            shared.release, rng.permutation(np.flatnonzero(is_present)), begin_s, end_s
+        )
+        for is_present, begin_s, end_s in zip(present, first_s, last_s, strict=True)
+    ]
+    n_windows = np.array([cut.size.size for cut in cuts], dtype=np.int64)
     none = np.zeros(0, dtype=np.int64)
-    size = np.concatenate([none, *sizes])
-    rows, cuts = stretches(np.concatenate([none, *firsts]), size)
-    owner, n_own = _owners(shared.person[rows], cuts)
+    rows, offsets = stretches(
+        np.concatenate([none, *(cut.first for cut in cuts)]),
+        np.concatenate([none, *(cut.size for cut in cuts)]),
+    )
+    owners = _find_majority_owners(shared.person[rows], offsets)
     return _TrackWindows(
-        rotation=np.concatenate([none, *rotations]),
+        rotation=np.repeat(np.arange(len(cuts)), n_windows),
         rows=rows,
-        offsets=cuts,
-        owner=owner,
-        n_own=n_own,
+        offsets=offsets,
+        majority_owner=owners.person,
+        n_owned=owners.n_samples,
     )
 
 
-def _owners(person: Ints, offsets: Ints) -> tuple[Ints, Ints]:
-    """Return who has more than half of each window, or `CLUTTER`, and the samples."""
+@dataclass(frozen=True, eq=False, slots=True)
+class _Cut:
+    """The samples of W tracks in the window of a rotation, none without any."""
+
+    first: Ints  # (W,) row of the first.
+    size: Ints  # (W,)
+
+
+def _cut_tracks(release: Release, track: Ints, begin_s: float, end_s: float) -> _Cut:
+    """Return the samples of some tracks, (T,), from `begin_s` to `end_s`."""
+    is_early = release.t < begin_s - CLOCK_S
+    in_window = ~is_early & (release.t <= end_s + CLOCK_S)
+    first = release.offsets[track] + _count_in_tracks(is_early, release, track)
+    size = _count_in_tracks(in_window, release, track)
+    return _Cut(first[size > 0], size[size > 0])
+
+
+def _count_in_tracks(is_counted: Bools, release: Release, track: Ints) -> Ints:
+    """Return the counted samples of some tracks, (T,); `is_counted` has all samples."""
+    total = np.append(0, np.cumsum(is_counted))
+    return np.asarray(total[release.offsets[track + 1]] - total[release.offsets[track]])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Owners:
+    """The majority owners of W windows."""
+
+    person: Ints  # (W,), or `CLUTTER`.
+    n_samples: Ints  # (W,)
+
+
+def _find_majority_owners(person: Ints, offsets: Ints) -> _Owners:
+    """Return the person with more than half of each window, or `CLUTTER`.
+
+    `person` is that of each sample.
+    """
     sizes = np.diff(offsets)
     window = np.repeat(np.arange(sizes.size), sizes)
-    owner, n_own = np.full(sizes.size, CLUTTER), np.zeros(sizes.size, dtype=np.int64)
-    if not window.size:
-        return owner, n_own
-    pairs, count = np.unique(np.stack([window, person]), axis=1, return_counts=True)
-    is_most = (2 * count > sizes[pairs[0]]) & (pairs[1] != CLUTTER)
-    owner[pairs[0][is_most]] = pairs[1][is_most]
-    n_own[pairs[0][is_most]] = count[is_most]
-    return owner, n_own
+    owner = np.full(sizes.size, CLUTTER)
+    n_owned = np.zeros(sizes.size, dtype=np.int64)
+    if window.size:
+        pairs, count = np.unique(np.stack([window, person]), axis=1, return_counts=True)
+        is_majority = (2 * count > sizes[pairs[0]]) & (pairs[1] != CLUTTER)
+        owner[pairs[0][is_majority]] = pairs[1][is_majority]
+        n_owned[pairs[0][is_majority]] = count[is_majority]
+    return _Owners(owner, n_owned)
 
 
 def _largest_windows(side: _TrackWindows, shape: tuple[int, ...]) -> Ints:
     """Return the window with most samples of each person, (S, N), or `MISSING`."""
     best = np.full(shape, MISSING)
-    window = np.flatnonzero(side.owner != CLUTTER)
+    window = np.flatnonzero(side.majority_owner != CLUTTER)
     # The last that is written has the most samples; of equals it is the first window.
-    window = window[np.lexsort((-window, side.n_own[window]))]
-    best[side.rotation[window], side.owner[window]] = window
+    window = window[np.lexsort((-window, side.n_owned[window]))]
+    best[side.rotation[window], side.majority_owner[window]] = window
     return best
 
 
@@ -269,7 +301,7 @@ def _task_windows(
 ) -> TaskWindows:
     """Return the windows of the `used` rotations, (U,), as those of N people.
 
-    Windows without an owner belong to one person more, called `NOBODY`.
+    Windows without a majority owner belong to one person more, called `NOBODY`.
     """
     people, n_people = patrol.people, len(patrol.people)
     group = (*people.group, NOBODY)
@@ -302,18 +334,18 @@ def _task_windows(
 
 
 def _seen_people(sides: _Sides, used: Ints) -> Bools:
-    """Return who is there or owns a window at each used rotation, (U, N + 1).
+    """Return who is there or majority owner at each used rotation, (U, N + 1).
 
     The last is nobody, who is always there: no adversary is trained on windows without
-    an owner.
+    a majority owner.
     """
     present = (sides.present_before | sides.present_after)[used]
     seen = np.ones((used.size, present.shape[1] + 1), dtype=bool)
     seen[:, :-1] = present
     for side in (sides.probe, sides.gallery):
-        owned = np.flatnonzero(side.owner != CLUTTER)
+        owned = np.flatnonzero(side.majority_owner != CLUTTER)
         number = np.searchsorted(used, side.rotation[owned])
-        seen[number, side.owner[owned]] = True
+        seen[number, side.majority_owner[owned]] = True
     return seen
 
 
@@ -331,6 +363,8 @@ def _true_windows(
         t=shared.release.t[side.rows],
         xy=np.where(is_clutter[:, None], released, people.xy[row]),
         offsets=side.offsets,
-        person=np.where(side.owner == CLUTTER, len(people), side.owner),
+        person=np.where(
+            side.majority_owner == CLUTTER, len(people), side.majority_owner
+        ),
         search=np.searchsorted(used, side.rotation),
     )

@@ -9,8 +9,9 @@ from typing import Final
 
 import numpy as np
 
+from attacks.tasks.queues import Queue, find_queue
 from attacks.tasks.windows import Windows
-from isac_track.types import Bools, Complexes, Floats, Ints, Tracks
+from isac_track.types import Complexes, Floats, Ints, Tracks
 
 CIRCUMSTANCE_COLUMNS: Final[Mapping[str, tuple[int, ...]]] = {
     "queue_place": (0, 1),
@@ -27,31 +28,36 @@ def measure_circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Float
 
     `rows`, (N,), are the tracks that the windows are cut from. The columns are:
 
-    - 0, 1: the place in the queue when the session begins, on a circle: cosine and sine
-      of the rank by bearing from the session's middle;
-    - 2: the direction of walking round that middle, -1 to 1;
-    - 3: the number of people present;
-    - 4: the time, s from the session's start;
-    - 5: how long the whole track lasts, s.
+    - 0, 1: the place in the queue, on a circle: cosine and sine. A ring fills the
+      circle; a line fills half of it, so that its ends are farthest apart;
+    - 2: the direction of walking round the session's middle, -1 to 1;
+    - 3: the number of tracks present;
+    - 4: the time in the session, s since its first track;
+    - 5: the duration of the whole track, s.
     """
     assert tracks.session is not None
+    assert tracks.person is not None
     session = np.array(tracks.session)
+    person = np.unique(tracks.person, return_inverse=True)[1]
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    angle = np.empty(len(tracks))
+    for name in np.unique(session[rows]):
+        in_session = np.flatnonzero(session == name)
+        queue = find_queue(tracks, in_session, person[in_session])
+        angle[in_session] = _queue_angles(queue)
     values = np.empty((rows.size, 6))
     for number, row in enumerate(rows.tolist()):
         in_session = np.flatnonzero(session == session[row])
         begin_s, end_s = tracks.t[first[in_session]], tracks.t[last[in_session]]
         samples = slice(first[in_session[0]], last[in_session[-1]] + 1)
         middle_m = tracks.xy[samples].mean(axis=0)
-        start_m = tracks.xy[first[in_session]] - middle_m
-        angle = _queue_angle(start_m, in_session == row)
         t = windows.t[windows.offsets[number] : windows.offsets[number + 1]]
         walk = slice(first[row], last[row] + 1)
         x = np.interp(t, tracks.t[walk], tracks.xy[walk, 0])
         y = np.interp(t, tracks.t[walk], tracks.xy[walk, 1])
         values[number] = (
-            np.cos(angle),
-            np.sin(angle),
+            np.cos(angle[row]),
+            np.sin(angle[row]),
             _turning_direction(x + 1j * y, complex(*middle_m)),
             ((begin_s <= t.mean()) & (end_s >= t.mean())).sum(),
             t.mean() - begin_s.min(),
@@ -60,14 +66,10 @@ def measure_circumstances(tracks: Tracks, rows: Ints, windows: Windows) -> Float
     return values
 
 
-def _queue_angle(start_m: Floats, is_track: Bools) -> float:
-    """Return the rank of a track by bearing as an angle, 0 to 2 pi.
-
-    `start_m`, (T, 2), are the starts of a session's tracks from its middle. `is_track`,
-    (T,), is true for the track alone.
-    """
-    bearing = np.arctan2(*start_m.T)
-    return 2.0 * np.pi * float((bearing < bearing[is_track]).mean())
+def _queue_angles(queue: Queue) -> Floats:
+    """Return the places of tracks in a queue as angles, (N,), 0 to 2 pi or to pi."""
+    whole = 2.0 * np.pi if queue.is_ring else np.pi
+    return whole * queue.place
 
 
 def _turning_direction(position_m: Complexes, middle_m: complex) -> float:

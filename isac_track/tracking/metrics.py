@@ -112,9 +112,10 @@ def gospa_scans(patrol: Patrol, tracked: Tracked, *, cutoff_m: float) -> GospaSc
 
 
 def track_owners(shared: SharedTracks) -> Ints:
-    """Return the person who has most samples of each track, (N,), or `CLUTTER`.
+    """Return the person with a plurality of samples of each track, (N,), or `CLUTTER`.
 
-    Of equals it is the person of the lower row.
+    That is most samples, and need not be more than half. Of equals it is the person of
+    the lower row.
     """
     n_tracks = len(shared.release)
     if not n_tracks:

@@ -185,6 +185,17 @@ def test_people_are_drawn_whole_where_scores_would_be_too_many(walks):
     assert everybody.not_drawn == 0
 
 
+def test_a_draw_without_anybody_to_link_says_so():
+    with pytest.raises(DataError, match=r"among those drawn.*nobody walks in two"):
+        find_passages(crowd(), most_scores=1)
+    tracks = crowd(sessions=((2, 1, 3.6), (2, 1, 4.5)), n_people=2)
+    with pytest.raises(DataError, match=r"among those drawn.*a single person"):
+        find_passages(tracks, most_scores=2 * 2**2)
+    # Where nobody comes back the draw has nothing to do with it.
+    with pytest.raises(DataError, match=r"^nobody walks in two"):
+        find_passages(crowd(sessions=SMALL[:1]), most_scores=1)
+
+
 def test_the_error_at_which_linkage_crosses_chance():
     errors_m = np.array([0.0, 0.05, 0.1])
     cells = [Estimate(0.4, low, 0.6) for low in (0.3, 0.2, 0.02)]
