@@ -38,7 +38,7 @@ from isac_track.config import StageSettings
 from isac_track.errors import IsacTrackError, SettingsError
 from isac_track.intervals import Estimate
 from isac_track.patrols import horizon_scans, make_patrol
-from isac_track.patrols.answers import Network, disclose, share_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.intervals import cluster_numbers, sum_clusters, two_way_ratio
 from isac_track.patrols.knowledge import guesses_from_map, known_places
@@ -49,6 +49,7 @@ from isac_track.patrols.metrics import (
     robot_task,
     utility_metrics,
 )
+from isac_track.patrols.network import Network, share_patrol
 from isac_track.patrols.refusals import refused_conflicts, refused_queries
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse

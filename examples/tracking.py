@@ -27,7 +27,7 @@ from isac_track.patrols import (
     Patrol,
     horizon_scans,
     make_patrol,
-    query_scans,
+    scans_per_query,
     sense_people,
 )
 from isac_track.patrols.knowledge import guesses_from_map
@@ -251,7 +251,7 @@ def add_answers(row, scene, shared):
         actual=scene.actual,
         entries=scene.entries,
         horizon=horizon,
-        query_scans=query_scans(rules.patrol),
+        scans_per_query=scans_per_query(rules.patrol),
     )
     for name, part in (
         ("missed_future_rate", counts.shares["missed_future_rate"]),

@@ -25,13 +25,7 @@ from isac_track.command_line import DONE, Parser, exit_code
 from isac_track.config import StageSettings
 from isac_track.errors import SettingsError
 from isac_track.patrols import horizon_scans, make_patrol
-from isac_track.patrols.answers import (
-    Disclosure,
-    Network,
-    disclose,
-    sense_patrol,
-    share_sensed,
-)
+from isac_track.patrols.answers import Disclosure, disclose
 from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.knowledge import Known, guesses_from_map, known_places
@@ -42,6 +36,7 @@ from isac_track.patrols.metrics import (
     is_by_construction,
     robot_task,
 )
+from isac_track.patrols.network import Network, sense_patrol, share_sensed
 from isac_track.place import placed
 from isac_track.plugins import Plugin, parse
 from isac_track.policies.samples import Everything

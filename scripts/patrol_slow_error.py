@@ -20,7 +20,7 @@ from isac_track.kalman.slow_errors import SlowError, smooth_tracks
 from isac_track.mechanisms.protections import Ou
 from isac_track.noise import MIN_VARIANCE_M2
 from isac_track.patrols import make_patrol
-from isac_track.patrols.answers import Network, share_patrol
+from isac_track.patrols.network import Network, share_patrol
 from isac_track.patrols.reports import released_reports
 from isac_track.place import placed
 from predictors.kalman import KalmanCV

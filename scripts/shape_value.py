@@ -24,17 +24,12 @@ from isac_track.intervals import Estimate, cluster_weights, difference, ratio_es
 from isac_track.mechanisms.paper import Raw
 from isac_track.mechanisms.protections import Ou
 from isac_track.patrols import make_patrol
-from isac_track.patrols.answers import (
-    Network,
-    SensedPatrol,
-    disclose,
-    sense_patrol,
-    share_sensed,
-)
+from isac_track.patrols.answers import disclose
 from isac_track.patrols.estimators import estimate_positions
 from isac_track.patrols.fleet_logs import fleet_log
 from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
 from isac_track.patrols.knowledge import guesses_from_map
+from isac_track.patrols.network import Network, SensedPatrol, sense_patrol, share_sensed
 from isac_track.patrols.patrol import Patrol, horizon_scans
 from isac_track.patrols.utility import (
     answer_forecasts,

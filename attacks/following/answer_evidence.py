@@ -20,7 +20,8 @@ from attacks.following.walk_chain import (
     velocity_classes,
 )
 from isac_track.patrols import Patrol
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
+from isac_track.patrols.network import Network
 from isac_track.patrols.utility import answer_forecasts, conflicts_in
 from isac_track.policies.query import Query, View
 from isac_track.policies.samples import HORIZON_S, Ahead

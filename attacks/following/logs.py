@@ -13,9 +13,10 @@ from attacks.following.chains import Chains, follow
 from attacks.following.links import Links, candidate_links, entropy_bits, next_pieces
 from attacks.following.pieces import Pieces, Pseudonyms, collect_pieces
 from isac_track.patrols import Patrol
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.estimators import estimate_positions
 from isac_track.patrols.fleet_logs import Log
+from isac_track.patrols.network import Network
 from isac_track.patrols.reports import average_draws
 from isac_track.protocols import Policy
 from isac_track.rng import stream

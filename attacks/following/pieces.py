@@ -12,8 +12,9 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from isac_track.kalman import kalman_last, planar_last
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.fleet_logs import sent_samples
+from isac_track.patrols.network import Network
 from isac_track.patrols.reports import Reports, average_draws, sent_reports
 from isac_track.types import Floats, Ints, stretches
 

@@ -36,8 +36,9 @@ from attacks.following.pool import pool_weights, pooled_log_density
 from attacks.following.walk_chain import Chain, fit_chain
 from isac_track.errors import DataError
 from isac_track.patrols import Patrol
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.fleet_logs import Log, fleet_log
+from isac_track.patrols.network import Network
 from isac_track.rng import stream
 from isac_track.types import Bools, Floats, Ints
 

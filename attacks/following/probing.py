@@ -35,8 +35,8 @@ from attacks.following.walk_chain import walk_states
 from isac_track.errors import DataError
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
 from isac_track.patrols import Patrol
-from isac_track.patrols.answers import Network
 from isac_track.patrols.intervals import REPLICATES, cluster_numbers, sum_clusters
+from isac_track.patrols.network import Network
 from isac_track.patrols.reports import Reports, released_reports
 from isac_track.policies.query import Query, View
 from isac_track.policies.samples import WINDOW_S, Ahead

@@ -42,7 +42,8 @@ from isac_track.types import (
 )
 
 if TYPE_CHECKING:
-    from isac_track.patrols.answers import Disclosure, Network
+    from isac_track.patrols.answers import Disclosure
+    from isac_track.patrols.network import Network
     from isac_track.plugins import Plugin
 
 READINGS: Final = ("interpolate", "smooth")

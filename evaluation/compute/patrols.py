@@ -23,17 +23,7 @@ from evaluation.plan.constants import ORACLE
 from evaluation.plan.origins import is_user_plugin
 from isac_track.errors import PluginError, SettingsError
 from isac_track.patrols import horizon_scans, make_patrol
-from isac_track.patrols.answers import (
-    Disclosure,
-    Network,
-    SensedPatrol,
-    disclose,
-    disclose_each,
-    make_network,
-    sense_patrol,
-    share_each,
-    share_sensed,
-)
+from isac_track.patrols.answers import Disclosure, disclose, disclose_each
 from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.knowledge import Known, guesses_from_map, known_places
 from isac_track.patrols.metrics import (
@@ -42,6 +32,14 @@ from isac_track.patrols.metrics import (
     foresee,
     is_by_construction,
     robot_task,
+)
+from isac_track.patrols.network import (
+    Network,
+    SensedPatrol,
+    make_network,
+    sense_patrol,
+    share_each,
+    share_sensed,
 )
 from isac_track.policies.samples import Everything
 from isac_track.sharing import Raw

@@ -86,14 +86,14 @@ def _rejoined_columns(followed: list[TrackFollowing], blocks: Blocks) -> Rows:
 def _hota_rows(releases: list[SeedRelease], blocks: Blocks) -> Rows:
     """Return the parts of HOTA by seed, block and level, (S B A,)."""
     seeds = [hota_blocks(blocks, release.hota) for release in releases]
-    n_levels = len(seeds[0].pairs)
+    n_levels = len(seeds[0].n_union)
     rows = {
         name: np.repeat(column, n_levels)
         for name, column in seed_block_columns(len(seeds), blocks.n).items()
     }
     rows["step"] = np.tile(np.arange(n_levels, dtype=np.int32), len(seeds) * blocks.n)
-    for name in ("association", "pairs"):
-        rows[name] = np.concatenate([getattr(seed, name).T.ravel() for seed in seeds])
+    rows["association"] = np.concatenate([seed.association.T.ravel() for seed in seeds])
+    rows["pairs"] = np.concatenate([seed.n_union.T.ravel() for seed in seeds])
     return rows
 
 

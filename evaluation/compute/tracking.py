@@ -26,7 +26,7 @@ from evaluation.compute.tracking_setup import (
     TrackingSetup,
     share_tracked,
 )
-from isac_track.patrols import horizon_scans, query_scans
+from isac_track.patrols import horizon_scans, scans_per_query
 from isac_track.plugins import parse
 from isac_track.protocols import knowing
 from isac_track.tracking.counts import robot_counts
@@ -119,7 +119,7 @@ def count_horizons(foresight: Foresight, setup: TrackingSetup) -> CountsByHorizo
             actual=setup.actual,
             entries=setup.entries,
             horizon=horizon,
-            query_scans=query_scans(setup.stages.patrol),
+            scans_per_query=scans_per_query(setup.stages.patrol),
         )
         for horizon in horizon_scans(setup.stages)
     }

@@ -106,7 +106,7 @@ def _track_metrics(out: Path, entry: Entry, *, seed: int) -> _Metrics:
     levels = _read(out, entry, HOTA_COLUMNS, table=HOTA)
     metrics[entry.address, "hota"] = block_hota(
         association=by_step(levels, "association"),
-        pairs=by_step(levels, "pairs"),
+        n_union=by_step(levels, "pairs"),
         seed=seed,
     )
     known = [by_seed(rows, f"known_{estimator}") for estimator in TRACK_ESTIMATORS]

@@ -6,9 +6,9 @@ from isac_track.patrols.patrol import (
     forecast_instants,
     horizon_scans,
     make_patrol,
-    query_scans,
+    scans_per_query,
     sense_people,
 )
 
 __all__ = ["Patrol", "Presences", "forecast_instants"]
-__all__ += ["horizon_scans", "make_patrol", "query_scans", "sense_people"]
+__all__ += ["horizon_scans", "make_patrol", "scans_per_query", "sense_people"]

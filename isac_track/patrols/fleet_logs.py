@@ -6,7 +6,8 @@ import numpy as np
 
 from isac_track.measurement import error_ellipses
 from isac_track.noise import UNKNOWN_VARIANCE_M2
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
+from isac_track.patrols.network import Network
 from isac_track.patrols.reports import Reports, average_draws, sent_reports
 from isac_track.patrols.utility import scans_left
 from isac_track.types import Bools, Floats, Ints

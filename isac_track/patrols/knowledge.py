@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.estimators import ESTIMATORS, estimate_positions
 from isac_track.patrols.fleet_logs import Log, fleet_log
+from isac_track.patrols.network import Network
 from isac_track.patrols.patrol import Patrol
 from isac_track.patrols.walked_map import map_guesses
 from isac_track.types import Bools, Floats, Ints, squared_lengths

@@ -12,7 +12,7 @@ import numpy as np
 
 from isac_track.config import StageSettings
 from isac_track.intervals import Estimate, cluster_weights, ratio_estimates
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.equal_alarms import (
     AlarmCounts,
     alarm_curve,
@@ -27,7 +27,8 @@ from isac_track.patrols.intervals import (
     two_way_ratio,
 )
 from isac_track.patrols.knowledge import Known
-from isac_track.patrols.patrol import horizon_scans, query_scans
+from isac_track.patrols.network import Network
+from isac_track.patrols.patrol import horizon_scans, scans_per_query
 from isac_track.patrols.utility import (
     Foreseen,
     answer_forecasts,
@@ -116,7 +117,7 @@ def is_by_construction(network: Network, policy: Policy, predictor: Predictor) -
     if isinstance(policy, State) and policy.metres is None:
         return True
     is_on_shared = getattr(policy, "select_on", "raw") == "shared"
-    return is_on_shared or network.is_raw
+    return is_on_shared or network.shares_raw_positions
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -186,7 +187,7 @@ def count_utility(
         task.entries,
         warned,
         lead=horizon,
-        query_scans=query_scans(task.settings.patrol),
+        scans_per_query=scans_per_query(task.settings.patrol),
     )
     counts = {
         name: (

@@ -53,8 +53,9 @@ class Patrol:
     ahead_s: Floats
     presences: Presences
     robots_per_fleet: int
-    # Recorded people who are present at no scan or at no instant of the grid.
-    n_unseen: int
+    # Recorded people who are left out: of a single sample, or present at no scan, or at
+    # no instant of the grid.
+    n_left_out: int
 
     @property
     def n_robots(self) -> int:
@@ -77,7 +78,7 @@ class Patrol:
         return np.asarray(self.scan_s[now[:, None] + np.arange(self.ahead_s.size)])
 
     def robot_ahead(self, robot: int, presence: Ints) -> Floats:
-        """Return the places of a robot at these instants, (..., H, 2) m."""
+        """Return the places of a robot at the instants of `t_ahead`, (..., H, 2) m."""
         now = self.query_scan[self.presences.query[presence]]
         return np.asarray(
             self.robot_xy[robot, now[:, None] + np.arange(self.ahead_s.size)]
@@ -107,7 +108,7 @@ def forecast_instants(settings: StageSettings) -> Floats:
     """
     usual_scans = round(HORIZON_S / settings.patrol.scan_s)
     farthest = max(usual_scans, *horizon_scans(settings))
-    n_ahead = 1 + farthest + query_scans(settings.patrol)
+    n_ahead = 1 + farthest + scans_per_query(settings.patrol)
     return settings.patrol.scan_s * np.arange(float(n_ahead))
 
 
@@ -133,7 +134,7 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
     scan = np.rint((people.t - start_s) / rules.scan_s).astype(np.int64)
     n_scans = int(scan.max()) + 1
     ahead_s = forecast_instants(settings)
-    query_scan = _query_scans(n_scans, rules)
+    query_scan = _find_query_scans(n_scans, rules)
     clock_s = start_s + rules.scan_s * np.arange(float(n_scans + ahead_s.size))
     return Patrol(
         people=people,
@@ -148,11 +149,11 @@ def make_patrol(recorded: Tracks, *, settings: StageSettings, seed: int) -> Patr
         ahead_s=ahead_s,
         presences=_find_presences(scan, people.offsets, query_scan),
         robots_per_fleet=rules.robots,
-        n_unseen=len(recorded) - len(people),
+        n_left_out=len(recorded) - len(people),
     )
 
 
-def query_scans(rules: PatrolSettings) -> int:
+def scans_per_query(rules: PatrolSettings) -> int:
     """Return the largest number of scans between two queries."""
     return int(np.ceil(rules.query_s / rules.scan_s - _ROUNDING))
 
@@ -222,7 +223,10 @@ def _instants(track: Tracks, *, start_s: float, end_s: float, step_s: float) -> 
 def _present_walks(
     recorded: Tracks, *, settings: StageSettings, start_s: float, end_s: float
 ) -> dict[int, Walk]:
-    """Return the continuous walks of people present on both clocks, by row."""
+    """Return the continuous walks of people present on both clocks, by row.
+
+    A person of a single sample has no walk. DataError if nobody is present.
+    """
     rules = settings.patrol
     walks: dict[int, Walk] = {}
     for row, track in enumerate(recorded):
@@ -235,8 +239,10 @@ def _present_walks(
             walks[row] = walk(track, max_overshoot_m=overshoot_m)
     if not walks:
         raise DataError(
-            f"nobody of {len(recorded)} people is present at a scan, every "
-            f"{rules.scan_s:g} s; record longer, or set patrol.scan_s lower"
+            f"nobody of {len(recorded)} people has two samples and is present at a"
+            f" scan, every {rules.scan_s:g} s, and at an instant, every"
+            f" {rules.grid_s:g} s; record longer, or set patrol.scan_s or"
+            " patrol.grid_s lower"
         )
     return walks
 
@@ -266,7 +272,7 @@ def _on_clock(
     )
 
 
-def _query_scans(n_scans: int, rules: PatrolSettings) -> Ints:
+def _find_query_scans(n_scans: int, rules: PatrolSettings) -> Ints:
     """Return the scans of the queries: the last scan at or before each query's time."""
     n_queries = int((n_scans - 1) * rules.scan_s / rules.query_s + _ROUNDING) + 1
     asked_s = rules.query_s * np.arange(float(n_queries))

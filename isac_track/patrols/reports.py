@@ -12,7 +12,7 @@ from isac_track.measurement import (
     mean_variance,
 )
 from isac_track.noise import MIN_VARIANCE_M2, innovation_variance_m2
-from isac_track.patrols.answers import Network
+from isac_track.patrols.network import Network
 from isac_track.types import Floats, Ints, Release
 
 

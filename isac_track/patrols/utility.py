@@ -9,7 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from isac_track.patrols.answers import Disclosure, Network, forecast_runs
+from isac_track.patrols.answers import Disclosure
+from isac_track.patrols.forecasts import forecast_runs
+from isac_track.patrols.network import Network
 from isac_track.patrols.patrol import Patrol
 from isac_track.protocols import Predictor, knowing
 from isac_track.types import Bools, Floats, Ints, squared_lengths, stretches
@@ -219,18 +221,20 @@ def withheld_conflicts(
 
 
 def missed_encounters(
-    patrol: Patrol, entries: Ints, foreseen: Ints, *, lead: int, query_scans: int
+    patrol: Patrol, entries: Ints, foreseen: Ints, *, lead: int, scans_per_query: int
 ) -> Counts:
     """Count encounters of which a robot was not warned `lead` scans ahead, (N, R).
 
     An encounter is the first time that a person is inside. The warning is the answer to
-    the last query at least `lead` scans before: a forecast over ``lead + query_scans``
+    the last query at least `lead` scans before: a forecast over ``lead + scans_per_query``
     scans that foresees the person inside. A person does not count if the network had
     too few samples for a forecast by then.
     """
     pairs = patrol.presences
     wait = entries[pairs.person] - patrol.query_scan[pairs.query][:, None]
-    next_query = np.append(patrol.query_scan[1:], patrol.query_scan[-1] + query_scans)
+    next_query = np.append(
+        patrol.query_scan[1:], patrol.query_scan[-1] + scans_per_query
+    )
     gap = (next_query - patrol.query_scan)[pairs.query][:, None]
     is_last = (wait >= lead) & (wait - gap < lead)
     is_known = pairs.sample + 1 - patrol.people.offsets[pairs.person] >= _LEAST_HISTORY
@@ -238,7 +242,7 @@ def missed_encounters(
     trials = np.zeros(entries.shape, dtype=bool)
     hits = np.zeros(entries.shape, dtype=bool)
     trials[pairs.person[rows], robots] = True
-    hits[pairs.person[rows], robots] = foreseen[rows, robots] > lead + query_scans
+    hits[pairs.person[rows], robots] = foreseen[rows, robots] > lead + scans_per_query
     return Counts(hits=hits, trials=trials)
 
 

@@ -26,7 +26,8 @@ def worst_tenth(*, known: Ints, instants: Ints, cluster: Ints, seed: int) -> Est
 
     `known`, (N, F), counts the known instants of N people in the logs of F fleets, of
     `instants`, (N,); `cluster`, (N,), numbers people who walk together. Every replicate
-    of the two-way interval repeats the choice. NaN below `LEAST_FLEETS` fleets.
+    of the two-way interval repeats the choice. NaN below `LEAST_FLEETS` fleets. Biased
+    low with few fleets, whose chance puts others among the worst-off.
     """
     n_fleets = known.shape[1]
     n_clusters = int(cluster.max(initial=-1)) + 1
@@ -57,12 +58,35 @@ def _mean_shares(known: Ints, instants: Ints, routes: Floats) -> Floats:
 def _top_mean(chosen_by: Floats, scored: Floats, weights: Floats) -> Floats:
     """Return the mean score of the tenth with the largest `chosen_by`, (1 + B,).
 
-    All arguments are (N, 1 + B). For a person at the edge of the tenth, only the part
-    of the weight inside counts.
+    All arguments are (N, 1 + B). Of people at the edge of the tenth only a part of the
+    weight counts. People with equal `chosen_by` count with equal parts, so that the
+    order of the rows does not matter.
     """
     order = np.argsort(-chosen_by, axis=0, kind="stable")
-    weight = np.take_along_axis(weights, order, axis=0)
-    before = np.cumsum(weight, axis=0) - weight
-    inside = np.clip(_TENTH * weight.sum(axis=0) - before, 0.0, weight)
-    score = np.take_along_axis(scored, order, axis=0)
+    ranked, weight, score = (
+        np.take_along_axis(values, order, axis=0)
+        for values in (chosen_by, weights, scored)
+    )
+    above, through = _tied_weights(ranked, weight)
+    tied = through - above
+    places = np.clip(_TENTH * weight.sum(axis=0) - above, 0.0, tied)
+    part = np.divide(places, tied, out=np.zeros_like(tied), where=tied > 0.0)
+    inside = weight * part
     return np.asarray((inside * score).sum(axis=0) / inside.sum(axis=0))
+
+
+def _tied_weights(ranked: Floats, weight: Floats) -> tuple[Floats, Floats]:
+    """Return the weight above the equals of each row, and through them, (N, 1 + B).
+
+    `ranked` and `weight`, (N, 1 + B), are in falling order of `ranked`.
+    """
+    n_people = len(ranked)
+    row = np.arange(n_people)[:, None]
+    is_edge = np.ones((n_people + 1, ranked.shape[1]), dtype=bool)
+    is_edge[1:-1] = ranked[1:] != ranked[:-1]
+    first = np.maximum.accumulate(np.where(is_edge[:-1], row, 0), axis=0)
+    last = np.where(is_edge[1:], row, n_people - 1)
+    last = np.minimum.accumulate(last[::-1], axis=0)[::-1]
+    total = np.cumsum(weight, axis=0)
+    above = np.take_along_axis(total - weight, first, axis=0)
+    return above, np.take_along_axis(total, last, axis=0)

@@ -11,8 +11,9 @@ import numpy as np
 
 from isac_track.measurement import axis_share
 from isac_track.noise import UNKNOWN_VARIANCE_M2
-from isac_track.patrols.answers import Disclosure, Network
+from isac_track.patrols.answers import Disclosure
 from isac_track.patrols.knowledge import nearest_samples
+from isac_track.patrols.network import Network
 from isac_track.patrols.patrol import Patrol, Presences
 from isac_track.patrols.utility import answer_forecasts
 from isac_track.protocols import Mechanism, Predictor

@@ -114,15 +114,15 @@ def block_missed_at_equal_alarms(
     return _block_estimate(values, trials.sum(axis=1))
 
 
-def block_hota(*, association: Floats, pairs: Floats, seed: int) -> Estimate:
+def block_hota(*, association: Floats, n_union: Floats, seed: int) -> Estimate:
     """Return HOTA of its parts, (A, B, S), with an interval as in `block_ratio`."""
-    blocks, seeds = _drawn_weights(*pairs.shape[1:], seed=seed)
+    blocks, seeds = _drawn_weights(*n_union.shape[1:], seed=seed)
     sums = [
         np.einsum("abs,rb,rs->ra", part, blocks, seeds, optimize=True)
-        for part in (association, pairs)
+        for part in (association, n_union)
     ]
     values = hota_from_sums(*sums)
-    return _block_estimate(values, pairs[0].sum(axis=1), is_share=True)
+    return _block_estimate(values, n_union[0].sum(axis=1), is_share=True)
 
 
 def block_statistic(

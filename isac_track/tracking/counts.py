@@ -99,7 +99,7 @@ class HotaBlocks:
     """Parts of HOTA in B blocks, for A least similarities; see `HotaScans`."""
 
     association: Floats  # (A, B)
-    pairs: Floats  # (A, B)
+    n_union: Floats  # (A, B)
 
 
 def hota_blocks(blocks: Blocks, scans: HotaScans) -> HotaBlocks:
@@ -108,12 +108,12 @@ def hota_blocks(blocks: Blocks, scans: HotaScans) -> HotaBlocks:
     How well two tracks agree rests on the whole recording: a block has its matches'
     share.
     """
-    scan_s = blocks.patrol.scan_s[: len(scans.pairs)]
-    association, pairs = (
+    scan_s = blocks.patrol.scan_s[: len(scans.n_union)]
+    association, n_union = (
         np.array([blocks.count(scan_s, level) for level in part.T])
-        for part in (scans.association, scans.pairs)
+        for part in (scans.association, scans.n_union)
     )
-    return HotaBlocks(association, pairs)
+    return HotaBlocks(association, n_union)
 
 
 def _events(blocks: Blocks, scan: Ints) -> Floats:
@@ -147,7 +147,7 @@ def robot_counts(
     actual: Ints,
     entries: Ints,
     horizon: int,
-    query_scans: int,
+    scans_per_query: int,
 ) -> RobotCounts:
     """Count what robots foresee and miss within a horizon, in scans.
 
@@ -160,7 +160,7 @@ def robot_counts(
     asked_s = query_s[patrol.presences.query]
     per_query = blocks.count(query_s) * patrol.n_robots
     encounters = missed_encounters(
-        patrol, entries, warned, lead=horizon, query_scans=query_scans
+        patrol, entries, warned, lead=horizon, scans_per_query=scans_per_query
     )
     conflict = np.zeros((query_s.size, patrol.n_robots), dtype=bool)
     np.logical_or.at(conflict, patrol.presences.query, actual <= horizon)

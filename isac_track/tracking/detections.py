@@ -34,7 +34,8 @@ class DetectionSettings:
 
     # Probability of detecting a person at a scan; None: from the link budget.
     probability: float | None = 0.9
-    # Of the detector's threshold; it counts with the link budget only.
+    # Of the detector's threshold; it counts with the link budget only. Clutter does not
+    # follow from it: the two are independent.
     false_alarm_probability: float = 1e-4
     clutter_per_scan: float = 3.0  # Mean number of detections of nobody.
     measurement: Literal["scalar", "range_bearing"] = "scalar"
@@ -155,8 +156,8 @@ def detect_people(
     clutter = _draw_clutter(patrol, sensed, settings=settings, seed=seed)
     xy = np.concatenate([patrol.people.xy[present], clutter.xy])
     unit_error = np.concatenate([sensed.unit_error[present], clutter.unit_error])
-    model = np.concatenate([present, clutter.model])
-    sigma_m = sensed.sigma_raw[model]
+    donor = np.concatenate([present, clutter.donor])
+    sigma_m = sensed.sigma_raw[donor]
     variance_m2 = axis_variance(sigma_m=sigma_m, law=sensed.law)
     cov = _covariance(xy, variance_m2, settings=settings, sensing=sensing)
     if sensed.cov is not None:
@@ -164,8 +165,10 @@ def detect_people(
     if settings.measurement == "range_bearing":
         unit_error = _shaped(unit_error, cov, variance_m2)
     elif sensed.cov is not None:  # Errors of people have their shape.
-        end = slice(present.size, None)
-        unit_error[end] = _shaped(unit_error[end], cov[end], variance_m2[end])
+        clutter_rows = slice(present.size, None)
+        unit_error[clutter_rows] = _shaped(
+            unit_error[clutter_rows], cov[clutter_rows], variance_m2[clutter_rows]
+        )
     scan = np.concatenate([patrol.scan[present], clutter.scan])
     interval_s = float(patrol.scan_s[1] - patrol.scan_s[0])
     points = Sensed(
@@ -173,9 +176,9 @@ def detect_people(
         xy=xy + sigma_m[:, None] * unit_error,
         unit_error=unit_error,
         sigma_raw=sigma_m,
-        information=sensed.information[model],
+        information=sensed.information[donor],
         # Nobody knows the sample before: the interval is that of the scans.
-        fid=sensed.information[model] / interval_s,
+        fid=sensed.information[donor] / interval_s,
         offsets=np.arange(scan.size + 1),
         law=sensed.law,
         cov=None if sensed.cov is None else cov,
@@ -309,7 +312,7 @@ class _Clutter:
     scan: Ints  # (C,)
     xy: Floats  # (C, 2) m, before the error.
     unit_error: Floats  # (C, 2)
-    model: Ints  # (C,) sample whose declared error the detection has.
+    donor: Ints  # (C,) person's sample whose declared error the detection has.
 
 
 def _draw_clutter(
@@ -317,10 +320,12 @@ def _draw_clutter(
 ) -> _Clutter:
     """Draw clutter: Poisson in number, uniform in the walked area, a stream a scan.
 
-    Its declared errors are those of people's samples, so that they do not betray it.
+    Each point declares the error of a random sample of people. So declared errors have
+    people's distribution, but not jointly with the place: an error of a far sample may
+    stand near the station.
     """
     cells = walked_cells(patrol.people.xy)
-    scans, places, errors, models = [], [], [], []
+    scans, places, errors, donors = [], [], [], []
     for scan in range(int(patrol.scan.max()) + 1):
         rng = stream(seed, "tracking", "clutter", scan)
         n = int(rng.poisson(settings.clutter_per_scan))
@@ -329,7 +334,7 @@ def _draw_clutter(
         scans.append(np.full(n, scan))
         corner = cells[rng.integers(len(cells), size=n)]
         places.append(corner + CELL_M * rng.random((n, 2)))
-        models.append(rng.integers(sensed.t.size, size=n))
+        donors.append(rng.integers(sensed.t.size, size=n))
         apart = np.arange(n + 1)  # Each of a track of its own.
         errors.append(unit_errors(n_samples=n, law=sensed.law, rng=rng, offsets=apart))
     if not scans:
@@ -340,7 +345,7 @@ def _draw_clutter(
         scan=np.concatenate(scans),
         xy=np.concatenate(places),
         unit_error=np.concatenate(errors),
-        model=np.concatenate(models),
+        donor=np.concatenate(donors),
     )
 
 

@@ -35,27 +35,28 @@ class HotaScans:
     """Parts of HOTA at each of K scans, for the A least similarities of `LEVELS`."""
 
     association: Floats  # (K, A) sum over matches of how well their tracks agree.
-    pairs: Floats  # (K, A) matches, people without a match and tracks without one.
+    # (K, A) matches, people without a match and tracks without one: TP + FN + FP.
+    n_union: Floats
 
     @property
     def hota(self) -> float:
         """HOTA of all scans, 0 to 1."""
-        return float(hota_from_sums(self.association.sum(0), self.pairs.sum(0)))
+        return float(hota_from_sums(self.association.sum(0), self.n_union.sum(0)))
 
 
-def hota_from_sums(association: Floats, pairs: Floats) -> Floats:
+def hota_from_sums(association: Floats, n_union: Floats) -> Floats:
     """Return HOTA of parts that are summed over scans, (..., A) -> (...).
 
-    At each level it is sqrt(DetA AssA) = sqrt(association / pairs): the matches cancel.
-    HOTA is the mean over levels, and nan without people and tracks.
+    At each level it is sqrt(DetA AssA) = sqrt(association / n_union), since the number
+    of matches cancels. HOTA is the mean over levels, and nan without people and tracks.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.sqrt(association / pairs).mean(axis=-1))
+        return np.asarray(np.sqrt(association / n_union).mean(axis=-1))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Candidates:
-    """Pairs of a person and a track with some similarity at a scan, C in all."""
+    """Possible matches: a person and a track with some similarity at a scan, C in all."""
 
     scan: Ints  # (C,)
     person: Ints  # (C,)
@@ -63,6 +64,15 @@ class _Candidates:
     similarity: Floats  # (C,)
     # (C,) share of the similarities of person and track at the scan that is the pair's.
     overlap: Floats
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Pairs:
+    """P pairs of a person and a track that are candidates at some scan."""
+
+    candidate_pair: Ints  # (C,) pair of each candidate.
+    total_size: Ints  # (P,) positions of the person and positions of the track, summed.
+    agreement: Floats  # (P,) overlap of both over all scans, over their union.
 
 
 def hota_scans(patrol: Patrol, tracked: Tracked) -> HotaScans:
@@ -88,33 +98,43 @@ def hota_parts(
     """
     positive("cutoff_m", cutoff_m)
     candidates = _candidates(people, tracks, n_scans=n_scans, cutoff_m=cutoff_m)
+    pairs = _pairs(candidates, people, tracks)
+    match = _matches(candidates, pairs.agreement[pairs.candidate_pair])
+    n_present = np.bincount(people.scan, minlength=n_scans)
+    n_present = n_present + np.bincount(tracks.scan, minlength=n_scans)
+    association, n_union = np.zeros((2, n_scans, LEVELS.size))
+    for column, level in enumerate(LEVELS):
+        is_similar = candidates.similarity[match] >= level - np.finfo(float).eps
+        similar = match[is_similar]
+        scan = candidates.scan[similar]
+        accuracy = _match_accuracy(pairs, pairs.candidate_pair[similar])
+        association[:, column] = np.bincount(scan, accuracy, minlength=n_scans)
+        # A match is a person and a track that are present, and counts once.
+        n_union[:, column] = n_present - np.bincount(scan, minlength=n_scans)
+    return HotaScans(association, n_union)
+
+
+def _pairs(candidates: _Candidates, people: Places, tracks: Places) -> _Pairs:
+    """Return the pairs of candidates, and how well person and track agree (eq. 9)."""
     n_tracks = int(tracks.number.max(initial=-1)) + 1
     key = candidates.person * n_tracks + candidates.track
-    pair, index = np.unique(key, return_inverse=True)
-    either = _sizes(people)[pair // max(n_tracks, 1)]
-    either = either + _sizes(tracks)[pair % max(n_tracks, 1)]
-    overlap = np.bincount(index, weights=candidates.overlap, minlength=pair.size)
-    agreement = (overlap / (either - overlap))[index]
-    match = _matches(candidates, agreement)
-    present = np.bincount(people.scan, minlength=n_scans)
-    present = present + np.bincount(tracks.scan, minlength=n_scans)
-    parts = []
-    for level in LEVELS:
-        similar = candidates.similarity[match] >= level - np.finfo(float).eps
-        scan, owner = candidates.scan[match[similar]], index[match[similar]]
-        count = np.bincount(owner, minlength=pair.size)
-        accuracy = (count / (either - count))[owner]
-        matched = np.bincount(scan, minlength=n_scans)
-        parts.append(
-            (
-                np.bincount(scan, weights=accuracy, minlength=n_scans),
-                (present - matched).astype(np.float64),
-            )
-        )
-    association, pairs = (
-        np.stack(columns, axis=1) for columns in zip(*parts, strict=True)
+    pair, candidate_pair = np.unique(key, return_inverse=True)
+    person, track = pair // max(n_tracks, 1), pair % max(n_tracks, 1)
+    total_size = _sizes(people)[person] + _sizes(tracks)[track]
+    overlap = np.bincount(
+        candidate_pair, weights=candidates.overlap, minlength=pair.size
     )
-    return HotaScans(association, pairs)
+    return _Pairs(candidate_pair, total_size, overlap / (total_size - overlap))
+
+
+def _match_accuracy(pairs: _Pairs, match_pair: Ints) -> Floats:
+    """Return the association accuracy A(c) of matches by their pairs, (M,).
+
+    It is TPA / (TPA + FNA + FPA): matches of the pair over the union of both tracks.
+    """
+    n_matches = np.bincount(match_pair, minlength=pairs.total_size.size)
+    accuracy = n_matches / (pairs.total_size - n_matches)
+    return np.asarray(accuracy[match_pair])
 
 
 def _sizes(places: Places) -> Ints:
@@ -133,14 +153,14 @@ def _candidates(
         similarity = np.maximum(0.0, 1.0 - np.sqrt(squared_lengths(gap)) / cutoff_m)
         a, b = np.nonzero(similarity)
         shared = similarity[a, b]
-        either = similarity.sum(axis=1)[a] + similarity.sum(axis=0)[b] - shared
+        union = similarity.sum(axis=1)[a] + similarity.sum(axis=0)[b] - shared
         parts.append(
             (
                 np.full(a.size, scan),
                 people.number[person[a]],
                 tracks.number[track[b]],
                 shared,
-                shared / either,
+                shared / union,
             )
         )
     return _Candidates(

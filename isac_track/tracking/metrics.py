@@ -10,6 +10,8 @@ performance: the CLEAR MOT metrics", EURASIP J. Image and Video Processing, 2008
 """
 
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 
@@ -114,8 +116,9 @@ def gospa_scans(patrol: Patrol, tracked: Tracked, *, cutoff_m: float) -> GospaSc
 def track_owners(shared: SharedTracks) -> Ints:
     """Return the person with a plurality of samples of each track, (N,), or `CLUTTER`.
 
-    That is most samples, and need not be more than half. Of equals it is the person of
-    the lower row.
+    That is most samples, and need not be more than half. Of people with equally many it
+    is the person of the lower row. A track with as many samples of clutter belongs to
+    nobody.
     """
     n_tracks = len(shared.release)
     if not n_tracks:
@@ -139,18 +142,29 @@ def pure_samples(shared: SharedTracks) -> Bools:
 
 
 def identity_switches(shared: SharedTracks) -> Ints:
-    """Return the scans at which the track of a person changes, (W,), a row each.
+    """Return the scans at which a person's track changes, (W,), in time for each person.
 
-    The samples of a person are taken in time; a switch is a sample in another track
-    than the sample before. Of two tracks at the same scan the earlier track is first.
+    A person follows a track until a scan at which only other tracks have samples of the
+    person. That is a switch, to the track of the lowest number. `jpda` may give a
+    detection to several tracks: no switch while the track followed is among them.
+
+    IDSW of CLEAR-MOT matches people and tracks at each scan by distance, a track for
+    each person. Here the person behind each sample is known: no distance ends a match,
+    and a person may keep a track that another person follows, too.
     """
     sizes = np.diff(shared.release.offsets)
     track = np.repeat(np.arange(sizes.size), sizes)
-    row = np.flatnonzero(shared.person != CLUTTER)
-    row = row[np.lexsort((track[row], shared.scan[row], shared.person[row]))]
-    person = shared.person[row]
-    is_switch = (np.diff(person) == 0) & (np.diff(track[row]) != 0)
-    return np.asarray(shared.scan[row[1:]][is_switch])
+    is_person = shared.person != CLUTTER
+    columns = (column[is_person] for column in (shared.person, shared.scan, track))
+    samples = sorted(zip(*(column.tolist() for column in columns), strict=True))
+    followed: dict[int, int] = {}
+    switches = []
+    for (person, scan), samples_at_scan in groupby(samples, key=itemgetter(0, 1)):
+        tracks = [track for _, _, track in samples_at_scan]
+        if followed.setdefault(person, tracks[0]) not in tracks:
+            followed[person] = tracks[0]
+            switches.append(scan)
+    return np.array(switches, dtype=np.int64)
 
 
 def fragment_starts(shared: SharedTracks) -> Ints:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from isac_track.patrols.answers import forecast_runs
+from isac_track.patrols.forecasts import forecast_runs
 from isac_track.patrols.patrol import Patrol
 from isac_track.patrols.utility import NEVER, scans_left
 from isac_track.protocols import Predictor

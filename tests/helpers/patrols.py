@@ -6,7 +6,8 @@ import numpy as np
 
 from isac_track.config import StageSettings
 from isac_track.patrols import make_patrol
-from isac_track.patrols.answers import disclose, share_patrol
+from isac_track.patrols.answers import disclose
+from isac_track.patrols.network import share_patrol
 from isac_track.sharing import Clean, Raw
 from isac_track.types import Tracks, derived
 from predictors.kalman import KalmanCV

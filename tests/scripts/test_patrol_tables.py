@@ -15,10 +15,11 @@ import isac_track
 from isac_track import datasets
 from isac_track.config import StageSettings
 from isac_track.patrols import make_patrol
-from isac_track.patrols.answers import disclose, share_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.patrols.equal_alarms import AlarmCounts
 from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import UtilityCounts, knowledge_metrics
+from isac_track.patrols.network import share_patrol
 from isac_track.place import placed
 from isac_track.plugins import parse
 from predictors.kalman import KalmanCV

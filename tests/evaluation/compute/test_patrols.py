@@ -28,7 +28,7 @@ from evaluation.reporting.patrol_tables import patrol_tables
 from evaluation.reporting.patrol_words import patrol_sentence
 from isac_track import datasets
 from isac_track.patrols import horizon_scans, make_patrol
-from isac_track.patrols.answers import disclose, share_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.knowledge import guesses_from_map, known_places
 from isac_track.patrols.metrics import (
@@ -38,6 +38,7 @@ from isac_track.patrols.metrics import (
     robot_task,
     utility_metrics,
 )
+from isac_track.patrols.network import share_patrol
 from isac_track.place import placed
 from isac_track.plugins import parse
 from isac_track.policies.samples import Everything

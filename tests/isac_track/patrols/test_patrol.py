@@ -6,7 +6,7 @@ from helpers.patrols import ROUND, SETTINGS, make_network, straight_walks
 
 from isac_track.errors import DataError, SettingsError
 from isac_track.mechanisms.withholding import Window
-from isac_track.patrols import horizon_scans, make_patrol, query_scans, sense_people
+from isac_track.patrols import horizon_scans, make_patrol, scans_per_query, sense_people
 from isac_track.patrols.routes import draw_waypoints, places_along, walked_cells
 from isac_track.plugins import parse
 from isac_track.resample import walk
@@ -46,11 +46,11 @@ class TestPeople:
         )
         patrol = patrol_with(tracks)
         assert patrol.people.source == ("w0",)
-        assert patrol.n_unseen == 1
+        assert patrol.n_left_out == 1
 
     def test_of_one_recorded_sample_are_not_seen(self):
         tracks = straight_walks((0, 5, (0, 0), (1, 0)), (1.0, 1.0, (0, 0), (1, 0)))
-        assert patrol_with(tracks).n_unseen == 1
+        assert patrol_with(tracks).n_left_out == 1
 
     def test_beyond_the_segment_are_left_out_and_cut_at_its_end(self):
         tracks = straight_walks((10, 30, (0, 0), (1, 0)), (18, 30, (0, 0), (1, 0)))
@@ -70,7 +70,8 @@ class TestPeople:
             (0, 0, (0, 0), (1, 0)), (0.2, 0.8, (0, 0), (1, 0)), step_s=0.1
         )
         with pytest.raises(
-            DataError, match=r"nobody of 2 people.*set patrol\.scan_s lower"
+            DataError,
+            match=r"nobody of 2 people.*set patrol\.scan_s or patrol\.grid_s lower",
         ):
             patrol_with(tracks, scan_s=1.0)
 
@@ -106,7 +107,7 @@ class TestPresences:
     def test_horizons_are_the_papers_and_the_further_ones(self):
         assert horizon_scans(SETTINGS) == (11, 36)
         assert horizon_scans(ROUND) == (9, 30)
-        assert patrol_with().ahead_s.size == 1 + 30 + query_scans(ROUND.patrol)
+        assert patrol_with().ahead_s.size == 1 + 30 + scans_per_query(ROUND.patrol)
 
 
 class TestRobots:

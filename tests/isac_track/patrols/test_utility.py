@@ -14,7 +14,7 @@ from helpers.patrols import (
     straight_walks,
 )
 
-from isac_track.patrols import horizon_scans, make_patrol, query_scans
+from isac_track.patrols import horizon_scans, make_patrol, scans_per_query
 from isac_track.patrols.answers import disclose
 from isac_track.patrols.metrics import is_by_construction, robot_task, utility_metrics
 from isac_track.patrols.utility import (
@@ -114,7 +114,7 @@ class TestOneCrossing:
             entries,
             foreseen(network, Near(radius_m)),
             lead=lead,
-            query_scans=query_scans(ROUND.patrol),
+            scans_per_query=scans_per_query(ROUND.patrol),
         )
         assert counts.trials.tolist() == [[True]]
         assert counts.hits.tolist() == [[missed]]
@@ -130,7 +130,7 @@ class TestOneCrossing:
             entries,
             foreseen(network, Everything()),
             lead=9,
-            query_scans=10,
+            scans_per_query=10,
         )
         assert not counts.trials.any()
         assert np.isnan(counts.rate)

@@ -56,6 +56,35 @@ def test_differing_people_are_identified():
     assert estimate.value == pytest.approx(np.sort(truth)[-20:].mean(), abs=0.02)
 
 
+@pytest.mark.parametrize("n_people", [30, 41, 200])
+def test_the_order_of_people_does_not_matter(n_people):
+    # Few instants: many people have equal shares, at the edge of the tenth too.
+    rng = np.random.default_rng(n_people)
+    instants = rng.integers(1, 4, n_people)
+    known = rng.binomial(instants[:, None], 0.05, (n_people, 20))
+    cluster = rng.integers(0, n_people, n_people)
+    _, cluster = np.unique(cluster, return_inverse=True)
+    order = rng.permutation(n_people)
+    first = worst_tenth(known=known, instants=instants, cluster=cluster, seed=0)
+    second = worst_tenth(
+        known=known[order], instants=instants[order], cluster=cluster[order], seed=0
+    )
+    assert second.value == pytest.approx(first.value, abs=1e-12)
+    np.testing.assert_allclose(second.replicates, first.replicates, atol=1e-12)
+
+
+def test_equals_at_the_edge_of_the_tenth_count_with_equal_parts():
+    # The tenth of 20 people are two. All are equal in the even fleets; in the odd
+    # fleets the first person alone is known.
+    known = np.ones((20, 16), dtype=np.int64)
+    known[1:, 1::2] = 0
+    estimate = worst_tenth(
+        known=known, instants=np.ones(20, dtype=np.int64), cluster=np.arange(20), seed=0
+    )
+    # Even fleets choose all with a tenth of their weight: 1/20. Odd fleets score 1.
+    assert estimate.value == pytest.approx((1 / 20 + 1.0) / 2)
+
+
 def test_too_few_fleets_have_no_number():
     _, known, instants = draw(n_fleets=LEAST_FLEETS - 1)
     options = {"instants": instants, "cluster": np.arange(200), "seed": 0}

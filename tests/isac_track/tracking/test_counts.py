@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers.patrols import ROUND
 
-from isac_track.patrols import horizon_scans, make_patrol, query_scans, sense_people
+from isac_track.patrols import horizon_scans, make_patrol, scans_per_query, sense_people
 from isac_track.patrols.equal_alarms import DISTANCES_M
 from isac_track.patrols.utility import first_entries, missed_futures, true_conflicts
 from isac_track.tracking import (
@@ -72,7 +72,7 @@ def counts(patrol, foresight):
         actual=true_conflicts(patrol, safety_radius_m=RADIUS_M),
         entries=first_entries(patrol, safety_radius_m=RADIUS_M),
         horizon=HORIZON,
-        query_scans=query_scans(SETTINGS.patrol),
+        scans_per_query=scans_per_query(SETTINGS.patrol),
     )
 
 

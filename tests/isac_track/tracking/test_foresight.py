@@ -7,9 +7,10 @@ import pytest
 from helpers.patrols import ROUND, patrol_past, straight_walks
 
 from isac_track.patrols import sense_people
-from isac_track.patrols.answers import disclose, share_patrol
+from isac_track.patrols.answers import disclose
 from isac_track.patrols.estimators import ESTIMATORS
 from isac_track.patrols.knowledge import guesses_from_map, known_places
+from isac_track.patrols.network import share_patrol
 from isac_track.patrols.utility import NEVER, foreseen_conflicts
 from isac_track.policies.samples import Everything
 from isac_track.sharing import Raw

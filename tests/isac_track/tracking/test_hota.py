@@ -68,12 +68,12 @@ def test_without_tracks_it_is_0_and_without_people_unknown():
 
 def test_blocks_add_up_to_the_recording():
     parts = hota_parts(places(PEOPLE), places(TRACKS), n_scans=6)
-    association, pairs = (
+    association, n_union = (
         np.stack([part[:3].sum(0), part[3:].sum(0)], axis=1)[..., None]
-        for part in (parts.association, parts.pairs)
+        for part in (parts.association, parts.n_union)
     )
-    assert pairs.shape == (LEVELS.size, 2, 1)
-    estimate = block_hota(association=association, pairs=pairs, seed=0)
+    assert n_union.shape == (LEVELS.size, 2, 1)
+    estimate = block_hota(association=association, n_union=n_union, seed=0)
     assert estimate.value == pytest.approx(TRACKEVAL_1_3_0)
     assert np.isnan(estimate.ci_low)  # Two blocks are too few.
 

@@ -204,6 +204,31 @@ def test_switches_are_counted_when_a_person_is_in_another_track(shared):
     assert sorted(identity_switches(shared)) == [6, 6, 8]
 
 
+def shared_detections(n_scans, scans_of_tracks):
+    """Share tracks of the detections of a person, by the scans of each track."""
+    detected = make_detected([[(0, 0.0, 0.0)] for _ in range(n_scans)])
+    detection = np.concatenate([np.array(scans) for scans in scans_of_tracks])
+    tracked = Tracked(
+        scan=detected.detections.scan[detection],
+        xy=detected.detections.xy[detection],
+        detection=detection,
+        offsets=np.cumsum([0, *map(len, scans_of_tracks)]),
+        confirmed=np.array([scans[0] for scans in scans_of_tracks]),
+    )
+    return share_tracks(detected, tracked, seed=0)
+
+
+def test_two_tracks_with_the_same_detections_are_no_switch():
+    both = shared_detections(10, [range(10), range(2, 10)])
+    assert identity_switches(both).size == 0
+
+
+def test_a_person_switches_when_the_track_that_was_followed_has_no_sample():
+    # Track 0 ends; track 1 is left at scan 8, when only track 2 has a sample.
+    shared = shared_detections(10, [range(4), range(2, 8), [6, 7, 8, 9], [9]])
+    assert identity_switches(shared).tolist() == [4, 8]
+
+
 def test_a_further_track_of_a_person_is_a_fragment(shared):
     assert fragment_starts(shared).tolist() == [8]
 
