@@ -39,6 +39,9 @@ INTRODUCED = (
     "evaluation/compute",
     "evaluation/plan",
     "attacks/tasks",
+    "isac_track/patrols",
+    "isac_track/tracking",
+    "isac_track/mechanisms",
 )
 """Folders whose docstring introduces each of their files."""
 
