@@ -125,7 +125,8 @@ class Batch:
             raise ValueError(
                 f"prior_std must have {numbers} numbers, got {len(self.prior_std)}"
             )
-        return self.t, self.xy, self.variance, self.offsets, np.square(self.prior_std)
+        prior_m2 = np.square(self.prior_std, dtype=float)  # They may be whole numbers.
+        return self.t, self.xy, self.variance, self.offsets, prior_m2
 
 
 @dataclass(frozen=True, eq=False, slots=True)

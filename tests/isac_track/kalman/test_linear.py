@@ -158,3 +158,10 @@ class TestNumerics:
         ((_, track),) = track_by_track(case, q=1e-3)
         _, _, density = oracle.precise_states(**track)
         assert result.log_likelihood[0] == pytest.approx(density, rel=1e-6)
+
+
+def test_whole_numbers_are_a_prior_as_any_others():
+    case = batch(prior_std=(2.0, 1.0))
+    whole = replace(case, prior_std=(2, 1))
+    expected = kalman.kalman_last(case, q=1.0)
+    np.testing.assert_array_equal(kalman.kalman_last(whole, q=1.0).mean, expected.mean)
