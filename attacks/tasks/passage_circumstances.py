@@ -80,12 +80,12 @@ def _measure_circumstances(
     begin_s = tracks.t[tracks.offsets[:-1]]
     end_s = tracks.t[tracks.offsets[1:] - 1]
     for number in np.unique(session):
-        here = np.flatnonzero(session == number)
-        queue = find_queue(tracks, here, person[here])
-        on_ring[here], place[here] = queue.is_ring, queue.place
-        ahead[here], behind[here] = queue.ahead, queue.behind
-        in_session_s[here] = begin_s[here] - begin_s[here].min()
-        density[here] = _density(begin_s[here], end_s[here])
+        in_session = np.flatnonzero(session == number)
+        queue = find_queue(tracks, in_session, person[in_session])
+        on_ring[in_session], place[in_session] = queue.is_ring, queue.place
+        ahead[in_session], behind[in_session] = queue.ahead, queue.behind
+        in_session_s[in_session] = begin_s[in_session] - begin_s[in_session].min()
+        density[in_session] = _density(begin_s[in_session], end_s[in_session])
     duration_s = end_s - begin_s
     scalars = {
         "density": np.log(density),

@@ -155,10 +155,10 @@ def test_of_several_windows_of_a_person_the_one_with_most_samples_is_linked(patr
     sizes = np.diff(result.releases[0].offsets)
     person = result.task_windows.probe.person
     for number in np.unique(result.task_windows.probe.search):
-        here = (result.task_windows.probe.search == number) & (person == 2)
-        mated = here & (result.task_windows.mate != MISSING)
-        assert here.sum() == 2
-        assert sizes[mated].item() == sizes[here].max()
+        is_own = (result.task_windows.probe.search == number) & (person == 2)
+        mated = is_own & (result.task_windows.mate != MISSING)
+        assert is_own.sum() == 2
+        assert sizes[mated].item() == sizes[is_own].max()
 
 
 def test_tracks_of_nobody_are_candidates_without_a_mate(patrol):
