@@ -84,6 +84,8 @@ def _compute_messages(
             yield pack_message("error", error)
         except Exception:  # noqa: BLE001 - a plug-in's error may not be sendable
             yield pack_message("error", RuntimeError(error_text(error)))
+    except GeneratorExit:  # the parent has ended: nobody reads on
+        raise
     except BaseException as error:  # noqa: BLE001 - a plug-in's: no Ctrl-C comes here
         undo()
         message = f"it raised {type(error).__name__}"
